@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from robot_runner.core.design.asking import Decision
+from robot_runner.core.design.asking import Decision, Told
+from robot_runner.core.design.factor import Combination
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import Finding, did_you_mean
 from robot_runner.core.words import counted, enumerated, listed
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from robot_runner.core.design.asking import Told
-    from robot_runner.core.design.factor import Combination
 
 #: Squares of larger values are beyond all numbers.
 _LARGEST = 1e100

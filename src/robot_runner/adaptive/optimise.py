@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from random import Random
@@ -26,16 +27,13 @@ from robot_runner.adaptive.explored import (
     without_values,
 )
 from robot_runner.adaptive.searched_space import Places, SearchedSpace, baseline_findings, baseline_of
-from robot_runner.core.design.design import ChosenCombinations
+from robot_runner.core.design.design import ChosenCombinations, IsAllowed
+from robot_runner.core.design.factor import Combination, Factor
 from robot_runner.core.errors import DesignError, Finding
 from robot_runner.core.words import counted, enumerated, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from robot_runner.core.design.asking import Decision, Told
-    from robot_runner.core.design.design import IsAllowed
-    from robot_runner.core.design.factor import Combination, Factor
     from robot_runner.core.design.planned_runs import PlannedRun
 
 #: Combinations before there is a model: with two more than twice the factors, and five at least, one of them is near.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -22,21 +23,16 @@ from robot_runner.adaptive.explored import (
     without_values,
 )
 from robot_runner.core.design.columns import REPETITION
-from robot_runner.core.design.design import DesignedRuns
-from robot_runner.core.design.factor import full_factorial, full_size
-from robot_runner.core.design.planned_runs import RunOrder, planned_runs
+from robot_runner.core.design.design import DesignedRuns, IsAllowed
+from robot_runner.core.design.factor import Factor, full_factorial, full_size
+from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, planned_runs
 from robot_runner.core.design.precision import LEAST_REPETITIONS
 from robot_runner.core.design.repeated_intervals import half_width_of, level_at_each_look
 from robot_runner.core.errors import DesignError, Finding
 from robot_runner.core.words import counted, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from robot_runner.core.design.asking import Decision, Told
-    from robot_runner.core.design.design import IsAllowed
-    from robot_runner.core.design.factor import Factor
-    from robot_runner.core.design.planned_runs import PlannedRun
 
 #: How often the best combination of a race is dropped, at most.
 _ERROR = 0.05

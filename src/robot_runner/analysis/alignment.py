@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from robot_runner.analysis.arrays import Floats
 from robot_runner.core.errors import AnalysisError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     import pandas as pd
     from numpy.typing import NDArray
 
-    Floats = NDArray[np.float64]
 
 #: A value is made between samples that are this many of their periods apart at most; beyond that there is a hole.
 _MOST_PERIODS = 3.0

@@ -13,13 +13,15 @@ import json
 import os
 import re
 import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 import pyarrow as pa
 from pyarrow import parquet
 
-from robot_runner.analysis.sample_files import split_unit
+from robot_runner.analysis.sample_files import SampleFile, split_unit
 from robot_runner.analysis.samples import read_samples
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.storage.guarded_files import make_folder, open_to_read, open_to_write, read_text, replace
@@ -27,12 +29,8 @@ from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.storage.table_schema import data_package, file_resource, table_resource
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-    from pathlib import Path
-
     from robot_runner.analysis.raw_data import RawData
     from robot_runner.analysis.run_frame import ExperimentFacts
-    from robot_runner.analysis.sample_files import SampleFile
 
 _RUNS_AT_ONCE = 50  # so that an export takes no more memory than the samples of so many runs
 _UNIT = b"unit"

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
 from robot_runner.core.events.manager import ORCHESTRATED_EVENTS, RobotRunnerEvents
 from robot_runner.core.storage.journal import read_journal
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-    from pathlib import Path
 
 #: The events of a run, in their order (paper, Fig. 2).
 EVENTS = tuple(event.value for event in RobotRunnerEvents if event.belongs_to_run)

@@ -6,7 +6,9 @@ The file may declare the design, too, by which results were planned that were ma
 from __future__ import annotations
 
 import tomllib
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from robot_runner.analysis.declared_design import DeclaredDesign
 from robot_runner.core.design.analysis_plan import AnalysisPlan
@@ -14,10 +16,6 @@ from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.words import enumerated
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
 
 _DESIGN = "design"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,10 +22,10 @@ from robot_runner.analysis.run_frame import (
     quality_frame,
     read_run_frame,
 )
-from robot_runner.analysis.sample_files import choose_file, run_files
+from robot_runner.analysis.sample_files import SampleFile, choose_file, run_files
 from robot_runner.analysis.samples import read_samples
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS
-from robot_runner.core.errors import StorageError
+from robot_runner.core.errors import Finding, StorageError
 from robot_runner.core.events.measure import OPERATOR_OWNER, Quality
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import ExcludedRuns
@@ -34,13 +35,9 @@ from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.table_columns import ColumnRole
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     import pandas as pd
 
     from robot_runner.analysis.lazy_samples import LazySamples
-    from robot_runner.analysis.sample_files import SampleFile
-    from robot_runner.core.errors import Finding
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from robot_runner.core import words
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from robot_runner.analysis.statistics.tested import Interval
 
 #: Stands where a value is missing.

@@ -8,27 +8,22 @@ import shlex
 import shutil
 import sys
 import textwrap
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, TextIO
 
 from rich.cells import cell_len, set_cell_size
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.control import Control
-from rich.segment import ControlType
+from rich.segment import ControlType, Segment
 from rich.text import Text
 
 from robot_runner.cli.byte_code import no_byte_code
 from robot_runner.cli.harmless_stream import HarmlessStream, unguarded
 from robot_runner.core.storage.declared_shapes import finite
 from robot_runner.core.words import harmless, harmless_json, one_line
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-    from rich.console import ConsoleOptions, RenderableType
-    from rich.segment import Segment
 
 #: Wide enough that nothing is folded where nobody looks at a screen.
 _UNLIMITED = 100_000

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.cli.console import Column, aligned, fitting, width_of
+from robot_runner.cli.console import Column, UserConsole, aligned, fitting, width_of
 from robot_runner.core.design.columns import BATCH, REPETITION
-from robot_runner.core.design.factor import full_size
+from robot_runner.core.design.factor import Factor, full_size
 from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.inactive import INACTIVE
 from robot_runner.core.words import counted, enumerated, listed, plain, shown_treatment
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from robot_runner.cli.console import UserConsole
     from robot_runner.core.design.batch import Batch
-    from robot_runner.core.design.factor import Factor
     from robot_runner.core.design.planned_runs import PlannedRun
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.events.measure import MeasureColumns

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -14,15 +15,12 @@ from robot_runner.cli.guard import INTERRUPTED, SOME_FAILED
 from robot_runner.cli.harmless_stream import DroppedOutput, let_go_of
 from robot_runner.cli.screens.live import LiveScreen
 from robot_runner.cli.screens.plain import PlainScreen
-from robot_runner.core.errors import RobotRunnerError
+from robot_runner.core.errors import Finding, RobotRunnerError
 from robot_runner.core.execution.orchestrator import execute_experiment
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from robot_runner.cli.screens.progress import Progress
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.errors import Finding
     from robot_runner.core.execution.notices import ExperimentFinished
     from robot_runner.core.execution.recovery import Resumption
 

@@ -7,6 +7,7 @@ longer what the config makes.
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from secrets import randbits
 from types import MappingProxyType
@@ -26,9 +27,9 @@ from robot_runner.core.design.batches import (
 )
 from robot_runner.core.design.columns import WARM_UP
 from robot_runner.core.design.design import Design
-from robot_runner.core.design.factor import Factor
-from robot_runner.core.design.growing import Additions, Begun, grown_design
-from robot_runner.core.design.planned_runs import RunOrder
+from robot_runner.core.design.factor import Combination, Factor
+from robot_runner.core.design.growing import Additions, Begun, GrownDesign, grown_design
+from robot_runner.core.design.planned_runs import PlannedRun, RunOrder
 from robot_runner.core.errors import DesignError, ExecutionError, Finding
 from robot_runner.core.execution.begun_experiment import shown_config, unplanned_additions
 from robot_runner.core.execution.circumstances import keep_config_files, kept_manifest, restored_manifest
@@ -44,21 +45,15 @@ from robot_runner.core.storage.journal import Journal, read_journal, utc_now
 from robot_runner.core.storage.lock import ExperimentLock
 from robot_runner.core.storage.manifest import write_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
-from robot_runner.core.storage.run_table_rows import write_run_table
+from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
 from robot_runner.core.storage.table_columns import FactorColumn
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.design.batch import Batch
-    from robot_runner.core.design.factor import Combination
-    from robot_runner.core.design.growing import GrownDesign
-    from robot_runner.core.design.planned_runs import PlannedRun
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.execution.recovered_table import RecoveredTable
-    from robot_runner.core.storage.run_table_rows import RunTableRows
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

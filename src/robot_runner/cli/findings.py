@@ -7,17 +7,15 @@ import os
 import re
 import shlex
 import sys
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from robot_runner.cli.console import complaints, print_folded
+from robot_runner.cli.console import UserConsole, complaints, print_folded
 from robot_runner.core.words import counted, listed, one_line
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
-
-    from robot_runner.cli.console import UserConsole
     from robot_runner.core.errors import Finding
 
 _STYLES = {"error": "bold red", "warning": "bold yellow"}

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Iterable
 
 from robot_runner.core.words import harmless
 
 TYPE_CHECKING = False  # `typing` takes long to import, and `--help` is to be quick
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
     from typing import Any, TextIO
 
 

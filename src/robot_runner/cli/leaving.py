@@ -10,13 +10,11 @@ import os
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.words import enumerated, shown_duration
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 #: How long the program may take to end before it says what it waits for, and how long after that it is ended, s.
 TELL_AFTER, END_AFTER = 5.0, 600.0

@@ -8,14 +8,11 @@ import select
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from robot_runner.core.errors import ExecutionError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 #: How long the page may take to listen, and to end, s; a Raspberry Pi takes some seconds to import its libraries.
 _DEADLINE, _ENDING = 60.0, 3.0

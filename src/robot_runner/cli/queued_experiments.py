@@ -12,9 +12,11 @@ import json
 import os
 import re
 import time
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.storage import guarded_files
@@ -23,10 +25,6 @@ from robot_runner.core.storage.declared_shapes import shape_findings
 from robot_runner.core.storage.file_shapes import QueuedFile
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.lock_files import is_held_exclusively, lock_exclusively, open_to_lock
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
 
 _FILE = re.compile(r"([1-9][0-9]{0,8})\.json")
 _READ = tuple(QueuedFile.__annotations__)

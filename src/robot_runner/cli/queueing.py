@@ -12,6 +12,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -31,7 +32,6 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from types import FrameType
 
     from robot_runner.cli.queued_experiments import ExperimentQueue, QueuedExperiment

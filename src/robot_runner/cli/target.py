@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import shlex
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import command_line, shown_path
 from robot_runner.cli.parser import UsageError
@@ -16,9 +16,6 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.words import listed
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 #: Of more names in a folder, none is proposed.
 _MOST_NAMES = 20

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 import time
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.cluster.cluster_checks import cluster_settings
@@ -23,8 +24,6 @@ from robot_runner.core.storage import guarded_files
 from robot_runner.core.words import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
-
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.places import Watch
     from robot_runner.core.execution.task import OutcomeBuilder, RunTask

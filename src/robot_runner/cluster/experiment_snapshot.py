@@ -6,6 +6,7 @@ set up in the memory of the orchestrator is not there.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,8 +24,6 @@ from robot_runner.core.storage.journal import journal_lines
 from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from robot_runner.core.config.experiment import Experiment
 
 #: How a worker spells that it has no cluster of its own: it executes its runs itself.

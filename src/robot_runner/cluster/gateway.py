@@ -23,12 +23,13 @@ import json
 import os
 import sys
 import time
+from collections.abc import Mapping
 from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from distributed import Client
+from distributed import Client, Future
 
 from robot_runner.cluster import on_worker
 from robot_runner.cluster.cluster_checks import cluster_settings
@@ -45,11 +46,6 @@ from robot_runner.cluster.gateway_replies import Replies
 from robot_runner.cluster.raw_data_transfer import TransferError, bring_home
 from robot_runner.core.errors import StorageError
 from robot_runner.core.execution.run_records import RecordReader
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from distributed import Future
 
 #: How many runs are brought home at a time: this many pieces are in memory.
 _TRANSFERS = 4

@@ -5,13 +5,11 @@ from __future__ import annotations
 import json
 import select
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 from robot_runner.cluster.piped_process import PipedProcess
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
 
 #: How often the records of a run are sent while it is executed, s, and how many of them at a time.
 _SENDING, _MOST_RECORDS = 0.5, 200

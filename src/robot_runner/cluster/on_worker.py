@@ -14,6 +14,7 @@ import os
 import shutil
 import threading
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +23,6 @@ from robot_runner.cluster.run_host import INPUTS, OUTBOX
 from robot_runner.cluster.worker_versions import described_versions
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from distributed import Worker
 
 #: What workers tell of runs goes through the scheduler under this topic, which keeps the last thousand messages of it.

@@ -5,13 +5,11 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.execution.run_records import RecordReader, RecordWriter
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 
 class PipedProcess:

@@ -11,15 +11,12 @@ import hashlib
 import json
 import os
 import shutil
-from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Any
+from collections.abc import Awaitable, Callable, Mapping
+from pathlib import Path, PurePosixPath
+from typing import Any
 
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.guarded_files import make_folder, open_descriptor
-
-if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Mapping
-    from pathlib import Path
 
 #: Bytes of a piece: some hundred of them are on their way at most (see `gateway.py`), and each costs a round trip.
 PIECE = 1 << 20

@@ -21,6 +21,7 @@ import stat
 import sys
 import time
 import traceback
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -31,10 +32,10 @@ from robot_runner.core.config.claims import Claims
 from robot_runner.core.errors import ExecutionError, RobotRunnerError
 from robot_runner.core.execution.executor import begin_run, load_before_forks
 from robot_runner.core.execution.interruption import Interruption
-from robot_runner.core.execution.places import Watch
+from robot_runner.core.execution.places import RunInFlight, Watch
 from robot_runner.core.execution.processes import use_no_streams
 from robot_runner.core.execution.run_records import RecordReader, RecordWriter
-from robot_runner.core.execution.task import OutcomeBuilder
+from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 from robot_runner.core.execution.worker import task_of
 from robot_runner.core.storage.claim_locks import HeldClaims
 from robot_runner.core.storage.guarded_files import make_folder, open_descriptor
@@ -42,11 +43,7 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.treatments import bind
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.places import RunInFlight
-    from robot_runner.core.execution.task import RunOutcome, RunTask
 
 #: Why a run is stopped whose orchestrator is out of reach.
 GONE = "the orchestrator is gone, or out of reach"

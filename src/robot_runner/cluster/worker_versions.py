@@ -11,15 +11,13 @@ from __future__ import annotations
 import hashlib
 import platform
 import sys
+from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, distributions, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import Finding
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
 
 _GROUPS = "robot_runner."
 #: The physics of the embedded simulation, and what it computes with: its last digit may differ between versions.

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import ConditionError, Finding, LinkError
-from robot_runner.core.events.condition import Condition, Look
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-    from contextlib import ExitStack
-
-    from robot_runner.core.events.condition import LookAgain
-    from robot_runner.core.events.context import RobotRunnerContext
-
+from robot_runner.core.events.condition import Condition, Look, LookAgain
+from robot_runner.core.events.context import RobotRunnerContext
 
 #: What a quantity was found to be, in its unit; a text says why it is not known.
 Reading: TypeAlias = float | str

@@ -4,20 +4,14 @@ from __future__ import annotations
 
 import time
 from abc import abstractmethod
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from robot_runner.conditions.bounds import Bound, contradictions
-from robot_runner.core.errors import ConditionError
-from robot_runner.core.events.condition import Condition, HeldFor, Look
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-    from contextlib import ExitStack
-
-    from robot_runner.core.errors import Finding
-    from robot_runner.core.events.condition import LookAgain
-    from robot_runner.core.events.context import Clock, RobotRunnerContext
+from robot_runner.core.errors import ConditionError, Finding
+from robot_runner.core.events.condition import Condition, HeldFor, Look, LookAgain
+from robot_runner.core.events.context import Clock, RobotRunnerContext
 
 
 def all_of(*conditions: Condition) -> Condition:

@@ -4,26 +4,23 @@ from __future__ import annotations
 
 import re
 from abc import abstractmethod
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robot_runner.conditions.bounds import Bound, Quantity
+from robot_runner.conditions.bounds import Bound, Quantity, Reading
 from robot_runner.conditions.computers import ComputerName
-from robot_runner.core.errors import ConditionError
+from robot_runner.core.errors import ConditionError, Finding
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.measuring.ssh_host import SshHost
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-    from contextlib import ExitStack
-    from pathlib import Path
-
-    from robot_runner.conditions.bounds import Reading
-    from robot_runner.core.errors import Finding
     from robot_runner.core.events.condition import Condition
-    from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.measuring.local_host import LocalHost
 
 _PERCENT = 100.0

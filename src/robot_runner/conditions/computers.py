@@ -6,27 +6,22 @@ import os
 import re
 import shutil
 from abc import abstractmethod
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from robot_runner.core.errors import ConditionError, Finding, LinkError, Severity
-from robot_runner.core.events.condition import Condition, Look
-from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.condition import Condition, Look, LookAgain
+from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.ssh_command import checked_destination, ssh_findings
 from robot_runner.measuring.host import process_selector
 from robot_runner.measuring.local_host import LocalHost, LocalProcesses, matches
 from robot_runner.measuring.ssh_host import SshHost
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-    from contextlib import ExitStack
-
-    from robot_runner.core.events.condition import LookAgain
-    from robot_runner.core.events.context import RobotRunnerContext
 
 _PSUTIL = "Install it: pip install 'robot-runner[psutil]'."
 

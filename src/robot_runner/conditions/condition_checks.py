@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -14,8 +15,6 @@ from robot_runner.core.plugin import Plugin, Profiler, System
 from robot_runner.core.words import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.events.condition import Condition
 

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Collection, Iterable
+from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import ConditionError, Finding, LinkError, did_you_mean, nearest
-from robot_runner.core.events.condition import Condition, Look
+from robot_runner.core.events.condition import Condition, Look, LookAgain
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.connect import SIMULATED, connect_robot
 from robot_runner.core.links.graph_names import full_name
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
-    from contextlib import ExitStack
-
-    from robot_runner.core.events.condition import LookAgain
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.links.robot import RobotLink
+from robot_runner.core.links.robot import RobotLink
 
 
 def node_present(node: str, *, namespace: str = "") -> Condition:

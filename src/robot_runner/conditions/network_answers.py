@@ -8,21 +8,15 @@ import time
 import urllib.error
 import urllib.parse
 import urllib.request
-from contextlib import closing
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from http.client import HTTPException
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import ConditionError, Finding
-from robot_runner.core.events.condition import Condition, Look
+from robot_runner.core.events.condition import Condition, Look, LookAgain
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.declared_host import LOCAL
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-    from contextlib import ExitStack
-
-    from robot_runner.core.events.condition import LookAgain
-    from robot_runner.core.events.context import RobotRunnerContext
 
 #: How long a connection, or each step of a request, may take, s: one network of a lab.
 _PATIENCE = 2.0

@@ -7,21 +7,16 @@ import os
 import re
 import stat
 import time
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import ConditionError
-from robot_runner.core.events.condition import Condition, Look
+from robot_runner.core.events.condition import Condition, Look, LookAgain
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.words import one_line
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from contextlib import ExitStack
-
-    from robot_runner.core.events.condition import LookAgain
-    from robot_runner.core.events.context import RobotRunnerContext
 
 #: How much of a text is kept to be searched with what comes next, characters: much longer than a line of a log.
 _KEPT = 1 << 16

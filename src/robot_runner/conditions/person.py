@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import shlex
+from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import ConditionError
-from robot_runner.core.events.condition import Condition, Look
+from robot_runner.core.events.condition import Condition, Look, LookAgain
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import take_request
 from robot_runner.core.words import one_line
-
-if TYPE_CHECKING:
-    from contextlib import ExitStack
-
-    from robot_runner.core.events.condition import LookAgain
-    from robot_runner.core.events.context import RobotRunnerContext
 
 
 def confirmed(what: str) -> Condition:

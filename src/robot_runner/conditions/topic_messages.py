@@ -4,30 +4,24 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
-from robot_runner.conditions.bounds import Bound, Quantity
+from robot_runner.conditions.bounds import Bound, Quantity, Reading
 from robot_runner.conditions.computer_state import ComputerBattery
 from robot_runner.conditions.computers import ComputerName
 from robot_runner.conditions.graph_presence import check_robot_named
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import ConditionError, Finding, LinkError
-from robot_runner.core.events.condition import Condition, Look
+from robot_runner.core.events.condition import Condition, Look, LookAgain
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.connect import connect_robot, is_simulated
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.message_fields import field_of
+from robot_runner.core.links.robot import Message
 from robot_runner.core.words import one_line
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-    from contextlib import ExitStack
-    from pathlib import Path
-
-    from robot_runner.conditions.bounds import Reading
-    from robot_runner.core.events.condition import LookAgain
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.links.robot import Message
 
 _BATTERY_STATE = "sensor_msgs/BatteryState"
 _PERCENT = 100.0

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import logging
 import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from robot_runner.core.entry_points import entry_points
-from robot_runner.core.errors import PluginError, did_you_mean
-from robot_runner.core.events.measure import Origin
+from robot_runner.core.entry_points import EntryPoint, entry_points
+from robot_runner.core.errors import Finding, PluginError, did_you_mean
+from robot_runner.core.events.context import RobotRunnerContext
+from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.treatments import Bindable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from robot_runner.core.entry_points import EntryPoint
-    from robot_runner.core.errors import Finding
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.events.measure import Measure
     from robot_runner.core.links.graph_needs import GraphNeed
     from robot_runner.core.storage.input_files import InputFile
 

@@ -8,12 +8,9 @@ import os
 import re
 import secrets
 import time
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
+from typing import Any
 
 #: What stands in a secret's place.
 REDACTED = "REDACTED"

@@ -8,14 +8,12 @@ each block brings its images, so that a few base blocks are all, whose differenc
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import chain, combinations, product, repeat
 from math import comb, gcd
-from typing import TYPE_CHECKING, Final
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+from typing import Final
 
 #: So many partial blocks are tried for one group; those of the published table up to ten replicates need fewer.
 _MOST_TRIED: Final = 60_000

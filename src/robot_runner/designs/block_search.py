@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from itertools import combinations, product
 from random import Random
-from typing import TYPE_CHECKING, Final
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from typing import Final
 
 #: So many exchanges of two treatments are tried for each place, in several beginnings, and so many in all (under 1 s).
 _TRIED_PER_PLACE: Final = 60

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -12,8 +13,6 @@ from robot_runner.core.inactive import INACTIVE
 from robot_runner.designs.factor_roles import factor_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
     from robot_runner.core.design.design import IsAllowed
 
 

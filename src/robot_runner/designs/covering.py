@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations, product
 from math import prod
 from random import Random
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
-from robot_runner.core.design.design import ChosenCombinations
+from robot_runner.core.design.design import ChosenCombinations, IsAllowed
 from robot_runner.core.design.exclusions import Allowed
-from robot_runner.core.design.factor import full_factorial, full_size
+from robot_runner.core.design.factor import Factor, full_factorial, full_size
 from robot_runner.core.errors import DesignError, Finding
 from robot_runner.core.words import counted
 from robot_runner.designs.choosing import Described, at_places, library_findings, number_findings
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from robot_runner.core.design.design import IsAllowed
-    from robot_runner.core.design.factor import Factor
 
 #: More t-tuples than this would take minutes.
 _MOST_TUPLES = 500_000

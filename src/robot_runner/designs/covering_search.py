@@ -6,18 +6,15 @@ covered when each pair of their symbols is in some row.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from itertools import combinations, count
 from math import comb
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_runner.designs.finite_fields import finite_field
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 Array = NDArray[np.int64]
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_runner.designs.covering_search import field_of, is_field, pairwise_array
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 Array = NDArray[np.intp]
 

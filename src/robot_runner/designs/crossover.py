@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
-from robot_runner.core.design.design import HELD_ORDER, DesignedRuns, HeldOrder
+from robot_runner.core.design.design import HELD_ORDER, DesignedRuns, HeldOrder, IsAllowed
+from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import Finding
 from robot_runner.core.words import counted
 from robot_runner.designs.choosing import Described
 from robot_runner.designs.factor_roles import Roles, factor_name, refused, role_findings, shuffled, texts_of_combination
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from robot_runner.core.design.design import IsAllowed
-    from robot_runner.core.design.factor import Factor
 
 
 def williams_sequences(treatments: int) -> list[tuple[int, ...]]:

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, islice
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from robot_runner.core.design.design import ChosenCombinations
+from robot_runner.core.design.design import ChosenCombinations, IsAllowed
 from robot_runner.core.design.design_findings import MAX_RUNS
+from robot_runner.core.design.factor import Factor
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 from robot_runner.designs.choosing import at_places, left_out_warning, number_findings
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from robot_runner.core.design.design import IsAllowed
-    from robot_runner.core.design.factor import Factor
 
 _RESOLUTIONS = (3, 4, 5)
 #: Aliases among main effects and two-factor interactions are listed up to so many effects; a study of more screens.

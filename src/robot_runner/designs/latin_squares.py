@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from functools import cache, reduce
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from robot_runner.designs.finite_fields import finite_field
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
 
 #: The symbol of each cell, by row and column.
 Square = tuple[tuple[int, ...], ...]

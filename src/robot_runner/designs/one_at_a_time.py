@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from robot_runner.core.design.design import ChosenCombinations
+from robot_runner.core.design.design import ChosenCombinations, IsAllowed
+from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import Finding, did_you_mean
 from robot_runner.core.inactive import INACTIVE
 from robot_runner.core.words import listed
 from robot_runner.designs.choosing import active_treatments, distinct, left_out_warning, with_conditions, with_values
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from robot_runner.core.design.design import IsAllowed
-    from robot_runner.core.design.factor import Factor
 
 
 @dataclass(frozen=True, slots=True)

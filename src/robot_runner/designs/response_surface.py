@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
-from robot_runner.core.design.design import ChosenCombinations
+from robot_runner.core.design.design import ChosenCombinations, IsAllowed
 from robot_runner.core.design.design_findings import MAX_RUNS
+from robot_runner.core.design.factor import Factor
 from robot_runner.core.errors import Finding
 from robot_runner.designs.choosing import Described, curve_findings, left_out_warning, number_findings, with_values
 from robot_runner.designs.fractional import fraction_rows, fraction_words
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-
-    from robot_runner.core.design.design import IsAllowed
-    from robot_runner.core.design.factor import Factor
 
 _INSCRIBED, _FACED = "inscribed", "faced"
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
-from robot_runner.core.design.design import ChosenCombinations
+from robot_runner.core.design.design import ChosenCombinations, IsAllowed
 from robot_runner.core.design.design_findings import MAX_RUNS
+from robot_runner.core.design.factor import Factor
 from robot_runner.core.errors import DesignError, Finding
 from robot_runner.designs.choosing import (
     Described,
@@ -18,12 +20,6 @@ from robot_runner.designs.choosing import (
     with_conditions,
     with_values,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from robot_runner.core.design.design import IsAllowed
-    from robot_runner.core.design.factor import Factor
 
 #: So many times the runs that are wanted are drawn where exclusions take some of them away.
 _MOST_DRAWN = 64

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from robot_runner.core.design.design import HELD_ORDER, DesignedRuns, HeldOrder
+from robot_runner.core.design.design import HELD_ORDER, DesignedRuns, HeldOrder, IsAllowed
+from robot_runner.core.design.factor import Combination, Factor
 from robot_runner.core.errors import Finding
 from robot_runner.core.words import counted
 from robot_runner.designs.factor_roles import Roles, factor_name, refused, role_findings, shuffled
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from robot_runner.core.design.design import IsAllowed
-    from robot_runner.core.design.factor import Combination, Factor
 
 
 @dataclass(frozen=True, slots=True)

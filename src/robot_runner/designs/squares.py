@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
-from robot_runner.core.design.design import DesignedRuns
-from robot_runner.core.design.factor import full_factorial
+from robot_runner.core.design.design import DesignedRuns, IsAllowed
+from robot_runner.core.design.factor import Combination, Factor, full_factorial
 from robot_runner.core.errors import Finding
 from robot_runner.designs.choosing import Described
 from robot_runner.designs.factor_roles import Roles, factor_name, refused, role_findings, shuffled, texts_of_combination
-from robot_runner.designs.latin_squares import has_orthogonal_pair, latin_square, orthogonal_pair
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from robot_runner.core.design.design import IsAllowed
-    from robot_runner.core.design.factor import Combination, Factor
-    from robot_runner.designs.latin_squares import Square
+from robot_runner.designs.latin_squares import Square, has_orthogonal_pair, latin_square, orthogonal_pair
 
 
 @dataclass(frozen=True, slots=True)

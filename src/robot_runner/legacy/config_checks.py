@@ -5,7 +5,9 @@ from __future__ import annotations
 import ast
 import difflib
 import importlib.util
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.parameters import OperationType
@@ -28,10 +30,6 @@ from robot_runner.legacy.syntax import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
-    from pathlib import Path
-
-    from robot_runner.legacy.recognition import Recognised
     from robot_runner.legacy.session import Session
 
 

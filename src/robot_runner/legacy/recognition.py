@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.config.source import CONFIG_CLASS, read_tree
@@ -13,8 +15,6 @@ from robot_runner.legacy.syntax import ImportedName, bound_names, classes_of, ha
 
 if TYPE_CHECKING:
     import ast
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
 
 
 class Dialect(Enum):

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import MeasureError, did_you_mean
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import MeasureValue, Origin, as_measure_value
-from robot_runner.legacy.run_tables import PROGRESS, is_blank, value_of
+from robot_runner.legacy.run_tables import PROGRESS, EarlierDesign, is_blank, value_of
 from robot_runner.legacy.stand_ins.watched_row import planned_of
-
-if TYPE_CHECKING:
-    from collections.abc import Container
-
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.legacy.run_tables import EarlierDesign
-
 
 #: How Python, NumPy and pandas write NaN and missing values; many of these are not a `float`, such as `np.float32`.
 _NO_VALUE = frozenset({"nan", "nat", "<na>", "--"})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -13,14 +13,11 @@ from robot_runner.core.design.factor import Factor, treatment_text
 from robot_runner.core.design.listed_runs import ListedRun, ListedRunTableModel
 from robot_runner.core.design.planned_runs import RunOrder
 from robot_runner.core.errors import ConfigError, did_you_mean
-from robot_runner.core.storage.table_columns import EARLIER_SPELLING
+from robot_runner.core.storage.table_columns import EARLIER_SPELLING, TableSpelling
 from robot_runner.legacy.stand_ins.machinery import RunProgress
 from robot_runner.legacy.stand_ins.models import RunTableModel
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
-    from robot_runner.core.storage.table_columns import TableSpelling
     from robot_runner.legacy.session import Session
 
 

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import ConfigError, Finding, LinkError
+from robot_runner.core.events.context import RobotRunnerContext
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
     from types import CodeType
 
-    from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.events.manager import RobotRunnerEvents
     from robot_runner.legacy.recognition import Recognised
 

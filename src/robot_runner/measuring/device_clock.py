@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import PluginError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
 
 #: Quartzes and ceramic resonators are truer than this: 0.5 % is the data-sheet figure of an Arduino Nano's.
 _LARGEST_SKEW = 0.01

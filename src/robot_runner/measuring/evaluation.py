@@ -3,18 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
 
-from robot_runner.core.events.measure import MeasureValue, Origin, Over
+from robot_runner.core.events.context import Clock, RobotRunnerContext
+from robot_runner.core.events.measure import Measure, MeasureValue, Origin, Over
 from robot_runner.core.events.window import Window
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from robot_runner.core.events.context import Clock, RobotRunnerContext
-    from robot_runner.core.events.measure import Measure
-
 
 #: Returns the value of each measure over a window; what is left out is missing.
 Evaluate = Callable[[Window], Mapping[str, MeasureValue]]

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from robot_runner.core.errors import Finding
-from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.context import Clock, RobotRunnerContext, SystemClock
 from robot_runner.core.links.connect import SIMULATED, is_simulated, lives_by_simulation
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.ssh_command import ssh_findings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-    from pathlib import Path
-
-    from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.plugin import Plugin
 
 

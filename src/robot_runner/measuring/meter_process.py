@@ -9,18 +9,14 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import IO, TYPE_CHECKING
+from pathlib import Path
+from typing import IO
 
 from robot_runner.core.errors import PluginError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from robot_runner.core.events.context import Clock
-
+from robot_runner.core.events.context import Clock
 
 #: How often output is looked at, s: records are stamped as much too late, at most.
 _LOOK = 0.01

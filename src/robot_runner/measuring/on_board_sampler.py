@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
@@ -16,13 +17,10 @@ from robot_runner.measuring.cpu_counters import (
     utilisation_of,
 )
 from robot_runner.measuring.host import FileSample, SamplingReport, UtilisationSample
-from robot_runner.measuring.on_board_session import FORMS, new_token
+from robot_runner.measuring.on_board_session import FORMS, OnBoardSession, new_token
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from robot_runner.measuring.device_clock import ClockMap
-    from robot_runner.measuring.on_board_session import OnBoardSession
 
 
 _KILOBYTE = 1024.0

@@ -6,23 +6,27 @@ import math
 import threading
 import time
 from array import array
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar, runtime_checkable
 
 from robot_runner.core.errors import PluginError
+from robot_runner.core.events.context import Clock
 from robot_runner.core.events.window import Window
-from robot_runner.measuring.host import ReportingSampler, SamplingReport, TellingSampler
-from robot_runner.measuring.quality import quality_of
+from robot_runner.measuring.host import (
+    FileHost,
+    FileSample,
+    FileSampler,
+    ReportingSampler,
+    SamplingReport,
+    TellingSampler,
+)
+from robot_runner.measuring.quality import SampleQuality, quality_of
 from robot_runner.measuring.series import Series, within
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from robot_runner.core.events.context import Clock
     from robot_runner.core.events.resources import Closable
-    from robot_runner.measuring.host import FileHost, FileSample, FileSampler
-    from robot_runner.measuring.quality import SampleQuality
 
 
 R = TypeVar("R")

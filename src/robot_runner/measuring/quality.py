@@ -6,18 +6,17 @@ import io
 import json
 from array import array
 from bisect import bisect_left, bisect_right
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.storage.guarded_files import open_to_fill
 from robot_runner.measuring.series import Series, within
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.events.window import Window
 
 

@@ -9,13 +9,10 @@ import threading
 from collections import deque
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from robot_runner.core.errors import LinkError, did_you_mean
-
-if TYPE_CHECKING:
-    from robot_runner.core.events.context import Clock
-
+from robot_runner.core.events.context import Clock
 
 #: The name of the link to a port at whose other end is a simulated meter; it tells who opens it so.
 SIMULATED_PORT = "simulated-ina219"

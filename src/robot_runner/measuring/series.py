@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
 from operator import le
@@ -12,8 +13,6 @@ from typing import TYPE_CHECKING
 from robot_runner.core.errors import PluginError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from robot_runner.core.events.window import Window
 
 

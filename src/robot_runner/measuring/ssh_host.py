@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import Clock
 from robot_runner.core.links.ssh_command import gist, remedy, ssh_command
-from robot_runner.measuring.host import checked_words
-from robot_runner.measuring.on_board_sampler import OnBoardSampler, file_line, file_lines, utilisation_counters
+from robot_runner.measuring.host import FileSample, UtilisationSample, checked_words
+from robot_runner.measuring.on_board_sampler import (
+    OnBoardSampler,
+    Quantity,
+    file_line,
+    file_lines,
+    utilisation_counters,
+)
 from robot_runner.measuring.on_board_session import REMOTE_COMMAND, OnBoardSession, remove_leftovers
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from robot_runner.core.events.context import Clock
     from robot_runner.measuring.clock_offset import ClockOffset
-    from robot_runner.measuring.host import FileSample, UtilisationSample
-    from robot_runner.measuring.on_board_sampler import Quantity
 
 
 S = TypeVar("S")

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 from array import array
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.events.measure import Measure, Over
@@ -13,9 +15,6 @@ from robot_runner.measuring.quality import Column, SampleQuality, quality_of, wr
 from robot_runner.measuring.series import Series, cut, mean, mean_of_intervals
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-    from pathlib import Path
-
     from robot_runner.core.events.window import Window
     from robot_runner.measuring.host import SamplingReport, UtilisationSample
 

@@ -4,25 +4,21 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from robot_runner.core.errors import Finding
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
-from robot_runner.core.plugin import Profiler
+from robot_runner.core.links.robot import Message, Subscription
+from robot_runner.core.plugin import Circumstances, Profiler
 from robot_runner.measuring.evaluation import publish_measures
 from robot_runner.measuring.quality import Column, quality_of, report_quality, sufficient, write_samples
 from robot_runner.measuring.series import Series, cut, growth, integrate, mean
 from robot_runner.meters.parameter_checks import check_positive
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.links.robot import Message, Subscription
-    from robot_runner.core.plugin import Circumstances
 
 _TYPE = "sensor_msgs/BatteryState"
 #: Above this share a state of charge is told in percent; boards that reckon it from the voltage exceed 1 by little.

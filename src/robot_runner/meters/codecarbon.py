@@ -5,24 +5,20 @@ from __future__ import annotations
 import importlib.util
 import json
 import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
-from robot_runner.core.plugin import Profiler
+from robot_runner.core.plugin import Circumstances, Profiler
 from robot_runner.measuring.evaluation import note_own_window, publish_measures
 from robot_runner.measuring.measured_machine import THIS_MACHINE, clock_details, machine_clock, simulation_findings
 from robot_runner.measuring.quality import write_quality
 from robot_runner.meters.parameter_checks import check_positive
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.plugin import Circumstances
 
 _INSTALL = "Install it: pip install 'robot-runner[codecarbon]'."
 _JOULES = 3.6e6  # in a kilowatt hour

@@ -5,17 +5,20 @@ from __future__ import annotations
 import shutil
 import signal
 import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from pathlib import Path
+from typing import ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.events.context import Clock, RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
-from robot_runner.core.plugin import Profiler, probe_window
+from robot_runner.core.plugin import Circumstances, Profiler, probe_window
 from robot_runner.measuring.evaluation import publish_measures
 from robot_runner.measuring.measured_machine import clock_details, machine_clock
 from robot_runner.measuring.meter_process import Ending, MeterProcess, Record
-from robot_runner.measuring.quality import Column, quality_of, report_quality, write_samples
+from robot_runner.measuring.quality import Column, SampleQuality, quality_of, report_quality, write_samples
 from robot_runner.meters.command_output import (
     Aggregate,
     CommandColumn,
@@ -27,14 +30,6 @@ from robot_runner.meters.command_output import (
     row_times,
 )
 from robot_runner.meters.parameter_checks import check_list, check_positive
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from robot_runner.core.events.context import Clock, RobotRunnerContext
-    from robot_runner.core.plugin import Circumstances
-    from robot_runner.measuring.quality import SampleQuality
 
 #: How long to wait, once the measured window is over, for the row that tells of its last moments: in periods, and s.
 _AFTERMATH_PERIODS = 1.2

@@ -7,6 +7,7 @@ import os
 import plistlib
 import signal
 import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -19,8 +20,6 @@ from robot_runner.meters.parameter_checks import check_list, check_positive
 from robot_runner.meters.rapl import POWERCAP, permission_findings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from robot_runner.core.plugin import Circumstances
 
 #: Where the energy of the processor is, in the order of EnergiBridge's own summary (src/main.rs): power in W of Apple's

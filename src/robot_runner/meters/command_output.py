@@ -11,12 +11,11 @@ from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import PluginError
-from robot_runner.core.events.measure import Over
+from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.device_clock import fit_clock
 from robot_runner.measuring.series import Series, cut, growth, mean_of_intervals
 
 if TYPE_CHECKING:
-    from robot_runner.core.events.measure import Measure
     from robot_runner.core.events.window import Window
 
 #: The cells of one row by the name of their column, as text or as numbers.

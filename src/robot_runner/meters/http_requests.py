@@ -7,16 +7,14 @@ import os
 import urllib.error
 import urllib.parse
 import urllib.request
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from http.client import HTTPException
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import LinkError, PluginError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 #: Much more than an exporter's page takes; a device that sends without end is cut off.
 _MOST_BYTES = 32 << 20

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import importlib.util
 import math
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
-from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.context import Clock, RobotRunnerContext, SystemClock
 from robot_runner.measuring.measured_machine import machine_clock, simulation_findings
 from robot_runner.meters.electrical import ElectricalProfiler, ElectricalReading
 from robot_runner.meters.polled import trial_findings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
 
 _INSTALL = "Install it: pip install 'robot-runner[joulescope]'."

@@ -7,23 +7,19 @@ import re
 import signal
 import time
 from bisect import bisect_right
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
-from robot_runner.core.plugin import Profiler
+from robot_runner.core.events.context import Clock, RobotRunnerContext
+from robot_runner.core.plugin import Circumstances, Profiler
 from robot_runner.measuring.measured_machine import clock_details, machine_clock
 from robot_runner.measuring.meter_process import MeterProcess
 from robot_runner.measuring.series import within
 from robot_runner.meters.parameter_checks import check_positive
 from robot_runner.meters.video_recording import Recording, frame_times, missing_programs, take_still, without_secrets
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from robot_runner.core.events.context import Clock, RobotRunnerContext
-    from robot_runner.core.plugin import Circumstances
 
 _VIDEO, _FRAMES, _STILLS, _ERRORS = "video.mkv", "frames.csv", "stills.json", "stderr.txt"
 _LOOK = f"Look at {_VIDEO} and {_ERRORS} in its folder."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from operator import attrgetter
@@ -10,10 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_findings
 from robot_runner.measuring.quality import Column, sufficient
-from robot_runner.measuring.series import cut, mean
+from robot_runner.measuring.series import Series, cut, mean
 from robot_runner.meters.machine.machine_state import (
     FIRMWARE,
     HELD_BACK,
@@ -27,12 +29,8 @@ from robot_runner.meters.parameter_checks import check_list
 from robot_runner.meters.polled import Meter, PolledProfiler, known_series
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
     from robot_runner.measuring.periodic import Sampling
-    from robot_runner.measuring.series import Series
 
 _MILLI = 1e-3
 _KILO = 1e3

@@ -5,6 +5,7 @@ from __future__ import annotations
 import select
 import ssl
 import time
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -13,8 +14,6 @@ from urllib.parse import urlsplit
 from robot_runner.core.errors import LinkError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from robot_runner.meters.plug_dialects import Exchange
 
 MQTT_INSTALL = "Install it: pip install 'robot-runner[mqtt]'."

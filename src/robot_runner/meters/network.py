@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import shutil
 import signal
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from operator import gt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.measured_machine import machine_clock, simulation_findings
-from robot_runner.measuring.meter_process import MeterProcess
+from robot_runner.measuring.meter_process import Ending, MeterProcess
 from robot_runner.measuring.quality import Column
 from robot_runner.measuring.series import Series, growth
 from robot_runner.meters.counters import Counters, FileCounters, fall_count, unwrapped
@@ -20,11 +22,7 @@ from robot_runner.meters.parameter_checks import check_list
 from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
-    from robot_runner.measuring.meter_process import Ending
     from robot_runner.measuring.periodic import Sampling
 
 _COUNTERS = ("rx_bytes", "tx_bytes", "rx_packets", "tx_packets", "rx_dropped", "tx_dropped")

@@ -6,6 +6,7 @@ import os
 import re
 import signal
 import subprocess
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
@@ -18,8 +19,6 @@ from robot_runner.meters.command_output import Aggregate, CommandColumn, Row, Ti
 from robot_runner.meters.parameter_checks import check_list, check_positive
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from robot_runner.core.plugin import Circumstances
 
 _INSTALL = "Install it: sudo apt install linux-perf (Debian), linux-tools-generic (Ubuntu)."

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Generic, Protocol, TypeVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Origin
 from robot_runner.core.events.window import Window
 from robot_runner.core.plugin import Profiler
@@ -15,11 +17,6 @@ from robot_runner.measuring.periodic import PeriodicSampler, Sampling
 from robot_runner.measuring.quality import Column, report_quality, write_samples
 from robot_runner.measuring.series import Series
 from robot_runner.meters.parameter_checks import check_positive
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from robot_runner.core.events.context import RobotRunnerContext
 
 R = TypeVar("R")
 R_co = TypeVar("R_co", covariant=True)

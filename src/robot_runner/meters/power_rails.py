@@ -3,32 +3,27 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
-from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.ssh_command import ssh_findings
 from robot_runner.measuring.devices import connect_host
 from robot_runner.measuring.host import FileHost, RemoteHost, SamplingReport
 from robot_runner.measuring.local_host import LocalHost
 from robot_runner.measuring.measured_machine import Computer, machine_clock, simulation_findings
-from robot_runner.measuring.periodic import HostSampler
+from robot_runner.measuring.periodic import HostSampler, Sampling
 from robot_runner.measuring.ssh_host import SshHost
 from robot_runner.meters.electrical import ElectricalProfiler, Readings
-from robot_runner.meters.polled import Meter
-from robot_runner.meters.sysfs_rails import choose_rails, find_rails
+from robot_runner.meters.polled import Meter, Sampler
+from robot_runner.meters.sysfs_rails import Rail, choose_rails, find_rails
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
-    from robot_runner.measuring.periodic import Sampling
-    from robot_runner.meters.polled import Sampler
-    from robot_runner.meters.sysfs_rails import Rail
 
 #: Samples whose clock is known to less than this share of the window are doubted, as elsewhere.
 _CLOCK_SHARE = 0.01

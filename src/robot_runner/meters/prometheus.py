@@ -6,11 +6,14 @@ import importlib.util
 import math
 import re
 import statistics
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.quality import Column
 from robot_runner.measuring.series import Series, cut, growth, mean
@@ -20,10 +23,6 @@ from robot_runner.meters.parameter_checks import check_list, check_positive
 from robot_runner.meters.polled import Meter, PolledProfiler, known_series
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
     from robot_runner.measuring.periodic import Sampling
 

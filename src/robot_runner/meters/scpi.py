@@ -5,20 +5,19 @@ from __future__ import annotations
 import importlib.util
 import math
 import re
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.measuring.measured_machine import simulation_findings
 from robot_runner.meters.electrical import ElectricalProfiler, ElectricalReading
 from robot_runner.meters.parameter_checks import check_list, check_positive
 from robot_runner.meters.polled import trial_findings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
 
 _INSTALL = "Install it: pip install 'robot-runner[scpi]'."

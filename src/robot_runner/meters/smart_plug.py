@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import importlib.util
 import secrets
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.connect import SIMULATED, is_simulated
 from robot_runner.meters.electrical import ElectricalProfiler, Readings
 from robot_runner.meters.http_requests import HttpDevice, Secret, check_url
 from robot_runner.meters.mqtt_requests import MQTT_INSTALL, MqttRequests
 from robot_runner.meters.parameter_checks import check_positive
-from robot_runner.meters.plug_dialects import DIALECTS
+from robot_runner.meters.plug_dialects import DIALECTS, PlugDialect
 from robot_runner.meters.polled import Meter, trial_findings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-    from pathlib import Path
-
-    from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
     from robot_runner.measuring.periodic import Sampling
-    from robot_runner.meters.plug_dialects import PlugDialect
 
 #: Power of which a whole watt is this share or more is told too coarsely, and noticed after so many readings.
 _COARSE_SHARE, _COARSE_READINGS = 0.01, 10

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,8 +12,6 @@ from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.meters.electrical import ElectricalReading
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
     from robot_runner.measuring.host import FileHost
 
 #: The quantities of a rail, by the word that each of the two interfaces has for them, and what one step of a file is

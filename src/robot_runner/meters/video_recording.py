@@ -5,15 +5,12 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from robot_runner.core.errors import PluginError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
 
 FFMPEG, FFPROBE = "ffmpeg", "ffprobe"
 #: An encoder that is none: what the camera encoded is kept.

@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
+from robot_runner.core.events.context import Clock, RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import is_simulated
-from robot_runner.core.plugin import Profiler
+from robot_runner.core.plugin import Circumstances, Profiler
 from robot_runner.measuring.devices import open_serial_line
 from robot_runner.measuring.evaluation import publish_measures
-from robot_runner.measuring.quality import Column, quality_of, report_quality, write_samples
-from robot_runner.measuring.serial_line import port_problem
+from robot_runner.measuring.quality import Column, SampleQuality, quality_of, report_quality, write_samples
+from robot_runner.measuring.serial_line import SerialLine, port_problem
 from robot_runner.measuring.series import Series, mean_of_intervals
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from robot_runner.core.events.context import Clock, RobotRunnerContext
-    from robot_runner.core.plugin import Circumstances
-    from robot_runner.measuring.quality import SampleQuality
-    from robot_runner.measuring.serial_line import SerialLine
 
 #: Source of what is said and answered: Electronic Educational Devices, Watts up? PRO communications protocol (2009):
 #: `#L,W,3,E,<reserved>,<interval in s>;` begins to log to the line, `#L,R,0;` ends it. A record is

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +19,8 @@ from robot_runner.core.execution.notices import (
     ExperimentFinished,
     ExperimentStarted,
     NextDecided,
+    Notice,
+    Observer,
     PrecisionJudged,
     SilentObserver,
 )
@@ -33,11 +36,7 @@ from robot_runner.notebook.apart import execute_forked, execute_in_interpreter
 from robot_runner.notebook.python_config import NAME, PREFIX, as_texts, config_of_object, is_config, runs_named
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
     import pandas as pd
-
-    from robot_runner.core.execution.notices import Notice, Observer
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,16 +6,15 @@ import asyncio
 import itertools
 import json
 import time
+from collections.abc import Mapping
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from robot_runner.core.storage.declared_shapes import finite
 from robot_runner.page.followed_experiment import FollowedExperiment
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
     from starlette.types import Receive, Scope, Send
 
 #: How often a followed experiment is looked at, s: what is recorded is seen within a second.

@@ -5,7 +5,9 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 from robot_runner.core.config.operator_steps import Question
 from robot_runner.core.entry_points import named_entry_point
@@ -22,10 +24,6 @@ from robot_runner.page.followed_table import FollowedTable
 from robot_runner.page.journal_tail import JournalTail
 from robot_runner.page.means_so_far import MeansSoFar
 from robot_runner.page.sampled_curves import RunCurves
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
 
 _log = logging.getLogger(__name__)
 

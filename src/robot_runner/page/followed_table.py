@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.storage.cells import RunStatus
@@ -12,8 +13,6 @@ from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import shown_treatment
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
     from robot_runner.core.storage.layout import ExperimentFolder
     from robot_runner.core.storage.run_table_rows import RunTableRows
 

@@ -6,16 +6,14 @@ import hashlib
 import os
 import threading
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of, is_requested
 from robot_runner.page.followed_experiment import FollowedExperiment
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 #: How deep experiments are looked for, and how many folders are looked into.
 _DEEPEST, _MOST_FOLDERS = 4, 3_000

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
 from robot_runner.core.storage.guarded_files import LINE_LIMIT, MissingFileError, open_to_read
 from robot_runner.core.storage.record_shapes import RECORDS, Record
 from robot_runner.core.storage.system_refusals import storage_error
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 #: How much is read at once: some 4,000 records, which take 50 ms.
 _AT_ONCE = 1_000_000

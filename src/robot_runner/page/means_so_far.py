@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Iterable
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.outliers import Doubtful
@@ -11,8 +12,6 @@ from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.manifest import read_manifest
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
-
     from robot_runner.core.storage.layout import ExperimentFolder
     from robot_runner.page.followed_table import FollowedTable
 

@@ -11,15 +11,12 @@ import secrets
 import socket
 import time
 from collections import OrderedDict
+from collections.abc import Iterable, Mapping
 from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.core.storage.guarded_files import MissingFileError, read_text, remove, replace
 from robot_runner.core.storage.system_refusals import storage_error
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
 
 
 class Role(IntEnum):

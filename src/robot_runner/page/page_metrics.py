@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 _RUNS = (("done", "done"), ("failed", "failed"), ("todo", "to do"))
 _WORDS = ("running", "waiting", "paused", "stopped", "failed", "done")

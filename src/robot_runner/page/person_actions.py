@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.operator_steps import read_answers
-from robot_runner.core.errors import ExecutionError
+from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.experiment_status import (
+    ExperimentStatus,
     continue_and_see,
     questions_of,
     require_executed,
@@ -16,10 +18,6 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import forget_requests, leave_request
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from robot_runner.core.errors import Finding
-    from robot_runner.core.execution.experiment_status import ExperimentStatus
     from robot_runner.page.followed_experiment import FollowedExperiment
 
 _LONGEST_ANSWER = 2_000

@@ -6,7 +6,9 @@ import csv
 import math
 import os
 import stat
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import StorageError
@@ -15,9 +17,6 @@ from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.measuring.live_samples import LIVE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
     from robot_runner.core.storage.layout import ExperimentFolder
 
 #: Points of a curve: more than a phone is wide; each has the least and the largest value of its samples.

@@ -7,16 +7,16 @@ import io
 import ipaddress
 import socket
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import ConfigError, ExecutionError
 from robot_runner.page.page_access import Keys, Role, known_names
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from io import RawIOBase
-    from pathlib import Path
 
 _EXTRA = "Install it with: pip install 'robot-runner[page]'"
 _LARGEST_PORT = 65_535

@@ -8,8 +8,10 @@ to the author or to the reviewers; it is never met by itself.
 from __future__ import annotations
 
 import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import PackageError
@@ -17,7 +19,7 @@ from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
-from robot_runner.core.storage.table_columns import ColumnRole, TableLayout
+from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole, TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import counted
 from robot_runner.replication.about import About
@@ -38,11 +40,7 @@ from robot_runner.replication.run_by_run import statuses_that_count
 from robot_runner.replication.verification import read_text_of
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
-    from pathlib import Path
-
     from robot_runner.core.storage.run_table_rows import RunTableRows
-    from robot_runner.core.storage.table_columns import ColumnDescription
 
 _POLICY = "https://www.acm.org/publications/policies/artifact-review-and-badging-current"
 _AVAILABLE = "Artifacts Available"

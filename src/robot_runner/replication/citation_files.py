@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, nearest
 from robot_runner.replication.contents import LICENCE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
     from robot_runner.replication.about import About
 
 #: Said wherever a licence would stand.

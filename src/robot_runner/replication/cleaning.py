@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import codecs
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fnmatch import fnmatch
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding
@@ -17,8 +19,6 @@ from robot_runner.replication.searched_files import recoded, search, wide_encodi
 
 if TYPE_CHECKING:
     from collections import Counter
-    from collections.abc import Iterator
-    from pathlib import Path
 
 
 @dataclass(frozen=True, slots=True)

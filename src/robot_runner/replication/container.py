@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 from robot_runner.core.errors import PackageError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 #: An image by its name, with a tag or a digest or both, as the Open Container Initiative's distribution names them.
 _IMAGE = re.compile(r"[\w][\w.\-/:]{0,254}(@sha256:[0-9a-f]{64})?", re.ASCII)

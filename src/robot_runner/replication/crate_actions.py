@@ -5,18 +5,16 @@ https://www.researchobject.org/workflow-run-crate/profiles/workflow_run_crate/ (
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.table_columns import ColumnRole
+from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 from robot_runner.replication.contents import TABLE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
     from robot_runner.core.storage.run_table_rows import RunTableRows
-    from robot_runner.core.storage.table_columns import ColumnDescription
 
 _FORMAL_PARAMETER = "https://bioschemas.org/profiles/FormalParameter/1.0-RELEASE"
 

@@ -7,15 +7,13 @@ tests of the project ask the validator of the formats' own authors for all of th
 from __future__ import annotations
 
 import json
+from collections.abc import Collection, Iterator, Mapping
 from datetime import datetime
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import unquote
 
 from robot_runner.core.errors import Finding
 from robot_runner.replication.contents import CRATE
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping
 
 _FIX = "Report this: what packing writes is not what RO-Crate asks for."
 _ACTIONS = frozenset({"CreateAction", "ActivateAction", "UpdateAction"})

@@ -5,23 +5,19 @@ from __future__ import annotations
 import platform
 import shutil
 import sys
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.config.dialects import stand_in_modules
 from robot_runner.core.errors import Finding
 from robot_runner.core.plugin import described_circumstances
 from robot_runner.core.storage.manifest import describe_host, describe_system, described_programs
-from robot_runner.replication.distributions import distributions_in, installed_distributions
+from robot_runner.replication.distributions import InstalledDistribution, distributions_in, installed_distributions
 from robot_runner.replication.imported_packages import imported_names, importers
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-
-    from robot_runner.replication.distributions import InstalledDistribution
 
 _GIBIBYTE = 1 << 30
 _SAME_MEMORY = 0.02  # what the kernel keeps for itself differs from boot to boot

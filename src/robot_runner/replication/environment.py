@@ -8,18 +8,14 @@ an index is not known, because installers do not keep it; `index_hashes` asks fo
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from robot_runner.core.errors import Finding
-from robot_runner.replication.distributions import canonical, closure, installed_distributions
+from robot_runner.replication.distributions import InstalledDistribution, canonical, closure, installed_distributions
 from robot_runner.replication.imported_packages import imported_names, importers, owners_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
-    from robot_runner.replication.distributions import InstalledDistribution
 
 _OUR_NAME = "robot-runner"
 _GLIBC = ("manylinux2014", *(f"manylinux_2_{minor}" for minor in (17, 24, 26, 27, 28, 31, 34, 35, 36)))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from robot_runner.core.design.columns import BATCH, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.errors import StorageError, did_you_mean
-from robot_runner.core.events.measure import OPERATOR_OWNER, ROBOTS_OWNER, quality_text
+from robot_runner.core.events.measure import CONFIG_OWNER, OPERATOR_OWNER, ROBOTS_OWNER, quality_text
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import executed_order, moved_runs, unrecorded_runs
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -19,12 +21,7 @@ from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, Co
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import shown_commit, shown_duration
 from robot_runner.replication.config_lines import ConfigLines
-from robot_runner.replication.contents import CONFIG_OWNER
 from robot_runner.replication.run_history import RunHistory
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
 
 _ORCHESTRATED = frozenset({"before_run", "continue"})
 _UNMEASURED = {"simulated": "simulated, not measured", "estimated": "estimated by a model, not measured"}

@@ -15,21 +15,17 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 from urllib.parse import unquote, urlsplit
 
 from robot_runner.core.errors import Finding
 from robot_runner.core.words import listed
 from robot_runner.replication.distributions import canonical, installed_distributions
-from robot_runner.replication.environment import PLATFORMS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
-    from robot_runner.replication.environment import PackageRecord, RecordedEnvironment
+from robot_runner.replication.environment import PLATFORMS, PackageRecord, RecordedEnvironment
 
 _DEADLINE_S = 300.0
 #: Of one connection; pip's own retries would make a network that is not there a matter of minutes.

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from enum import Enum
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 from robot_runner.core.secret_names import is_placeholder, is_secret_name
 from robot_runner.replication.secret_kinds import Found
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 
 class Grammar(Enum):

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
+from collections.abc import Mapping, Sequence
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.design.repeated_intervals import t_probability, t_quantile
 from robot_runner.core.words import counted
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
 
 #: The probability with which a decision is to be had, as planning takes it where nothing else is said.
 _POWER = 0.8

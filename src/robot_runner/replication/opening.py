@@ -9,6 +9,7 @@ import stat
 import struct
 import zipfile
 import zlib
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -22,8 +23,6 @@ from robot_runner.replication.contents import DESCRIPTION, DESKTOP_FILES, SUMS, 
 from robot_runner.replication.redaction import chunks_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
     from robot_runner.replication.plain_zip import Progress
 
 #: The directory of some 100,000 files.

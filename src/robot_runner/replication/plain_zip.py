@@ -5,15 +5,12 @@ from __future__ import annotations
 import hashlib
 import os
 import zipfile
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from pathlib import Path
+from typing import BinaryIO, NamedTuple, TypeAlias
 
 from robot_runner.core.storage.system_refusals import fsync_file, fsync_folder, storage_error
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-    from pathlib import Path
-    from typing import BinaryIO
 
 #: Called with the number of bytes that are done, and with that of all.
 Progress: TypeAlias = "Callable[[int, int], None]"

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import IO
 
 from robot_runner.core.secret_names import REDACTED
 from robot_runner.core.storage.guarded_files import open_to_read
@@ -19,11 +21,6 @@ from robot_runner.replication.named_secrets import (
     secrets_in_columns,
 )
 from robot_runner.replication.secret_kinds import HOME_PATH, Found, Kind, kinds, literal, reduced
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-    from pathlib import Path
-    from typing import IO
 
 _FORBIDDEN = re.compile(
     r"(?i)\.env(\..*)?|id_(rsa|dsa|ecdsa|ed25519)(_sk)?|known_hosts(\.old)?|authorized_keys"

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robot_runner.core.config.checks import runs_listed_in
-from robot_runner.core.config.experiment import grown_model
+from robot_runner.core.config.experiment import Experiment, grown_model
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.config.treatment_makers import known_treatments, treatments_known
 from robot_runner.core.design.batches import EXTENDED, REPEATED, records_of
@@ -22,7 +24,7 @@ from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
-from robot_runner.core.storage.run_table_rows import write_run_table
+from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
@@ -34,11 +36,6 @@ from robot_runner.replication.opening import open_package, unpack
 from robot_runner.replication.verification import Environment, refuse_faults, verify_package
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.storage.run_table_rows import RunTableRows
     from robot_runner.replication.plain_zip import Progress
 
 _UNPACKED = "package"

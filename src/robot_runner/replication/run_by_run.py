@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.storage.cells import RunStatus
@@ -12,8 +13,6 @@ from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
 

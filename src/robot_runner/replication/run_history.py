@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any, Self
 
 from robot_runner.core.storage.executed_runs import EXCLUSION_KINDS, ExcludedRuns
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.words import shown_commit, shown_duration
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-    from typing import Self
 
 #: What the runs that follow have in common.
 _OF_EXECUTION = "experiment_started"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -15,7 +16,7 @@ from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.storage.table_schema import data_package, table_resource
 from robot_runner.replication import contents
-from robot_runner.replication.about import readme
+from robot_runner.replication.about import About, readme
 from robot_runner.replication.badges import BadgeFacts, badges_text
 from robot_runner.replication.citation_files import citation_text, licence_text, zenodo_text
 from robot_runner.replication.cleaning import Cleaning, in_words
@@ -24,21 +25,23 @@ from robot_runner.replication.contents import ALL, Contents, LeftOut, PackedFile
 from robot_runner.replication.crate import crate_text
 from robot_runner.replication.crate_actions import executed_runs
 from robot_runner.replication.crate_requirements import crate_faults
-from robot_runner.replication.distributions import canonical, packages_of_extra, wheel_name, wheel_of, write_wheel
+from robot_runner.replication.distributions import (
+    InstalledDistribution,
+    canonical,
+    packages_of_extra,
+    wheel_name,
+    wheel_of,
+    write_wheel,
+)
 from robot_runner.replication.named_secrets import Grammar
-from robot_runner.replication.redaction import chunks_of
+from robot_runner.replication.redaction import Redactor, chunks_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from robot_runner.core.config.authors import Author
     from robot_runner.core.storage.run_table_rows import RunTableRows
     from robot_runner.core.storage.table_columns import ColumnDescription
-    from robot_runner.replication.about import About
-    from robot_runner.replication.distributions import InstalledDistribution
     from robot_runner.replication.environment import RecordedEnvironment
     from robot_runner.replication.plain_zip import PlainZip, Progress
-    from robot_runner.replication.redaction import Redactor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,18 +11,14 @@ import tarfile
 import zipfile
 import zlib
 from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import IO, TYPE_CHECKING, BinaryIO, cast
+from pathlib import Path
+from typing import IO, BinaryIO, cast
 
 from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.replication.named_secrets import Grammar
-from robot_runner.replication.redaction import chunks_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-    from pathlib import Path
-
-    from robot_runner.replication.redaction import Redactor
+from robot_runner.replication.redaction import Redactor, chunks_of
 
 _BLOCK = 1 << 20
 _SNIFFED = 8192

@@ -12,17 +12,14 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.safe_write import write_beside_and_rename
 from robot_runner.core.storage.system_refusals import storage_error
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 #: What it is a signature of: one that was made for a commit or for an e-mail is refused.
 _NAMESPACE = "robot-runner-package"

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from io import StringIO
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
 from robot_runner.core.errors import Finding, PackageError
@@ -17,9 +19,6 @@ from robot_runner.core.storage.registration import checksum_of
 from robot_runner.replication import contents
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
     from robot_runner.replication.opening import OpenPackage
     from robot_runner.replication.plain_zip import Progress
 

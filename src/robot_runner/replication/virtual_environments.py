@@ -6,10 +6,11 @@ import json
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from robot_runner.core.errors import PackageError
 from robot_runner.core.execution.interruption import stop_signals_handled
@@ -19,9 +20,7 @@ from robot_runner.replication.contents import REQUIREMENTS, WHEELS
 from robot_runner.replication.distributions import installed_distributions, wheel_name, wheel_of, write_wheel
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
     from types import FrameType
-    from typing import TextIO
 
 _OUR_NAME = "robot-runner"
 _DEADLINE_S = 3600.0

@@ -5,20 +5,18 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Protocol
 
 from robot_runner.core.errors import LinkError, nearest
+from robot_runner.core.links.robot import GraphEndpoint, Message, Subscription
 from robot_runner.core.words import enumerated
-from robot_runner.ros.sent_goal import SentGoal
+from robot_runner.ros.sent_goal import ActionClient, SentGoal
 from robot_runner.ros.shapes import completed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
-
-    from robot_runner.core.links.robot import GraphEndpoint, Message, Subscription
     from robot_runner.ros.action_server import ActionTypes, GoalServer
-    from robot_runner.ros.sent_goal import ActionClient
 
 _logger = logging.getLogger(__name__)
 

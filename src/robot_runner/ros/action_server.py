@@ -5,17 +5,13 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from robot_runner.core.links.goals import ActionAborted, ActionCanceled, ActionResult, GoalStatus
-from robot_runner.ros.shapes import completed
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from robot_runner.core.links.robot import GoalExecution, Message
-    from robot_runner.ros.shapes import Shape
+from robot_runner.core.links.robot import GoalExecution, Message
+from robot_runner.ros.shapes import Shape, completed
 
 _logger = logging.getLogger(__name__)
 

@@ -8,13 +8,10 @@ branch. What ROS makes of an action: design.ros2.org/articles/actions.html, and 
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 from robot_runner.core.errors import LinkError
 from robot_runner.ros.shapes import plain_type
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 #: What ROS 2 makes of an action beside its goal, result and feedback; no type of another kind has these endings,
 #: because names of ROS 2 have no underscore.

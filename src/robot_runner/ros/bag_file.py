@@ -5,21 +5,19 @@ from __future__ import annotations
 import queue
 import threading
 from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from itertools import islice, pairwise
+from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError, PluginError
-from robot_runner.core.links.robot import Encoding, Qos, RawMessage
+from robot_runner.core.links.robot import Encoding, Qos, RawMessage, RobotLink
 from robot_runner.ros.bag_metadata import Contents, offered_profiles
 from robot_runner.ros.recorded_bag import RecordedBag
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-    from pathlib import Path
-
-    from robot_runner.core.links.robot import RobotLink
     from robot_runner.ros.topic_statistics import TypedTopic
 
 #: So many messages of a bag tell when it began, and the period of each topic.

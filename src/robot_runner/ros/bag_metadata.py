@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.links.robot import Qos
 from robot_runner.core.storage.guarded_files import open_to_fill
 from robot_runner.ros.qos_policies import offered_by
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-    from pathlib import Path
-
-    from robot_runner.core.links.robot import Qos
 
 #: Of rosbag2's metadata: that of Humble, which all later ones read (rosbag2_storage/metadata_io).
 _VERSION = 5

@@ -5,25 +5,19 @@ from __future__ import annotations
 import threading
 from array import array
 from collections import deque
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from robot_runner.core.errors import PluginError
-from robot_runner.core.links.robot import Advertiser, Encoding
+from robot_runner.core.events.context import Clock
+from robot_runner.core.links.robot import Advertiser, Encoding, RobotLink
 from robot_runner.core.words import enumerated
 from robot_runner.measuring.meter_process import MeterProcess
 from robot_runner.ros.bag_recorder import ENDING, PROGRAMS
-from robot_runner.ros.recorded_bag import RecordedMessage
+from robot_runner.ros.recorded_bag import RecordedBag, RecordedMessage, RecordedTopic
 from robot_runner.ros.shapes import stamp_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from robot_runner.core.events.context import Clock
-    from robot_runner.core.links.robot import RobotLink
-    from robot_runner.ros.recorded_bag import RecordedBag, RecordedTopic
 
 #: The topic of the time that nodes live by where `use_sim_time` is set, and its type.
 CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/Clock"

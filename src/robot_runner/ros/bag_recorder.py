@@ -6,20 +6,15 @@ import shlex
 import signal
 import subprocess
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.declared_host import LOCAL
-from robot_runner.core.links.robot import Encoding
+from robot_runner.core.links.robot import Encoding, GraphListing
 from robot_runner.core.links.ssh_command import remedy, ssh_command
 from robot_runner.measuring.meter_process import MeterProcess
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    from robot_runner.core.links.robot import GraphListing
 
 #: The program that records and plays messages of each generation of ROS.
 PROGRAMS = {Encoding.ROS1: "rosbag", Encoding.CDR: "ros2"}

@@ -30,14 +30,13 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.robot import Encoding
+from robot_runner.core.links.robot import Encoding, Message
 from robot_runner.ros.dds_graph import matched_publications, matched_subscriptions, reply_topic, request_topic
 from robot_runner.ros.dds_qos import service_profile
 from robot_runner.ros.dds_reception import Reception, delete, service_wire_type
 from robot_runner.ros.rtps_replies import RequestId, RtpsReplies, captured_messages
 
 if TYPE_CHECKING:
-    from robot_runner.core.links.robot import Message
     from robot_runner.ros.dds_session import Session
     from robot_runner.ros.shapes import Shape
 

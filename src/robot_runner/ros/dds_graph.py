@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,6 @@ from cyclonedds.qos import Policy
 from cyclonedds.qos import Qos as DdsQos
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from uuid import UUID
 
     from cyclonedds.domain import DomainParticipant

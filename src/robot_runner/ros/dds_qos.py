@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 from cyclonedds.qos import Policy
 from cyclonedds.qos import Qos as DdsQos
 
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros.qos_policies import Policies, adapted, asked_by, offered_by
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 #: A writer waits this long in ns for readers that do not keep up before it gives up, where nothing may be lost.
 _MAX_BLOCKING_NS = 500_000_000

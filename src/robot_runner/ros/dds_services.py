@@ -10,14 +10,16 @@ import logging
 import struct
 import threading
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from cyclonedds.core import DDSException
 from cyclonedds.qos import Policy
+from cyclonedds.qos import Qos as DdsQos
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.graph_names import missing
-from robot_runner.core.links.robot import Encoding
+from robot_runner.core.links.robot import Encoding, Message
 from robot_runner.ros.dds_graph import (
     matched_publications,
     matched_subscriptions,
@@ -26,16 +28,10 @@ from robot_runner.ros.dds_graph import (
     ros_service_type,
 )
 from robot_runner.ros.dds_qos import service_profile
-from robot_runner.ros.dds_reception import HEADER_BYTES, READING_QOS, delete, service_wire_type
+from robot_runner.ros.dds_reception import HEADER_BYTES, READING_QOS, RawSample, delete, service_wire_type
 from robot_runner.ros.graph_transport import already_offered, wrong_service_type
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from cyclonedds.qos import Qos as DdsQos
-
-    from robot_runner.core.links.robot import Message
-    from robot_runner.ros.dds_reception import RawSample
     from robot_runner.ros.dds_session import Session
     from robot_runner.ros.shapes import Shape
 

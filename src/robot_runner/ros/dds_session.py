@@ -6,6 +6,7 @@ import os
 import secrets
 import threading
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 from uuid import UUID
@@ -22,13 +23,10 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding, Qos
 from robot_runner.ros.dds_graph import Endpoint, Graph, ros_type
 from robot_runner.ros.dds_qos import reader_profile, writer_profile
-from robot_runner.ros.dds_reception import Reception, delete, topic_wire_type
+from robot_runner.ros.dds_reception import RawSample, Reception, WireType, delete, topic_wire_type
 from robot_runner.ros.type_catalogue import TypeCatalogue
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from robot_runner.ros.dds_reception import RawSample, WireType
     from robot_runner.ros.graph_addresses import DdsSettings
 
 #: rmw_dds_common: each participant says here which nodes it has, and which readers and writers are whose.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -11,26 +12,20 @@ from typing import TYPE_CHECKING, Any
 from cyclonedds.core import DDSException
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos
+from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos
 from robot_runner.ros.dds_foreign_services import ForeignServices
-from robot_runner.ros.dds_graph import matched_subscriptions, ros_type, wire_topic
+from robot_runner.ros.dds_graph import Endpoint, matched_subscriptions, ros_type, wire_topic
 from robot_runner.ros.dds_qos import adapted_profile, policies_of, reader_profile, writer_profile
-from robot_runner.ros.dds_reception import delete, topic_wire_type
+from robot_runner.ros.dds_reception import RawSample, WireType, delete, topic_wire_type
 from robot_runner.ros.dds_services import OfferedService, ServiceClient, await_service, is_foreign
 from robot_runner.ros.dds_session import Session
-from robot_runner.ros.graph_transport import ReceivedBytes, check_type, service_timeout
+from robot_runner.ros.graph_transport import ReceivedBytes, Reception, check_type, service_timeout
 from robot_runner.ros.ros2_actions import Ros2Actions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
-
     from cyclonedds.qos import Qos as DdsQos
 
-    from robot_runner.core.links.robot import Message
-    from robot_runner.ros.dds_graph import Endpoint
-    from robot_runner.ros.dds_reception import RawSample, WireType
     from robot_runner.ros.graph_addresses import DdsSettings
-    from robot_runner.ros.graph_transport import Reception
 
 #: How long a publisher that leaves waits until its readers have what it published, s.
 _CLOSING_SECONDS = 0.5

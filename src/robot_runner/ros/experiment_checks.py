@@ -5,13 +5,12 @@ Each start of the program asks for them: what only a robot of ROS needs is impor
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from robot_runner.core.links.connect import is_simulated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.errors import Finding
     from robot_runner.core.plugin import Plugin

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import threading
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 from robot_runner.core.errors import LinkError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from robot_runner.core.links.robot import Message
+from robot_runner.core.links.robot import Message
 
 
 class FirstMessage:

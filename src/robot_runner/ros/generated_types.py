@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import Enum
 from functools import lru_cache
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.ros.shapes import plain_type
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 class TypeKind(Enum):

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl, urlsplit
 
 from robot_runner.core.errors import LinkError, did_you_mean
@@ -17,9 +17,6 @@ from robot_runner.core.storage.input_files import input_file
 from robot_runner.ros.ros1_master import Master, master_address
 from robot_runner.ros.rosbridge_security import SECURITY_OPTIONS, RosbridgeSecurity
 from robot_runner.ros.type_store import ROS1_DISTROS, ROS2_DISTROS
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping
 
 _WHERE = "robot"
 #: Other names of this computer.

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
-
-if TYPE_CHECKING:
-    from robot_runner.core.links.robot import Message, RobotLink
+from robot_runner.core.links.robot import Message, RobotLink
 
 _TOPIC = "/clock"
 _TYPE = "rosgraph_msgs/Clock"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -11,29 +12,34 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.events.early_end import raised_in_thread
 from robot_runner.core.links.commanded_topics import tell_commanded
 from robot_runner.core.links.graph_names import full_name, namespace_prefix
-from robot_runner.core.links.robot import Qos
+from robot_runner.core.links.robot import (
+    Encoding,
+    Goal,
+    GoalExecution,
+    GraphEndpoint,
+    Message,
+    Qos,
+    RawMessage,
+    Subscription,
+)
 from robot_runner.ros.action_calls import LinkGoals
 from robot_runner.ros.action_server import GoalServer
 from robot_runner.ros.first_message import FirstMessage
-from robot_runner.ros.graph_transport import check_type, is_hidden, link_closed
+from robot_runner.ros.graph_transport import (
+    Reception,
+    TopicPublisher,
+    TopicSubscription,
+    Transport,
+    check_type,
+    is_hidden,
+    link_closed,
+)
 from robot_runner.ros.opened_names import Advertised, Opened
 from robot_runner.ros.sent_commands import is_watched, note_sent
 from robot_runner.ros.shapes import completed, plain_type
 from robot_runner.ros.watchdog import VELOCITY_COMMANDS, planar, velocity_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from robot_runner.core.links.robot import (
-        Encoding,
-        Goal,
-        GoalExecution,
-        GraphEndpoint,
-        Message,
-        RawMessage,
-        Subscription,
-    )
-    from robot_runner.ros.graph_transport import Reception, TopicPublisher, TopicSubscription, Transport
     from robot_runner.ros.parameter_access import ParameterServer
 
 _logger = logging.getLogger(__name__)

@@ -3,30 +3,27 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qsl
 
 from robot_runner.core.errors import Finding, LinkError
-from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.kinds import link_key
+from robot_runner.core.events.context import Clock, SystemClock
+from robot_runner.core.links.kinds import FoundRobot, link_key
+from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.storage.input_files import InputFile, input_file
 from robot_runner.core.words import enumerated
 from robot_runner.ros.graph_clock import GraphClock
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
-
-    from robot_runner.core.events.context import Clock
     from robot_runner.core.events.resources import Resources
     from robot_runner.core.links.graph_needs import GraphNeed
-    from robot_runner.core.links.kinds import FoundRobot
-    from robot_runner.core.links.robot import RobotLink
 
 
 def check_installed(packages: Iterable[str], *, way: str, extra: str) -> None:

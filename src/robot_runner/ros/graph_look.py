@@ -10,14 +10,15 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import Finding, LinkError, Severity, nearest
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.graph_needs import GraphNeed, GraphPart
-from robot_runner.core.links.robot import RobotLink
+from robot_runner.core.links.robot import GraphListing, RobotLink
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.words import enumerated
 from robot_runner.ros.graph_link import GraphLink
@@ -34,11 +35,6 @@ from robot_runner.ros.sole_control import (
     sole_publisher_findings,
     subscriber_type_findings,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
-    from robot_runner.core.links.robot import GraphListing
 
 #: How long a look may take in all, s: a client library takes one or two to import and to join the graph on a laptop.
 _SECONDS = 11.0

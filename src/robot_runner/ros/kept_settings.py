@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from pathlib import Path
+from typing import Any, TypeAlias
 
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.claim_locks import state_folder
@@ -18,13 +20,7 @@ from robot_runner.core.storage.guarded_files import make_experiment_folder, read
 from robot_runner.core.storage.outliving import process_stat
 from robot_runner.core.storage.safe_write import write_beside_and_rename
 from robot_runner.ros.graph_addresses import graph_of
-from robot_runner.ros.parameter_values import from_json, to_json
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
-    from robot_runner.ros.parameter_values import ParameterValue
+from robot_runner.ros.parameter_values import ParameterValue, from_json, to_json
 
 #: Values by node and by name.
 Settings: TypeAlias = "Mapping[str, Mapping[str, ParameterValue]]"

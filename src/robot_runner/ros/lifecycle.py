@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import LinkError, did_you_mean
-from robot_runner.core.links.robot import Encoding
+from robot_runner.core.links.robot import Encoding, Message, RobotLink
 from robot_runner.core.words import enumerated
 from robot_runner.ros.node_services import call_node
-
-if TYPE_CHECKING:
-    from robot_runner.core.links.robot import Message, RobotLink
 
 
 class LifecycleState(IntEnum):

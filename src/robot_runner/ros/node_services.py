@@ -5,18 +5,15 @@ Source: rcl_interfaces and lifecycle_msgs 1.2 (Humble) and later, which are the 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import LinkError, nearest
 from robot_runner.core.links.graph_names import full_name
+from robot_runner.core.links.robot import Message, RobotLink
 from robot_runner.core.words import enumerated
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from robot_runner.core.links.robot import Message, RobotLink
 
 _PARAMETERS = {
     "GetParameters": "string[] names\n---\nrcl_interfaces/ParameterValue[] values\n",

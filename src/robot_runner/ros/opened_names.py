@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.ros.sent_commands import note_sent
-from robot_runner.ros.shapes import completed
+from robot_runner.ros.shapes import Shape, completed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from robot_runner.ros.graph_transport import TopicPublisher
-    from robot_runner.ros.shapes import Shape
 
 #: How long the last command, to stand still, may take to reach the robot, s: a robot two hops of Wi-Fi away takes it
 #: within tenths, and a run must not hang on one that is switched off.

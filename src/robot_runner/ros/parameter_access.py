@@ -6,27 +6,24 @@ in the parameter server of the master, where a node has looked them up, mostly w
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from robot_runner.core.errors import LinkError, nearest
+from robot_runner.core.links.robot import Message, RobotLink
 from robot_runner.core.words import enumerated
 from robot_runner.ros.node_services import call_node, full_node
 from robot_runner.ros.parameter_values import (
     ParameterDescription,
     ParameterKind,
+    ParameterValue,
     as_wire,
     fitted,
     from_wire,
     kind_of,
     normal,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from robot_runner.core.links.robot import Message, RobotLink
-    from robot_runner.ros.parameter_values import ParameterValue
 
 #: ROS 1: XML-RPC has whole numbers of 32 bits.
 _INT32 = range(-(2**31), 2**31)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from numbers import Integral, Real
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from robot_runner.core.errors import LinkError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
 
 #: What a parameter may be; None for one that is declared and has no value yet.
 ParameterValue: TypeAlias = bool | int | float | str | bytes | list[bool] | list[int] | list[float] | list[str] | None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from enum import StrEnum
 from functools import lru_cache
@@ -10,26 +11,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot, join_beforehand
+from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.storage.input_files import InputFile
 from robot_runner.measuring.quality import Column, write_quality, write_samples
 from robot_runner.ros.bag_player import CLOCK, LinkPlayer, Played, ProgramPlayer, playing, refuse_rivals
 from robot_runner.ros.bag_recorder import PROGRAMS
-from robot_runner.ros.recorded_bag import RecordedBag, bag_at
+from robot_runner.ros.recorded_bag import RecordedBag, RecordedTopic, bag_at
 from robot_runner.ros.robot_system import RobotSystem, check_numbers
 from robot_runner.ros.topic_statistics import nearest_rank, robot_findings
 from robot_runner.ros.watchdog import VELOCITY_COMMANDS, velocity_command
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterable, Mapping, Sequence
 
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.links.robot import RobotLink
     from robot_runner.core.plugin import Circumstances
-    from robot_runner.ros.recorded_bag import RecordedTopic
 
 _FIX = "Execute the run again with nothing else going on, or play the bag more slowly (rate)."
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from robot_runner.core.links.robot import Qos
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
 
 #: How many messages wait for a slow subscriber, each; 0 is as many as come (rmw/qos_profiles.h of ROS 2).
 DEPTHS: Mapping[Qos, int] = MappingProxyType(

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from pathlib import Path
+from typing import Any, NamedTuple, Self
 
 from robot_runner.core.errors import PluginError, did_you_mean, nearest
-from robot_runner.core.links.robot import Encoding, Qos
+from robot_runner.core.links.robot import Encoding, Message, Qos
 from robot_runner.core.storage.input_files import input_file
 from robot_runner.ros.message_codec import MessageCodec
 from robot_runner.ros.qos_policies import Policies
 from robot_runner.ros.shapes import plain_type
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from robot_runner.core.links.robot import Message
 
 _INSTALL = "Install it: pip install 'robot-runner[bag]'."
 _SUFFIXES = (".bag", ".mcap", ".db3")

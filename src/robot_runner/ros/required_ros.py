@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, LinkError
@@ -12,9 +14,6 @@ from robot_runner.ros.ros1_master import Master
 from robot_runner.ros.ros_environment import RosEnvironment, find_ros, installed_ros, ros_of_host, ros_of_master
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.plugin import Plugin
 

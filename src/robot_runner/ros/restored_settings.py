@@ -4,27 +4,21 @@ from __future__ import annotations
 
 import json
 import logging
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.connect import connect_robot, is_simulated
-from robot_runner.core.plugin import System
+from robot_runner.core.links.robot import RobotLink
+from robot_runner.core.plugin import Circumstances, Plugin, System
 from robot_runner.core.words import enumerated
-from robot_runner.ros.kept_settings import KeptSettings, left_settings
+from robot_runner.ros.kept_settings import KeptSettings, Settings, left_settings
 from robot_runner.ros.node_services import NodeNotReadyError, full_node
 from robot_runner.ros.parameter_access import all_at_once
-from robot_runner.ros.parameter_values import same_value, to_json
+from robot_runner.ros.parameter_values import ParameterValue, same_value, to_json
 from robot_runner.ros.robot_system import OfTheRobot, check_numbers
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.links.robot import RobotLink
-    from robot_runner.core.plugin import Circumstances, Plugin
-    from robot_runner.ros.kept_settings import Settings
-    from robot_runner.ros.parameter_values import ParameterValue
 
 _log = logging.getLogger(__name__)
 

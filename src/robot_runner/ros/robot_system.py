@@ -5,25 +5,21 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar, runtime_checkable
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
-from robot_runner.core.events.measure import Origin
+from robot_runner.core.events.context import RobotRunnerContext
+from robot_runner.core.events.measure import MeasureValue, Origin
 from robot_runner.core.links.connect import is_simulated, join_beforehand, resolved_robot
 from robot_runner.core.links.graph_names import full_name, namespace_prefix
-from robot_runner.core.links.graph_needs import GraphPart
-from robot_runner.core.plugin import System
+from robot_runner.core.links.graph_needs import GraphNeed, GraphPart
+from robot_runner.core.links.robot import Message
+from robot_runner.core.plugin import Circumstances, System
 from robot_runner.ros.shapes import completed, plain_type
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.events.measure import MeasureValue
-    from robot_runner.core.links.graph_needs import GraphNeed
-    from robot_runner.core.links.robot import Message
     from robot_runner.core.links.robot_name import RobotName
-    from robot_runner.core.plugin import Circumstances
 
 _Kept = TypeVar("_Kept")
 

@@ -8,16 +8,14 @@ from __future__ import annotations
 import os
 import socket
 import xmlrpc.client
+from collections.abc import Mapping
 from dataclasses import dataclass
 from http.client import HTTPConnection, HTTPException
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import urlsplit
 from xml.parsers.expat import ExpatError
 
 from robot_runner.core.errors import LinkError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 #: Where a master is, unless ROS_MASTER_URI says otherwise.
 DEFAULT_MASTER = "http://localhost:11311"

@@ -8,18 +8,14 @@ import re
 import socket
 import tempfile
 import threading
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from robot_runner.core.errors import LinkError
-from robot_runner.ros.ros1_master import master_address
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
-    from robot_runner.ros.ros1_master import Master
+from robot_runner.ros.ros1_master import Master, master_address
 
 T = TypeVar("T")
 

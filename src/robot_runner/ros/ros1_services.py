@@ -8,16 +8,14 @@ from __future__ import annotations
 import socket
 import struct
 import time
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from io import BytesIO
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import urlsplit
 
 from robot_runner.core.errors import LinkError
 from robot_runner.ros.graph_transport import service_timeout, wrong_service_type
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
 
 _LENGTH = struct.Struct("<I")
 _CALLER = "/robot_runner"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -12,9 +13,10 @@ from urllib.parse import urlsplit
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.graph_names import missing
-from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos
+from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos
 from robot_runner.ros.graph_transport import (
     ReceivedBytes,
+    Reception,
     already_offered,
     check_type,
     nobody_publishes,
@@ -28,10 +30,6 @@ from robot_runner.ros.ros1_types import Ros1Types, as_mapping, as_message, messa
 from robot_runner.ros.shapes import plain_type
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from robot_runner.core.links.robot import Message
-    from robot_runner.ros.graph_transport import Reception
     from robot_runner.ros.ros1_master import Master
 
 _logger = logging.getLogger(__name__)

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache, partial
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.ros.generated_types import TypeKind, generated_class
 from robot_runner.ros.shapes import BYTE_KINDS, ROS1_KINDS, UNBOUNDED, Field, Shape, plain_type
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
 
 _FIELD = re.compile(r"([\w/]+)(\[(\d*)\])?")
 _STAMPS = {"time": "Time", "duration": "Duration"}

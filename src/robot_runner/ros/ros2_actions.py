@@ -9,25 +9,21 @@ import logging
 import threading
 import time
 import uuid
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.links.goals import ActionResult, GoalStatus
-from robot_runner.core.links.robot import Qos
+from robot_runner.core.links.robot import Message, Qos, Subscription
 from robot_runner.ros.action_calls import await_action, check_one_server
-from robot_runner.ros.action_server import ActionTypes, part_of
+from robot_runner.ros.action_server import ActionTypes, Execution, GoalServer, part_of
 from robot_runner.ros.action_types import whole_action
-from robot_runner.ros.graph_transport import LONGEST_DISCOVERY, already_offered
+from robot_runner.ros.graph_transport import LONGEST_DISCOVERY, GraphTypes, Reception, Transport, already_offered
 from robot_runner.ros.shapes import completed, nanoseconds_of, stamp_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from robot_runner.core.links.robot import Message, Subscription
-    from robot_runner.ros.action_server import Execution, GoalServer
-    from robot_runner.ros.graph_transport import GraphTypes, Reception, Transport
     from robot_runner.ros.sent_goal import SentGoal
 
 _logger = logging.getLogger(__name__)

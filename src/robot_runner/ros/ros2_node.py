@@ -7,7 +7,8 @@ import os
 import queue
 import threading
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable
+from typing import Any
 
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
@@ -20,10 +21,6 @@ from robot_runner.core.events.early_end import raised_in_thread
 from robot_runner.core.links.robot import GraphEndpoint
 from robot_runner.ros.qos_policies import Policies
 from robot_runner.ros.shapes import plain_type
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
 
 _logger = logging.getLogger(__name__)
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
@@ -13,10 +14,11 @@ from rclpy.serialization import deserialize_message
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.graph_names import missing
-from robot_runner.core.links.robot import Encoding, Qos
+from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos
 from robot_runner.ros.graph_transport import (
     LONGEST_DISCOVERY,
     ReceivedBytes,
+    Reception,
     already_offered,
     check_type,
     is_hidden,
@@ -25,7 +27,7 @@ from robot_runner.ros.graph_transport import (
     silent_publishers,
     wrong_service_type,
 )
-from robot_runner.ros.qos_policies import WEAKEST, adapted, asked_by, offered_by
+from robot_runner.ros.qos_policies import WEAKEST, Policies, adapted, asked_by, offered_by
 from robot_runner.ros.ros2_actions import Ros2Actions
 from robot_runner.ros.ros2_node import SETTLING, Graph, GraphNode, join_graph, policies_of
 from robot_runner.ros.ros2_types import Ros2Types, as_mapping, as_message, message_class, service_class
@@ -35,12 +37,6 @@ try:
 except ModuleNotFoundError:  # Humble
     from rclpy.qos_event import SubscriptionEventCallbacks
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
-    from robot_runner.core.links.robot import GraphEndpoint, Message
-    from robot_runner.ros.graph_transport import Reception
-    from robot_runner.ros.qos_policies import Policies
 
 #: How long after joining the graph the publishers and subscribers of a topic are known, s: Fast DDS finds a process
 #: within 3.2 s (see LONGEST_DISCOVERY), and its topics right afterwards.

@@ -5,19 +5,17 @@ from __future__ import annotations
 import os
 import sys
 from array import array
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.ros.action_types import action_parts, whole_action
 from robot_runner.ros.generated_types import TypeKind, generated_class
 from robot_runner.ros.shapes import BYTE_KINDS, IDL_KINDS, UNBOUNDED, Field, Shape, UpTo, plain_type
 from robot_runner.ros.type_store import stored_name
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
 
 _OCTET = "byte"
 #: Where the class of an action has those of its parts that are not of its own definition.

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import shutil
 import time
+from collections.abc import Iterable, Sequence
 from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
-from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.declared_host import LOCAL
@@ -17,15 +19,10 @@ from robot_runner.measuring.evaluation import note_own_window, publish_measures
 from robot_runner.ros.bag_file import LinkRecorder, began_late, messages_in
 from robot_runner.ros.bag_recorder import PROGRAMS, BagProgram, await_subscriptions, subscriptions_of
 from robot_runner.ros.robot_system import check_numbers
-from robot_runner.ros.topic_statistics import TopicProfiler, robot_findings, topic_label
+from robot_runner.ros.topic_statistics import TopicProfiler, TypedTopic, robot_findings, topic_label
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-    from pathlib import Path
-
-    from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
-    from robot_runner.ros.topic_statistics import TypedTopic
 
 _FIX = "Look at the bag before you use this run."
 #: How long after the mission a bag may begin before that is told, s.

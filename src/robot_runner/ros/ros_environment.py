@@ -8,6 +8,7 @@ import re
 import socket
 import subprocess
 import sys
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import metadata
@@ -21,8 +22,6 @@ from robot_runner.core.links.kinds import FoundRobot
 from robot_runner.core.links.ssh_command import execute, failure, gist, remedy, ssh_command
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from robot_runner.ros.ros1_master import Master
 
 # Which ROS there is: on this machine, on a graph of ROS 1, on a robot's computer. Each says where it was read.

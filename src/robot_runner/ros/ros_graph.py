@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_robot, is_simulated, is_simulation, robot_namespace
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.robot_name import RobotName
-from robot_runner.core.plugin import Profiler
+from robot_runner.core.plugin import Circumstances, Profiler
 from robot_runner.measuring.devices import connect_host
 from robot_runner.measuring.evaluation import publish_measures
 from robot_runner.measuring.host import (
+    HostLink,
     ProcessHost,
     PromptSampler,
     RemoteHost,
     ReportingSampler,
     SamplingReport,
+    UtilisationSampler,
     process_selector,
 )
 from robot_runner.measuring.measured_machine import host_findings, machine_clock
@@ -30,13 +33,6 @@ from robot_runner.ros.graph_transport import is_hidden
 from robot_runner.ros.robot_system import check_numbers
 from robot_runner.ros.ros1_link import master_of
 from robot_runner.ros.topic_statistics import robot_findings
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.plugin import Circumstances
-    from robot_runner.measuring.host import HostLink, UtilisationSampler
 
 _FIX = "Look at the graph, with `ros2 node list` or `rosnode list`, before you use this run."
 _ROS1 = "ros1"

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.core.links.robot import RobotLink
 from robot_runner.ros.parameter_access import ServerParameters, parameters_of
-from robot_runner.ros.parameter_values import normal, to_json
+from robot_runner.ros.parameter_values import ParameterValue, normal, to_json
 from robot_runner.ros.restored_settings import RestoredSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from robot_runner.core.links.robot import RobotLink
     from robot_runner.core.plugin import Circumstances
     from robot_runner.ros.kept_settings import Settings
-    from robot_runner.ros.parameter_values import ParameterValue
 
 
 class RosParameters(RestoredSettings):

@@ -2,30 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import PluginError
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import Window
+from robot_runner.core.links.robot import RawMessage, RobotLink, Subscription
 from robot_runner.measuring.evaluation import publish_measures
 from robot_runner.measuring.live_samples import LiveSamples
 from robot_runner.measuring.quality import Column, write_quality, write_samples
 from robot_runner.ros.robot_system import check_numbers
-from robot_runner.ros.topic_statistics import (
-    DROPPED,
-    HeaderReader,
-    ReceivedTopic,
-    TopicProfiler,
-    topic_label,
-)
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.links.robot import RawMessage, RobotLink, Subscription
+from robot_runner.ros.topic_statistics import DROPPED, HeaderReader, ReceivedTopic, TopicProfiler, topic_label
 
 _FIX = "Look at the topic, with `ros2 topic hz` or `rostopic hz`, before you use this run."
 _CLOCKS_FIX = "Synchronise the clocks of the robot and of this machine, with chrony or ntpd."

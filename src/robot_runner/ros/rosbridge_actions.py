@@ -12,27 +12,24 @@ import logging
 import threading
 import time
 from collections import deque
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.links.goals import ActionResult, GoalStatus
-from robot_runner.core.links.robot import Qos
+from robot_runner.core.links.robot import Message, Qos, Subscription
 from robot_runner.ros.action_calls import await_action
-from robot_runner.ros.graph_transport import already_offered
+from robot_runner.ros.graph_transport import Reception, Transport, already_offered
 from robot_runner.ros.ros2_actions import GOAL_NUMBERS, GOAL_STATES, STATUS_TOPIC, STATUS_TYPE, Ros2ActionTypes
 from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
 from robot_runner.ros.rosbridge_session import Session
 from robot_runner.ros.shapes import completed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from robot_runner.core.links.robot import Message, Subscription
     from robot_runner.ros.action_server import Execution, GoalServer
     from robot_runner.ros.graph_addresses import RosbridgeAddress
-    from robot_runner.ros.graph_transport import Reception, Transport
     from robot_runner.ros.rosbridge_types import Rosapi
     from robot_runner.ros.sent_goal import SentGoal
 

@@ -10,6 +10,7 @@ import socket
 import ssl
 import struct
 from collections.abc import Mapping
+from contextlib import ExitStack
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -19,8 +20,6 @@ from robot_runner.ros.rosbridge_security import secure_socket, speaks_tls
 from robot_runner.ros.shapes import BYTE_KINDS, Field, Shape
 
 if TYPE_CHECKING:
-    from contextlib import ExitStack
-
     from cbor2 import CBORTag
     from websockets.sync.client import ClientConnection
 

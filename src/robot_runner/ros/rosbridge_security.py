@@ -13,14 +13,12 @@ import secrets
 import socket
 import ssl
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import LinkError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 _WHERE = "robot"
 _TLS_OPTIONS = ("ca", "cert", "key", "fingerprint")

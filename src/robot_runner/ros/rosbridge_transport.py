@@ -5,14 +5,15 @@ from __future__ import annotations
 import logging
 import threading
 from collections import deque
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.graph_names import missing
-from robot_runner.core.links.robot import Encoding, Qos, RawMessage
-from robot_runner.ros.graph_transport import already_offered, check_type, is_hidden, wrong_service_type
+from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos, RawMessage
+from robot_runner.ros.graph_transport import Reception, already_offered, check_type, is_hidden, wrong_service_type
 from robot_runner.ros.ros1_actions import Ros1Actions
 from robot_runner.ros.rosbridge_actions import RosbridgeActions
 from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
@@ -20,12 +21,8 @@ from robot_runner.ros.rosbridge_session import Session
 from robot_runner.ros.rosbridge_types import RobotTypes, Rosapi, RosapiParameters
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
-
-    from robot_runner.core.links.robot import GraphEndpoint, Message
     from robot_runner.ros.action_calls import ActionDialect
     from robot_runner.ros.graph_addresses import RosbridgeAddress
-    from robot_runner.ros.graph_transport import Reception
     from robot_runner.ros.shapes import Shape
 
 _logger = logging.getLogger(__name__)

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding, GraphEndpoint
-from robot_runner.ros.rosbridge_session import ANSWER
+from robot_runner.ros.rosbridge_session import ANSWER, Reply, Session
 from robot_runner.ros.shapes import IDL_KINDS, ROS1_KINDS, UNBOUNDED, Field, Shape, plain_type
 from robot_runner.ros.type_catalogue import STANDARD_DEFAULTS, TypeCatalogue
 from robot_runner.ros.type_store import ROS2_DISTROS, stored_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     from robot_runner.ros.graph_addresses import RosbridgeAddress
-    from robot_runner.ros.rosbridge_session import Reply, Session
 
 #: How long rosapi, which is a node of its own, may take to see what the server has done, and how often it is asked, s.
 _CONFIRMATION, _LOOK = 2.0, 0.02

@@ -6,11 +6,9 @@ Source: OMG DDSI-RTPS 2.5, chapters 8.3 and 9.4; OMG DDS-RPC 1.0, 7.8.2, for the
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+from typing import BinaryIO, NamedTuple
 
 _PREFIX = slice(8, 20)  # of the sender's GUID, in the header of a message
 _HEADER_BYTES = 20

@@ -6,12 +6,9 @@ import math
 import threading
 import time
 from collections import Counter, defaultdict, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
+from typing import Any
 
 #: How long a command may be on its way back to us, s: two hops of Wi-Fi that has to send again take tenths.
 _ECHO = 5.0

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Callable
+from typing import Protocol
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.goals import ActionResult, GoalStatus
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from robot_runner.core.links.robot import Message
+from robot_runner.core.links.robot import Message
 
 #: How often it is looked whether the server of an awaited goal is still there, s.
 _LOOK = 1.0

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from functools import partial
 from textwrap import shorten
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import Finding, LinkError
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.graph_names import full_name
+from robot_runner.core.links.robot import GraphEndpoint, GraphListing, Message, RobotLink
 from robot_runner.core.words import enumerated
 from robot_runner.ros.sent_commands import is_from_here, watched
 from robot_runner.ros.watchdog import TWIST, VELOCITY_COMMANDS, planar, velocity_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.links.robot import GraphEndpoint, GraphListing, Message, RobotLink
 
 #: How often the publishers of the pose are looked up, s: a look is a question to the ROS master or to rosapi, which
 #: costs the robot's computer some milliseconds.

@@ -5,20 +5,14 @@ from __future__ import annotations
 import bisect
 import math
 import threading
-from contextlib import suppress
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
 
 from robot_runner.core.errors import Finding, LinkError, nearest
-from robot_runner.core.links.robot import Qos
+from robot_runner.core.events.context import Clock
+from robot_runner.core.links.robot import Message, Qos, Subscriber
 from robot_runner.core.words import enumerated
 from robot_runner.ros.transforms import IDENTITY, Transform, between
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from contextlib import ExitStack
-
-    from robot_runner.core.events.context import Clock
-    from robot_runner.core.links.robot import Message, Subscriber
 
 _TYPE = "tf2_msgs/TFMessage"
 _WHERE = "tf"

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -15,9 +17,6 @@ from robot_runner.ros.shapes import ROS1_KINDS, Field, Shape, UpTo, plain_type
 from robot_runner.ros.type_store import filled_store, given_defaults, service_part, stored_name
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
     from rosbags.typesys.store import Typestore
 
 #: Type stores lose the defaults that definitions give. Of ROS 2's standard messages this is the only one with any.

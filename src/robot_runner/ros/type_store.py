@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -15,9 +17,6 @@ from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.simulators.simulator_types import simulator_types
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
     from rosbags.typesys.store import Typestore
 
 #: The distributions whose types are known. All of ROS 1's noetic series have the same messages.

@@ -6,12 +6,8 @@ the robot's Python. The tests hold both to one suite.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from robot_runner.core.errors import LinkError
-
-if TYPE_CHECKING:
-    from robot_runner.core.links.robot import Message
+from robot_runner.core.links.robot import Message
 
 TWIST = "geometry_msgs/Twist"
 #: The type that a TurtleBot3 subscribes by default from ROS 2 Jazzy on.

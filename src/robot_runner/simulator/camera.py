@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 import os
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -14,8 +15,6 @@ from robot_runner.core.errors import LinkError
 from robot_runner.simulator.sensors import PublishedTopic, header
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from robot_runner.simulator.simulated_clock import SimulatedClock
     from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 

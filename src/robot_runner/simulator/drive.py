@@ -9,14 +9,13 @@ import mujoco
 import numpy as np
 
 from robot_runner.simulator.model import holding_torque, rolling_torque, slope_angle
-from robot_runner.simulator.physics import CORRECTION_STEPS
+from robot_runner.simulator.physics import CORRECTION_STEPS, Physics
 from robot_runner.simulator.rooms import Pose
 from robot_runner.simulator.simulated_clock import STEP_NS, STEPS_PER_SECOND, tick_time
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from robot_runner.simulator.physics import Physics
     from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
     Floats = npt.NDArray[np.float64]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from math import inf
 from pathlib import Path
@@ -11,16 +12,14 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, LinkError, did_you_mean
+from robot_runner.core.events.context import Clock, RobotRunnerContext
+from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.storage.input_files import InputFile, input_file
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.events.resources import Resources
-    from robot_runner.core.links.robot import RobotLink
     from robot_runner.measuring.host import HostLink
     from robot_runner.measuring.serial_line import SerialLine
     from robot_runner.simulator.modelled_robot import RobotModel

@@ -8,20 +8,18 @@ import time
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.connect import SIMULATION_TOPIC
 from robot_runner.core.links.graph_names import full_name
-from robot_runner.core.links.robot import Encoding, Qos
+from robot_runner.core.links.robot import Encoding, Message, Qos, RobotLink
 from robot_runner.ros.watchdog import HEARTBEAT_TOPIC, HEARTBEAT_TYPE, RELEASE_SERVICE, RELEASE_TYPE, Watchdog
 from robot_runner.simulator.camera import CAMERA_TOPICS
 from robot_runner.simulator.simulated_devices import MeterTerminal
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from robot_runner.core.links.robot import Message, RobotLink
     from robot_runner.simulator.sensors import Listening
     from robot_runner.simulator.simulated_turtlebot3 import Simulation
 

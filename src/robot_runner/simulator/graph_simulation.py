@@ -4,25 +4,20 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import partial
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.robot import Message, RobotLink
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros.graph_links import GRAPH_LINKS
 from robot_runner.simulator.graph_robot import GraphRobot, SimulatedPlace, stamp
 from robot_runner.simulator.modelled_robot import RobotModel
 from robot_runner.simulator.room_file import read_room
-from robot_runner.simulator.rooms import DEFAULT_ROOM
+from robot_runner.simulator.rooms import DEFAULT_ROOM, Room
 from robot_runner.simulator.simulated_turtlebot3 import Simulation
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
-    from robot_runner.core.links.robot import Message, RobotLink
-    from robot_runner.simulator.rooms import Room
 
 #: How far the simulation moves on between two looks at the real world, simulated s.
 _TICK = 0.01

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from robot_runner.core.errors import LinkError, did_you_mean
-from robot_runner.simulator.rooms import Cylinder
+from robot_runner.simulator.rooms import Cylinder, Obstacle
 from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from robot_runner.simulator.rooms import Obstacle
 
 _SCANNERS = ("base_scan", "scan", "lidar", "laser")
 _SIDES = ("left", "right")

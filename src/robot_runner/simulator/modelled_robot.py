@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -12,22 +14,16 @@ import numpy as np
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.simulator.camera import Camera, camera_topics
 from robot_runner.simulator.drive import OdometryState
-from robot_runner.simulator.mjcf_interface import ActuatorKind, read_interface, read_model
+from robot_runner.simulator.mjcf_interface import ActuatorKind, Joint, WheelPair, read_interface, read_model
 from robot_runner.simulator.physics import MORE_MEMORY, check_physics
 from robot_runner.simulator.sensors import RAYS, PublishedTopic, imu, joint_state, laser_scan, odometry
-from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
-from robot_runner.simulator.turtlebot3_parameters import NoiseStreams
+from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND, SimulatedClock
+from robot_runner.simulator.turtlebot3_parameters import NoiseStreams, Turtlebot3Parameters
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
     import numpy.typing as npt
 
-    from robot_runner.simulator.mjcf_interface import Joint, WheelPair
     from robot_runner.simulator.rooms import Pose, Room
-    from robot_runner.simulator.simulated_clock import SimulatedClock
-    from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
     Message = Mapping[str, Any]
 

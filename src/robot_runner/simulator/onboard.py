@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from enum import Enum
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -10,15 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robot_runner.measuring.host import UtilisationSample
-from robot_runner.simulator.drive import MOVING_WHEEL_SPEED
+from robot_runner.simulator.drive import MOVING_WHEEL_SPEED, DifferentialDrive
 from robot_runner.simulator.simulated_clock import STEP_NS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     import numpy.typing as npt
 
-    from robot_runner.simulator.drive import DifferentialDrive
     from robot_runner.simulator.turtlebot3_parameters import NoiseStreams, Turtlebot3Parameters
 
     Floats = npt.NDArray[np.float64]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import logging
+from collections.abc import Sequence
 from copy import copy
 from operator import itemgetter
 from typing import TYPE_CHECKING, Protocol
@@ -13,14 +14,11 @@ import numpy as np
 
 from robot_runner.core.errors import LinkError
 from robot_runner.simulator.model import Body, holding_torque, world_model
-from robot_runner.simulator.rooms import ARENA
+from robot_runner.simulator.rooms import ARENA, Obstacle
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     import numpy.typing as npt
 
-    from robot_runner.simulator.rooms import Obstacle
     from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
     Floats = npt.NDArray[np.float64]

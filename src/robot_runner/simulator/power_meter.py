@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import binascii
 import struct
+from collections.abc import Callable
 from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from robot_runner.measuring.serial_line import Chunk
-from robot_runner.simulator.simulated_clock import STEP_NS
+from robot_runner.simulator.simulated_clock import STEP_NS, SimulatedClock
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import numpy.typing as npt
 
-    from robot_runner.simulator.simulated_clock import SimulatedClock
     from robot_runner.simulator.supply import PowerSupply
     from robot_runner.simulator.turtlebot3_parameters import NumberedNoise, Turtlebot3Parameters
 

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import Finding, LinkError, did_you_mean
 from robot_runner.core.links.graph_names import namespace_prefix
 from robot_runner.simulator.rooms import WALL_HEIGHT, Cylinder, Obstacle, Pose, Room, Wall
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
 
 #: A room of a thousand walls has 100 kB; what is longer is no room.
 _LARGEST = 4 * 1024 * 1024

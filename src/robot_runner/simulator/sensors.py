@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from robot_runner.simulator.rooms import Wall, ray_distances
-from robot_runner.simulator.supply import CELLS
+from robot_runner.simulator.rooms import Obstacle, Pose, Wall, ray_distances
+from robot_runner.simulator.supply import CELLS, PowerSupply
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     import numpy.typing as npt
 
     from robot_runner.simulator.cut_off import ProtectedDrive
     from robot_runner.simulator.drive import DifferentialDrive, OdometryState, WheelOdometry
-    from robot_runner.simulator.rooms import Obstacle, Pose
     from robot_runner.simulator.simulated_clock import SimulatedClock, Ticker
-    from robot_runner.simulator.supply import PowerSupply
     from robot_runner.simulator.turtlebot3_parameters import NumberedNoise, Turtlebot3Parameters
 
     Floats = npt.NDArray[np.float64]

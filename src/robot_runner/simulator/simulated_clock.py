@@ -5,14 +5,11 @@ from __future__ import annotations
 import heapq
 import threading
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.goals import ActionCanceled
 from robot_runner.ros.missions.joint_missions import sleep_by, sleep_with_others
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 #: The grid of the simulation: physics, sensors and power are known at its points (5 ms).
 STEP_NS = 5_000_000

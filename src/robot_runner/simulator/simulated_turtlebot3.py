@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -15,20 +16,17 @@ from robot_runner.simulator.model import Body
 from robot_runner.simulator.onboard import OnboardComputer, Task, TaskRunner
 from robot_runner.simulator.physics import Physics
 from robot_runner.simulator.power_meter import Ina219Meter
-from robot_runner.simulator.rooms import DEFAULT_ROOM
+from robot_runner.simulator.rooms import DEFAULT_ROOM, Obstacle, Pose, Room
 from robot_runner.simulator.sensors import RAYS, SensorBoard, body_outline, published_topics, seen_by_scanner
 from robot_runner.simulator.simulated_clock import SimulatedClock
 from robot_runner.simulator.supply import Battery, PowerModel, PowerSupply
 from robot_runner.simulator.turtlebot3_parameters import NoiseStreams, Turtlebot3Parameters
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     import mujoco
 
     from robot_runner.measuring.host import UtilisationSample
     from robot_runner.simulator.modelled_robot import ModelledRobot, RobotModel
-    from robot_runner.simulator.rooms import Obstacle, Pose, Room
     from robot_runner.simulator.simulated_actions import SimulatedAction
 
     SimulatedRobot: TypeAlias = "SimulatedTurtlebot3 | ModelledRobot"

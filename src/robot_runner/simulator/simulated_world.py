@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from robot_runner.core.errors import Finding, LinkError
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.links.robot_name import RobotName
-from robot_runner.core.plugin import System
-from robot_runner.core.storage.input_files import input_file
+from robot_runner.core.plugin import Circumstances, System
+from robot_runner.core.storage.input_files import InputFile, input_file
 from robot_runner.ros.robot_system import RobotSystem
 from robot_runner.simulator.embedded_robot import inputs_of, run_simulation
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.plugin import Circumstances
-    from robot_runner.core.storage.input_files import InputFile
     from robot_runner.simulator.modelled_robot import RobotModel
     from robot_runner.simulator.rooms import Room
 

@@ -7,17 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_runner.simulator.drive import MOVING_WHEEL_SPEED
+from robot_runner.simulator.drive import MOVING_WHEEL_SPEED, DifferentialDrive
 from robot_runner.simulator.model import rolling_torque
 from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
-from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
+from robot_runner.simulator.turtlebot3_parameters import NoiseStreams, Turtlebot3Parameters
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from robot_runner.simulator.drive import DifferentialDrive
     from robot_runner.simulator.onboard import TaskRunner
-    from robot_runner.simulator.turtlebot3_parameters import NoiseStreams
 
     Floats = npt.NDArray[np.float64]
 

@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.connect import connect_robot, is_simulated, is_slow_to_join, robot_namespace
-from robot_runner.core.links.robot import Advertiser
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.links.robot import RobotLink
+from robot_runner.core.links.robot import Advertiser, RobotLink
 
 #: A message of these types without any field stops a robot.
 _VELOCITIES = frozenset({"geometry_msgs/Twist", "geometry_msgs/TwistStamped"})

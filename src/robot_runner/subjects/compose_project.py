@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import signal
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
@@ -14,7 +15,6 @@ from robot_runner.subjects.surroundings import holds_revision, word
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterable, Sequence
 
     from robot_runner.core.storage.input_files import InputFile
 

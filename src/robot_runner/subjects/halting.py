@@ -16,18 +16,14 @@ import subprocess
 import sys
 from contextlib import closing, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError, PluginError, RobotRunnerError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.links.commanded_topics import keep_commanding_zero
 from robot_runner.core.links.connect import resolved_robot
-from robot_runner.core.links.robot import Advertiser
+from robot_runner.core.links.robot import Advertiser, RobotLink
 from robot_runner.subjects.supervised_program import Start
-
-if TYPE_CHECKING:
-    from robot_runner.core.links.robot import RobotLink
 
 #: How often we look whether the program has ended, s.
 _LOOK = 0.1

@@ -9,14 +9,11 @@ from __future__ import annotations
 import hashlib
 import shutil
 import subprocess
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.core.storage.git_repository import git
 from robot_runner.core.storage.guarded_files import read_bytes, replace
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 #: What is larger is no part of an experiment's folder, which people send to each other, bytes.
 _LARGEST = 64 << 20

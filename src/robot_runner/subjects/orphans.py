@@ -6,12 +6,9 @@ import os
 import signal
 import time
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from robot_runner.core.storage.outliving import has_in_environment, processes
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 _VARIABLE = "ROBOT_RUNNER_START"
 #: How often we look whether they are gone, and how long what was killed may take, s.

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import PluginError
-from robot_runner.core.events.condition import Condition, Look
+from robot_runner.core.events.condition import Condition, Look, LookAgain
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.words import one_line
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from contextlib import ExitStack
-    from pathlib import Path
-
-    from robot_runner.core.events.condition import LookAgain
-    from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.subjects.supervised_program import Ended, Start
 
 _SHOWN = 80

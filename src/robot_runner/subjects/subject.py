@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from abc import abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,10 +16,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.condition import Condition
+from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.links.declared_host import LOCAL
-from robot_runner.core.plugin import System
+from robot_runner.core.plugin import Circumstances, System
 from robot_runner.core.storage.input_files import InputFile
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.treatments import factors_of
@@ -29,6 +31,7 @@ from robot_runner.subjects.halting import CommandedTopics, Halting, ended_late
 from robot_runner.subjects.read_files import inputs_in, is_own_setup
 from robot_runner.subjects.readiness import Ready, checked_ready
 from robot_runner.subjects.supervised_program import (
+    Ended,
     Start,
     SupervisedProgram,
     Task,
@@ -40,11 +43,7 @@ from robot_runner.subjects.surroundings import Surroundings, is_known, word
 
 if TYPE_CHECKING:
     import re
-    from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
-    from robot_runner.core.plugin import Circumstances
-    from robot_runner.subjects.supervised_program import Ended
 
 _SPANS = ("run", "mission", "experiment")
 #: How often we look whether it has died, s.

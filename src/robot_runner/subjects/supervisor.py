@@ -26,10 +26,10 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from typing import Any
 
 # From <linux/prctl.h>.

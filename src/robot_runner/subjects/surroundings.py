@@ -7,10 +7,10 @@ import re
 import shlex
 import shutil
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import Finding, LinkError, PluginError
@@ -19,9 +19,6 @@ from robot_runner.core.links.ssh_command import checked_destination, ssh_command
 from robot_runner.core.storage.git_repository import repository_state
 from robot_runner.core.storage.input_files import kept_copy
 from robot_runner.subjects.supervised_program import shell_words
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 #: How long a question to a program may take, s: roslaunch needs one second here and several on a small computer.
 _PATIENCE = 30.0

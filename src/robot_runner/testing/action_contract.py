@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import time
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.early_end import fails_run
 from robot_runner.core.links.goals import ActionAborted, ActionCanceled, GoalStatus
+from robot_runner.core.links.robot import Goal, GoalExecution, Message, RobotLink
 from robot_runner.testing.plugin_contract import require
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from contextlib import AbstractContextManager
-
-    from robot_runner.core.links.robot import Goal, GoalExecution, Message, RobotLink
 
 #: How long what takes milliseconds may take on a busy machine, s.
 PATIENCE = 20.0

@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, ClassVar
+from pathlib import Path
+from typing import ClassVar
 
 from robot_runner.core.errors import ConditionTimeout, Finding
-from robot_runner.core.events.condition import Condition, Look
+from robot_runner.core.events.condition import Condition, Look, LookAgain
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.connect import SIMULATED
-from robot_runner.testing.fake_run import FakeClock, make_context
+from robot_runner.testing.fake_run import FakeClock, FakeLinks, make_context
 from robot_runner.testing.plugin_contract import require
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from robot_runner.core.events.condition import LookAgain
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.testing.fake_run import FakeLinks
 
 #: How long beginning to watch may take, s: a run must not be held up by it.
 _SOON = 20.0

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import Clock
 from robot_runner.core.links.goals import ActionAborted, ActionCanceled, ActionResult, GoalStatus
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from robot_runner.core.events.context import Clock
-    from robot_runner.core.links.robot import GoalExecution, Message
+from robot_runner.core.links.robot import GoalExecution, Message
 
 #: How far a wait moves the clock on between two looks, s.
 _POLL = 0.01

@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import math
 from bisect import insort
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import Clock
 from robot_runner.measuring.host import UtilisationSample
 from robot_runner.measuring.serial_line import Chunk
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from robot_runner.core.events.context import Clock
 
 # A computer whose utilisation a test writes down.
 

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import GoalRejectedError, LinkError, did_you_mean
+from robot_runner.core.events.context import Clock
 from robot_runner.core.links.goals import GoalStatus
 from robot_runner.core.links.graph_names import full_name
-from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos, RawMessage
+from robot_runner.core.links.robot import Encoding, GoalExecution, GraphEndpoint, Message, Qos, RawMessage
 from robot_runner.ros.action_calls import missing_action
 from robot_runner.ros.first_message import FirstMessage
 from robot_runner.ros.shapes import completed, plain_type
@@ -19,8 +20,6 @@ from robot_runner.ros.watchdog import VELOCITY_COMMANDS, velocity_of
 from robot_runner.testing.fake_actions import FakeAction, FakeGoal
 
 if TYPE_CHECKING:
-    from robot_runner.core.events.context import Clock
-    from robot_runner.core.links.robot import GoalExecution, Message
     from robot_runner.ros.type_catalogue import TypeCatalogue
 
 _WHERE = "FakeRobotLink"

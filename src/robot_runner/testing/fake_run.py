@@ -3,41 +3,34 @@
 from __future__ import annotations
 
 import heapq
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from itertools import count
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, cast
 
 from robot_runner.core.design.watched_combination import WatchedCombination, unread
 from robot_runner.core.errors import did_you_mean
-from robot_runner.core.events.context import RobotRunnerContext
+from robot_runner.core.events.context import Clock, RobotRunnerContext
 from robot_runner.core.events.early_end import MissionStopped
-from robot_runner.core.events.manager import CLOSED_BY, EventManager, OwnerKind, RobotRunnerEvents
-from robot_runner.core.events.measure import CONFIG_OWNER, resolve_columns, with_phases
+from robot_runner.core.events.manager import CLOSED_BY, Emission, EventManager, OwnerKind, RobotRunnerEvents
+from robot_runner.core.events.measure import CONFIG_OWNER, Measure, MeasureValue, resolve_columns, with_phases
 from robot_runner.core.events.measure_broker import MeasureBroker
-from robot_runner.core.events.resources import R, Resources
+from robot_runner.core.events.resources import Closable, R, Resources
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.run_events import made_safe, publish_returned
 from robot_runner.core.links.connect import SIMULATED, is_simulated, open_clock
-from robot_runner.core.links.declared_host import named_hosts
+from robot_runner.core.links.declared_host import Host, named_hosts
 from robot_runner.core.links.host_commands import DeclaredHosts
-from robot_runner.core.plugin import System, refused_name, usual_origin
+from robot_runner.core.links.robot import RobotLink
+from robot_runner.core.plugin import Plugin, System, refused_name, usual_origin
 from robot_runner.core.treatments import bind, factors_of
 from robot_runner.ros.missions.joint_missions import sleep_with_others
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
-    from pathlib import Path
-
-    from robot_runner.core.events.context import Clock
-    from robot_runner.core.events.manager import Emission
-    from robot_runner.core.events.measure import Measure, MeasureValue
-    from robot_runner.core.events.resources import Closable
-    from robot_runner.core.links.declared_host import Host
-    from robot_runner.core.links.robot import RobotLink
-    from robot_runner.core.plugin import Plugin
     from robot_runner.measuring.host import HostLink
     from robot_runner.measuring.serial_line import SerialLine
 

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from robot_runner.core.links.graph_names import full_name
-from robot_runner.core.links.robot import Qos
+from robot_runner.core.links.robot import Message, Qos
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.watchdog import velocity_of
-from robot_runner.testing.fake_robot import FakeRobotLink
+from robot_runner.testing.fake_robot import Answer, FakeRobotLink
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from robot_runner.core.links.robot import Message
-    from robot_runner.testing.fake_robot import Answer
     from robot_runner.testing.fake_run import FakeClock
 
 

@@ -8,22 +8,19 @@ import time
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import Any, ClassVar, cast
 
 from robot_runner.conditions.graph_presence import node_present, service_present, topic_present
 from robot_runner.conditions.topic_messages import battery_above, message_on, topic_below
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.goals import ActionCanceled
-from robot_runner.core.links.robot import Advertiser, Encoding, Qos, RawMessage
+from robot_runner.core.links.robot import Advertiser, Encoding, GoalExecution, Message, Qos, RawMessage, RobotLink
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.watchdog import TWIST, TWIST_STAMPED, velocity_command, velocity_of
 from robot_runner.testing.action_contract import PATIENCE, faults_told, punctual_refusal, refusal
 from robot_runner.testing.fake_run import FakeLinks, make_context
 from robot_runner.testing.link_contract import FaultyCallback, RobotLinkContract
 from robot_runner.testing.plugin_contract import require
-
-if TYPE_CHECKING:
-    from robot_runner.core.links.robot import GoalExecution, Message, RobotLink
 
 #: What drives a robot, and one of them as ROS 2 spells it.
 _COMMAND_TYPES = (TWIST, TWIST_STAMPED, "geometry_msgs/msg/Twist")

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.robot import Encoding, RobotLink, Subscription
+from robot_runner.core.links.robot import Encoding, Message, RawMessage, RobotLink, Subscription
 from robot_runner.testing.action_contract import PATIENCE, ActionContract, faults_told, punctual_refusal, refusal
 from robot_runner.testing.plugin_contract import require
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from robot_runner.core.links.robot import Message, RawMessage
 
 _TWIST = "geometry_msgs/Twist"
 _ODOMETRY = "nav_msgs/Odometry"

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any
 
+from robot_runner.core.links.robot import Message, Offerer
 from robot_runner.ros.lifecycle import LifecycleState
-from robot_runner.ros.parameter_values import ParameterKind, as_wire, from_wire, kind_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
-
-    from robot_runner.core.links.robot import Message, Offerer
-    from robot_runner.ros.parameter_values import ParameterValue
+from robot_runner.ros.parameter_values import ParameterKind, ParameterValue, as_wire, from_wire, kind_of
 
 
 class _ServingNode:

@@ -5,20 +5,18 @@ from __future__ import annotations
 import json
 import struct
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
+from robot_runner.core.links.robot import Message
 from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
 from robot_runner.ros.shapes import BYTE_KINDS, Field, Shape, UpTo, completed, plain_type
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from cbor2 import CBORTag
 
-    from robot_runner.core.links.robot import Message
     from robot_runner.ros.type_catalogue import TypeCatalogue
 
 #: Tag and layout of an array of numbers, by the kind of its elements.

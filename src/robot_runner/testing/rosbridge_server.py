@@ -12,11 +12,13 @@ import logging
 import math
 import threading
 import time
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import RobotRunnerError
-from robot_runner.core.links.robot import Encoding
+from robot_runner.core.links.robot import Encoding, Message
 from robot_runner.ros.rosbridge_frames import FrameReader, send_errors, to_protocol
 from robot_runner.ros.shapes import completed, plain_type
 from robot_runner.ros.type_catalogue import TypeCatalogue
@@ -25,18 +27,15 @@ from robot_runner.testing.rosbridge_graph import (
     Refusal,
     ServedRosapi,
     ServedService,
+    ServedTopic,
     received,
     with_typed_arrays,
 )
 from robot_runner.testing.served_actions import ServedActions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
     from ssl import SSLContext
 
-    from robot_runner.core.links.robot import Message
-    from robot_runner.testing.rosbridge_graph import ServedTopic
 
 _logger = logging.getLogger(__name__)
 

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import time
 import uuid
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 from robot_runner.core.links.goals import GoalStatus
 from robot_runner.ros.ros2_actions import GOAL_NUMBERS, STATUS_TOPIC, STATUS_TYPE, Ros2ActionTypes
 from robot_runner.ros.rosbridge_frames import to_protocol
 from robot_runner.ros.shapes import completed, plain_type
-from robot_runner.testing.rosbridge_graph import Refusal, ServedService, received
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from robot_runner.testing.rosbridge_graph import Graph
+from robot_runner.testing.rosbridge_graph import Graph, Refusal, ServedService, received
 
 _CANCEL = "/_action/cancel_goal"
 _SPELT_STATUS = STATUS_TYPE.replace("/", "/msg/", 1)

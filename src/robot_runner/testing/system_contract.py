@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from pathlib import Path
+from typing import Any, ClassVar, cast
 
+from robot_runner.core.events.context import Clock, RobotRunnerContext
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.links.connect import connect_robot
 from robot_runner.core.plugin import System
 from robot_runner.testing.fake_robot import FakeRobotLink
 from robot_runner.testing.fake_run import Rehearsal, context_for
 from robot_runner.testing.plugin_contract import MissionFailed, PluginContract, require
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
-    from robot_runner.core.events.context import Clock, RobotRunnerContext
 
 #: A robot that was told to stop is given this long, s, and then may not move by more than this, m and rad.
 _STOPPING_SECONDS = 0.5

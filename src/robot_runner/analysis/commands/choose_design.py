@@ -9,20 +9,15 @@ long as plugins say, as those of the experiment or of --pilot took, or as --run-
 from __future__ import annotations
 
 import re
+from argparse import Namespace
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.commands.power import planned_experiment, show_progress
 from robot_runner.analysis.libraries import require_libraries
-from robot_runner.cli.console import (
-    Column,
-    UserConsole,
-    aligned,
-    output,
-    print_folded,
-    print_json,
-)
-from robot_runner.cli.parser import UsageError, add_config, add_json, add_set
+from robot_runner.cli.console import Column, UserConsole, aligned, output, print_folded, print_json
+from robot_runner.cli.parser import Parser, UsageError, add_config, add_json, add_set
 from robot_runner.cli.planning import plan_of
 from robot_runner.cli.target import folder_of_target
 from robot_runner.core.config.loader import parse_assignments
@@ -31,12 +26,8 @@ from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.words import shown_duration
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Mapping
-
     from robot_runner.analysis.planning.candidate_designs import RunTimes
     from robot_runner.analysis.planning.design_comparison import DesignComparison
-    from robot_runner.cli.parser import Parser
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.execution.durations import Durations
 

@@ -16,6 +16,8 @@ of each pair of treatments, on average over all experiments, how far these diffe
 
 from __future__ import annotations
 
+from argparse import Namespace
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -36,19 +38,15 @@ from robot_runner.cli.console import (
     shown_path,
     width_of,
 )
-from robot_runner.cli.parser import UsageError, add_json
+from robot_runner.cli.parser import Parser, UsageError, add_json
 from robot_runner.cli.target import folder_of_target
 from robot_runner.core.errors import Finding, RobotRunnerError, StorageError
 from robot_runner.core.words import counted, one_line
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Callable, Iterator, Sequence
-
     from robot_runner.analysis.comparison.combined import MetaAnalysis
     from robot_runner.analysis.comparison.compared import Comparison, MeasureComparison
     from robot_runner.analysis.report.blocks import Document, Table
-    from robot_runner.cli.parser import Parser
 
 _STYLES = {"equivalent": "green", "different": "red", "undecided": "yellow"}
 

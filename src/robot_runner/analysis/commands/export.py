@@ -5,18 +5,13 @@ The data package describes every column: its type, unit, meaning and owner.
 
 from __future__ import annotations
 
+from argparse import Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.analysis.libraries import require_libraries
 from robot_runner.cli.console import output, print_facts, print_json, shown_path
-from robot_runner.cli.parser import add_json, add_set, add_target
+from robot_runner.cli.parser import Parser, add_json, add_set, add_target
 from robot_runner.cli.target import folder_of_target, only_experiment
-
-if TYPE_CHECKING:
-    from argparse import Namespace
-
-    from robot_runner.cli.parser import Parser
 
 
 def add_arguments(parser: Parser) -> None:

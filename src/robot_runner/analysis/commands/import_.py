@@ -7,6 +7,7 @@ adopted (or shown, with --dry-run); 2: refused.
 
 from __future__ import annotations
 
+from argparse import Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,16 +19,13 @@ from robot_runner.analysis.commands.import_words import (
 )
 from robot_runner.analysis.libraries import require_libraries
 from robot_runner.cli.console import output, print_json
-from robot_runner.cli.parser import UsageError, add_json
+from robot_runner.cli.parser import Parser, UsageError, add_json
 from robot_runner.cli.screens.plain import terminal_input
 from robot_runner.core.errors import AnalysisError
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-
     from robot_runner.analysis.importing.description import ImportDescription
     from robot_runner.analysis.importing.understanding import Understanding
-    from robot_runner.cli.parser import Parser
 
 #: Options that say the same as the entry of a description with their name.
 _TEXTS = ("name", "table", "run_id", "status", "repetition", "block", "run_folder", "origin")

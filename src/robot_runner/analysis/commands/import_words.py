@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.cli.console import Column, UserConsole, aligned, print_facts, shown_path, width_of
 from robot_runner.core.words import counted, listed, one_line
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-    from pathlib import Path
-
     from robot_runner.analysis.importing.adoption import Adoption
     from robot_runner.analysis.importing.understanding import Understanding
 

@@ -8,13 +8,23 @@ Nothing is sent anywhere.
 from __future__ import annotations
 
 import json
+from argparse import Namespace
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.plan_file import choices_in_words
 from robot_runner.analysis.wording import shown_level
-from robot_runner.cli.console import output, print_facts, print_folded, print_json, quiet_loading, shown_path
-from robot_runner.cli.parser import UsageError, add_config, add_json, add_set
+from robot_runner.cli.console import (
+    UserConsole,
+    output,
+    print_facts,
+    print_folded,
+    print_json,
+    quiet_loading,
+    shown_path,
+)
+from robot_runner.cli.parser import Parser, UsageError, add_config, add_json, add_set
 from robot_runner.core.config.dialects import load_config
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import prepare
@@ -33,11 +43,6 @@ from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.words import counted, listed
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Iterator, Mapping
-
-    from robot_runner.cli.console import UserConsole
-    from robot_runner.cli.parser import Parser
     from robot_runner.core.config.experiment import Experiment
 
 #: The exit code where a config differs from its registration.

@@ -7,6 +7,8 @@ an R script beside it computes every number again from the run table alone.
 
 from __future__ import annotations
 
+from argparse import Namespace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,18 +16,14 @@ from robot_runner.analysis.declared_design import with_declared_design
 from robot_runner.analysis.libraries import require_libraries
 from robot_runner.analysis.plan_file import PlanFile, read_plan
 from robot_runner.cli.console import output, print_facts, shown_path
-from robot_runner.cli.parser import UsageError, add_set, add_target
+from robot_runner.cli.parser import Parser, UsageError, add_set, add_target
 from robot_runner.cli.target import folder_of_target, only_experiment
 from robot_runner.core.errors import did_you_mean
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Sequence
-
     from robot_runner.analysis.figures.style import FigureFormat
     from robot_runner.analysis.report.writing import WrittenReport
-    from robot_runner.cli.parser import Parser
 
 _FORMATS = ("html", "md", "json")
 _FIGURES = ("svg", "pdf", "png")

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from scipy import special, stats
@@ -14,6 +16,7 @@ from robot_runner.analysis.comparison.combined_document import conclusion_of_eff
 from robot_runner.analysis.comparison.compared import Side
 from robot_runner.analysis.comparison.harmonising import (
     Experiment,
+    MeasureChoice,
     chosen_measures_of_all,
     differing_names,
     renamed,
@@ -22,7 +25,7 @@ from robot_runner.analysis.comparison.harmonising import (
     value_findings,
 )
 from robot_runner.analysis.comparison.matching import differing_circumstances, names_of
-from robot_runner.analysis.results import results_of
+from robot_runner.analysis.results import Results, results_of
 from robot_runner.analysis.run_frame import several
 from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.descriptive import out_of_range, quiet
@@ -30,19 +33,13 @@ from robot_runner.analysis.statistics.experiment_statistics import SEARCHED
 from robot_runner.analysis.statistics.lost_runs import failures_in_words
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import Interval, NotComputed
-from robot_runner.analysis.statistics.tests import planned_model_of
+from robot_runner.analysis.statistics.tests import AnyModel, planned_model_of
 from robot_runner.core.design.analysis_plan import Correction, Estimand
 from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.errors import AnalysisError, Finding
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from robot_runner.analysis.comparison.harmonising import MeasureChoice
-    from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.analysed_design import MeasureData
-    from robot_runner.analysis.statistics.tests import AnyModel
 
 _ALPHA = 0.05
 _FEWEST = 2

@@ -14,25 +14,20 @@ Spiegelhalter, A re-evaluation of random-effects meta-analysis (Journal of the R
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy import optimize, stats
 
-from robot_runner.analysis.statistics.tested import Interval
+from robot_runner.analysis.arrays import Floats
+from robot_runner.analysis.statistics.tested import Interval, NotComputed
 from robot_runner.analysis.wording import labelled
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from robot_runner.analysis.comparison.compared import Side
-    from robot_runner.analysis.statistics.tested import NotComputed
     from robot_runner.core.errors import Finding
-
-    Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.wording import labelled
@@ -12,9 +14,6 @@ from robot_runner.core.errors import AnalysisError
 from robot_runner.core.words import has_true_zero
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-
     from robot_runner.analysis.statistics.tested import Interval, NotComputed
 
 _PERCENT = 100.0

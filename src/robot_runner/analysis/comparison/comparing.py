@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
+from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.comparison.compared import (
     Bound,
     Bounds,
@@ -30,6 +32,8 @@ from robot_runner.analysis.comparison.equivalence import (
 )
 from robot_runner.analysis.comparison.harmonising import SAME_VALUES, sameness
 from robot_runner.analysis.comparison.matching import (
+    MatchedValues,
+    Matching,
     are_answers,
     are_texts,
     chosen_measures,
@@ -39,8 +43,8 @@ from robot_runner.analysis.comparison.matching import (
     names_of,
     of_one_quantity,
 )
-from robot_runner.analysis.comparison.shared_units import estimate_of
-from robot_runner.analysis.results import results_of
+from robot_runner.analysis.comparison.shared_units import Units, estimate_of
+from robot_runner.analysis.results import Results, results_of
 from robot_runner.analysis.statistics.experiment_statistics import SEARCHED
 from robot_runner.analysis.statistics.lost_runs import failures_in_words
 from robot_runner.analysis.statistics.post_hoc import adjusted
@@ -50,14 +54,6 @@ from robot_runner.analysis.wording import listed, sentence
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.words import counted, has_true_zero
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from robot_runner.analysis.comparison.matching import MatchedValues, Matching
-    from robot_runner.analysis.comparison.shared_units import Floats, Units
-    from robot_runner.analysis.results import Results
 
 _ALPHA = 0.05
 _PERCENT = 100.0

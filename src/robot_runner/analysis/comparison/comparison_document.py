@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from operator import itemgetter
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robot_runner.analysis.comparison.compared import Verdict, why_vain
+from robot_runner.analysis.comparison.compared import (
+    Agreement,
+    Bound,
+    Comparison,
+    Difference,
+    MeasureComparison,
+    Verdict,
+    why_vain,
+)
 from robot_runner.analysis.figures.effects import Estimate, draw_agreement, draw_differences
 from robot_runner.analysis.report.blocks import (
     Badge,
@@ -34,10 +44,6 @@ from robot_runner.analysis.wording import ALPHA, difference_unit, labelled, list
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from robot_runner.analysis.comparison.compared import Agreement, Bound, Comparison, Difference, MeasureComparison
     from robot_runner.analysis.statistics.tested import NotComputed
 
 _FORMAT = 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robot_runner.analysis.comparison.matching import in_unit, of_one_quantity
-from robot_runner.analysis.statistics.analysed_design import VALUE, design_of
+from robot_runner.analysis.statistics.analysed_design import VALUE, Design, MeasureData, design_of
 from robot_runner.analysis.statistics.left_out import left_out_of
 from robot_runner.analysis.statistics.robustness import doubtful_runs
 from robot_runner.core.design.columns import RUN_ID
@@ -17,12 +18,9 @@ from robot_runner.core.errors import Finding, did_you_mean, nearest
 from robot_runner.core.words import enumerated, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     import pandas as pd
 
     from robot_runner.analysis.results import Results
-    from robot_runner.analysis.statistics.analysed_design import Design, MeasureData
 
 #: Attempts that two experiments share, as a part of the smaller one: a copy that went on, or lost runs, is a copy.
 _COPIED = 0.5

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.comparison.shared_units import APART, Units, same_robots, unit_columns_of_both
 from robot_runner.analysis.importing.units import Unit, unit_of
 from robot_runner.analysis.run_frame import several
@@ -17,10 +19,6 @@ from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.words import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from robot_runner.analysis.results import Results
 
 
@@ -51,8 +49,8 @@ class MatchedRuns:
 class MatchedValues(NamedTuple):
     """The values of a measure in both experiments, and which of them vary together."""
 
-    first: NDArray[np.float64]
-    second: NDArray[np.float64]
+    first: Floats
+    second: Floats
     units: Units
 
 
@@ -277,7 +275,7 @@ def are_texts(results: Results, measure: str) -> bool:
     return bool(values.notna().any()) and not are_numbers(values)
 
 
-def numbers_of(values: pd.Series) -> NDArray[np.float64]:
+def numbers_of(values: pd.Series) -> Floats:
     """Return the values of a measure; NaN where one is missing, and everywhere where they are no numbers."""
     if not are_numbers(values):
         return np.full(len(values), np.nan)

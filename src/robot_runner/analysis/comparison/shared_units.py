@@ -10,6 +10,7 @@ Welch's of the means of units.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,20 +18,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from scipy import stats
 
+from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.known_design import KnownDesign
 from robot_runner.analysis.statistics.proportions import Share
 from robot_runner.core.events.measure import ROBOTS_OWNER
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     import pandas as pd
     from numpy.typing import NDArray
 
     from robot_runner.analysis.results import Results
 
-    Floats = NDArray[np.float64]
-    Numbers = NDArray[np.intp]
     #: For each kind of unit, the number of the unit of each run.
     Kinds = tuple[Numbers, ...]
 

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.figures.style import GREY, INK, verbatim
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from matplotlib.axes import Axes
-    from numpy.typing import NDArray
+
 
 _MOST_BINS = 500
 _NICE = (1.0, 2.0, 2.5, 5.0, 10.0)
@@ -42,10 +42,10 @@ class Course:
     """
 
     label: str
-    time: NDArray[np.float64]
-    middle: NDArray[np.float64]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
+    time: Floats
+    middle: Floats
+    low: Floats
+    high: Floats
     runs: int
 
 
@@ -114,7 +114,7 @@ def bin_width(duration: float, period: float) -> float:
     return next(power * nice for nice in _NICE if power * nice >= least * (1 - 1e-9))
 
 
-def course_of_run(label: str, time: NDArray[np.float64], values: NDArray[np.float64], width: float) -> Course:
+def course_of_run(label: str, time: Floats, values: Floats, width: float) -> Course:
     """Return the course of one run, of values at ascending times in s; NaN where there is no value."""
     there = np.isfinite(values) & np.isfinite(time)
     time, values = time[there], values[there]
@@ -145,9 +145,9 @@ def mean_course(label: str, courses: Sequence[Course], width: float) -> Course:
     for row, place, course in zip(table, firsts, given, strict=True):
         row[place - first : place - first + len(course.time)] = course.middle
     counts = np.count_nonzero(np.isfinite(table), axis=0)
-    middle: NDArray[np.float64] = np.where(counts > 0, np.nansum(table, axis=0) / np.maximum(counts, 1), np.nan)
+    middle: Floats = np.where(counts > 0, np.nansum(table, axis=0) / np.maximum(counts, 1), np.nan)
     squares = np.nansum((table - middle) ** 2, axis=0)
-    spread: NDArray[np.float64] = np.sqrt(squares / np.maximum(counts - 1, 1))
+    spread: Floats = np.sqrt(squares / np.maximum(counts - 1, 1))
     spread[counts < _FEWEST_FOR_A_BAND] = np.nan
     grid = (np.arange(first, last, dtype=np.float64) + 0.5) * width
     return Course(label, grid, middle, middle - spread, middle + spread, runs=len(given))

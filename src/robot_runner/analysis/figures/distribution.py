@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
+from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.figures.style import (
     COLUMN,
     DASHED,
@@ -29,11 +31,8 @@ from robot_runner.analysis.figures.style import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
 
     from robot_runner.analysis.statistics.outcome import Proportion
 
@@ -170,7 +169,7 @@ def _turned(places: Any, values: Any, is_upright: bool) -> tuple[Any, Any]:
     return (places, values) if is_upright else (values, places)
 
 
-def _spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _spread(values: Floats) -> Floats:
     """Return how far each point steps aside, so that points of near values do not hide each other."""
     offsets = np.zeros(len(values))
     if len(values) < 2 or np.ptp(values) == 0:  # noqa: PLR2004 - one point hides no other

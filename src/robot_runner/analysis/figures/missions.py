@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.collections import PolyCollection
 
-from robot_runner.analysis.figures.courses import draw_events, draw_phase_names, shade_phases, strip_height
+from robot_runner.analysis.arrays import Floats
+from robot_runner.analysis.figures.courses import (
+    Course,
+    MissionCourses,
+    PhaseSpan,
+    draw_events,
+    draw_phase_names,
+    shade_phases,
+    strip_height,
+)
 from robot_runner.analysis.figures.style import (
     COLUMN,
     INK,
@@ -24,13 +34,9 @@ from robot_runner.analysis.figures.style import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
 
-    from robot_runner.analysis.figures.courses import Course, MissionCourses, PhaseSpan
 
 _PANEL = 1.0  # height of one run's panel, inches
 _HEIGHT = 2.3  # of all means, inches
@@ -139,8 +145,8 @@ class Way:
     """
 
     label: str
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
+    x: Floats
+    y: Floats
 
 
 @figure_style()

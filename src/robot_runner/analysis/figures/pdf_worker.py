@@ -8,6 +8,7 @@ import pickle
 import subprocess
 import sys
 import tempfile
+from pathlib import Path
 from typing import IO, TYPE_CHECKING, Self, cast
 
 from robot_runner.analysis.figures.style import FigureFormat, figure_bytes
@@ -15,7 +16,6 @@ from robot_runner.core.errors import AnalysisError, StorageError
 from robot_runner.core.storage.guarded_files import replace
 
 if TYPE_CHECKING:
-    from pathlib import Path
     from types import TracebackType
 
     from matplotlib.figure import Figure

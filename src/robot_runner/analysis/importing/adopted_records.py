@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.importing.description import description_text
-from robot_runner.analysis.importing.recomputation import unit_of_recipe
+from robot_runner.analysis.importing.recomputation import Difference, unit_of_recipe
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.factor import Combination, factor_places
 from robot_runner.core.design.planned_runs import PlannedRun
@@ -21,10 +22,7 @@ from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRol
 from robot_runner.core.storage.table_schema import describe_columns, write_schema
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from robot_runner.analysis.importing.foreign_runs import ForeignRun
-    from robot_runner.analysis.importing.recomputation import Difference
     from robot_runner.analysis.importing.sample_times import TraceSpan
     from robot_runner.analysis.importing.understanding import Understanding
     from robot_runner.core.storage.layout import ExperimentFolder

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
@@ -14,8 +15,6 @@ from robot_runner.analysis.importing.units import MISSING
 from robot_runner.core.storage.cells import RunStatus, number_of
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
-
     from numpy.typing import NDArray
 
     from robot_runner.analysis.importing.foreign_table import ForeignTable

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,8 +12,6 @@ from robot_runner.analysis.importing.column_verdicts import ColumnVerdicts
 from robot_runner.core.errors import AnalysisError, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from robot_runner.analysis.importing.description import ImportDescription
     from robot_runner.analysis.importing.foreign_table import ForeignTable
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
 
 from robot_runner.analysis.importing.column_evidence import (
     NUMBERING,
@@ -13,10 +13,6 @@ from robot_runner.analysis.importing.column_evidence import (
     Role,
     Verdict,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
 
 _MOMENT = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d.*")
 #: Numbers that were planned are few: more than these are seldom treatments, however evenly they come.

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from robot_runner.analysis.declared_design import DeclaredDesign
 from robot_runner.analysis.importing.units import TIME_UNITS, known_units, unit_of
 from robot_runner.analysis.plan_file import read_toml
 from robot_runner.core.errors import AnalysisError, did_you_mean
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
 
 
 class Aggregation(Enum):

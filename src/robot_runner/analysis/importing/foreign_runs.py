@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.importing.column_evidence import STATUSES, repetition_number
@@ -14,9 +16,6 @@ from robot_runner.core.storage.cells import CellValue, RunStatus
 from robot_runner.core.words import counted, enumerated, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
     from robot_runner.analysis.importing.column_roles import ColumnRoles
     from robot_runner.analysis.importing.foreign_table import ForeignTable
 

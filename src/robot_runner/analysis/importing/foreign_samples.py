@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +13,7 @@ import pandas as pd
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
+from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.importing.description import SamplesDescription
 from robot_runner.analysis.importing.foreign_table import dialect_of
 from robot_runner.analysis.importing.sample_times import (
@@ -27,10 +30,8 @@ from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
     from numpy.typing import NDArray
+
 
 _NUMBER = re.compile(r"\d+")
 _MISSING = [" ", "NaN", *(written for word in MISSING for written in {word, word.upper(), word.capitalize()})]
@@ -95,7 +96,7 @@ class RunSamples:
     without_number: int = 0
 
     @property
-    def times(self) -> NDArray[np.float64]:
+    def times(self) -> Floats:
         """The seconds since the first sample."""
         return (self.nanoseconds - self.nanoseconds[:1]) / 1e9
 
@@ -287,7 +288,7 @@ def _read(path: Path, types: Mapping[str, pa.DataType] | None = None, left_out: 
     return table
 
 
-def _values(table: pa.Table, name: str, unit: Unit | None, order: NDArray[np.intp]) -> Any:
+def _values(table: pa.Table, name: str, unit: Unit | None, order: Numbers) -> Any:
     if name not in table.column_names:
         return np.full(len(order), np.nan)
     column = table.column(name)

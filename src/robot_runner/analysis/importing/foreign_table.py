@@ -5,21 +5,16 @@ from __future__ import annotations
 import codecs
 import csv
 import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import BinaryIO
 
-from robot_runner.analysis.importing.units import MISSING, plain_cells, split_heading
+from robot_runner.analysis.importing.units import MISSING, Unit, plain_cells, split_heading
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.storage.cells import number_of
 from robot_runner.core.storage.system_refusals import storage_error
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
-    from pathlib import Path
-    from typing import BinaryIO
-
-    from robot_runner.analysis.importing.units import Unit
 
 _DELIMITERS = {",": "", ";": "semicolons", "\t": "tabs", "|": "bars"}
 _DECIMAL_COMMA = re.compile(r"(?<![0-9])-?[0-9]+,[0-9]+(?![0-9,])")

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.importing.description import Aggregation, Recipe
-from robot_runner.analysis.importing.units import split_heading
+from robot_runner.analysis.importing.units import Unit, split_heading
 from robot_runner.core.errors import AnalysisError, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from robot_runner.analysis.importing.foreign_samples import ForeignSamples, RunSamples
-    from robot_runner.analysis.importing.units import Unit
 
 _MEANS = re.compile(r"^(?:avg|average|mean)[_ ]+|[_ ]+(?:avg|average|mean)$", re.IGNORECASE)
 
@@ -76,7 +73,7 @@ def recompute(recipe: Recipe, run: RunSamples) -> float | None:
     return _aggregated(recipe.how, times[valid], values[valid])
 
 
-def _aggregated(how: Aggregation, times: NDArray[np.float64], values: NDArray[np.float64]) -> float | None:
+def _aggregated(how: Aggregation, times: Floats, values: Floats) -> float | None:
     least = 2 if how in _OVER_TIME else 1
     if len(values) < least or (how is Aggregation.TIME_MEAN and times[-1] == times[0]):
         return None
@@ -86,7 +83,7 @@ def _aggregated(how: Aggregation, times: NDArray[np.float64], values: NDArray[np
 
 _OVER_TIME = frozenset({Aggregation.INTEGRAL, Aggregation.TIME_MEAN, Aggregation.ENERGY_PT})
 
-_COMPUTED: Mapping[Aggregation, Callable[[NDArray[np.float64], NDArray[np.float64]], Any]] = {
+_COMPUTED: Mapping[Aggregation, Callable[[Floats, Floats], Any]] = {
     Aggregation.INTEGRAL: lambda times, values: np.trapezoid(values, times),
     Aggregation.TIME_MEAN: lambda times, values: np.trapezoid(values, times) / (times[-1] - times[0]),
     Aggregation.ENERGY_PT: lambda times, values: np.mean(values) * (times[-1] - times[0]),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
@@ -11,18 +12,15 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from robot_runner.analysis.importing.units import TIME_UNITS, split_heading
+from robot_runner.analysis.importing.units import TIME_UNITS, Unit, split_heading
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.storage.cells import number_of
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from numpy.typing import NDArray
 
     from robot_runner.analysis.importing.foreign_runs import ForeignRun
-    from robot_runner.analysis.importing.units import Unit
 
 _HEADINGS = ("timestamp", "time", "datetime", "date_time", "date", "t", "elapsed", "elapsed_time", "seconds", "clock")
 

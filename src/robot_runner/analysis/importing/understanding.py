@@ -5,14 +5,15 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import prod
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from robot_runner.analysis.declared_design import structure_findings
-from robot_runner.analysis.importing.column_evidence import Role
+from robot_runner.analysis.importing.column_evidence import Role, RoleGuess
 from robot_runner.analysis.importing.column_roles import ColumnRoles, roles_of
-from robot_runner.analysis.importing.description import ImportDescription, SamplesDescription
+from robot_runner.analysis.importing.description import ImportDescription, Recipe, SamplesDescription
 from robot_runner.analysis.importing.foreign_runs import ForeignRun, read_runs
 from robot_runner.analysis.importing.foreign_samples import ForeignSamples, understand_samples
 from robot_runner.analysis.importing.foreign_table import ForeignTable, read_foreign_table
@@ -23,13 +24,6 @@ from robot_runner.core.design.columns import REPETITION, is_fit_for_heading, nam
 from robot_runner.core.errors import AnalysisError, Finding, StorageError, did_you_mean
 from robot_runner.core.storage.cells import number_of
 from robot_runner.core.words import counted, one_line
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-
-    from robot_runner.analysis.importing.column_evidence import RoleGuess
-    from robot_runner.analysis.importing.description import Recipe
 
 _TABLE = "run_table.csv"
 _SHOWN_TABLES = 10

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.storage.cells import number_of
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
 
 #: What a time may be counted in.
 TIME_UNITS = ("s", "ms", "us", "ns", "min", "h")

@@ -6,26 +6,21 @@ Options give them (`--sd`, `--difference`), or a file of means; `pilot_values` t
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from robot_runner.analysis.statistics.families import effect_key
+from robot_runner.analysis.arrays import Floats
+from robot_runner.analysis.statistics.families import Key, effect_key
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.words import counted, enumerated, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from robot_runner.analysis.planning.planned_study import Cell, Study
-    from robot_runner.analysis.statistics.families import Key
-
-    Floats = NDArray[np.float64]
 
 _AND = " x "
 #: The column of a file of means that holds the standard deviation of a measure.

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from robot_runner.core.design.columns import REPETITION
-from robot_runner.core.design.design import FullFactorial
+from robot_runner.core.design.design import CombinationDesign, Design, FullFactorial
 from robot_runner.core.design.factor import Factor, full_size, treatment_text
 from robot_runner.core.errors import DesignError
 from robot_runner.core.inactive import INACTIVE
@@ -20,9 +21,6 @@ from robot_runner.designs.optimal import DOptimal
 from robot_runner.designs.split_plot import SplitPlot
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from robot_runner.core.design.design import CombinationDesign, Design
     from robot_runner.core.design.run_table_model import RunTableModel
 
 #: The column of the whole plots of a split-plot design that is only compared.

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import comb
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from robot_runner.analysis.planning.candidate_designs import most_repetitions
+from robot_runner.analysis.planning.candidate_designs import Candidate, RunTimes, most_repetitions
 from robot_runner.analysis.planning.planned_study import Study
-from robot_runner.analysis.planning.power_analysis import scenarios_of
+from robot_runner.analysis.planning.power_analysis import Assumptions, scenarios_of
 from robot_runner.analysis.planning.power_search import sought_claims
 from robot_runner.analysis.planning.power_simulation import AT_ONCE, Simulation
 from robot_runner.analysis.statistics.analysed_design import design_of
@@ -20,10 +21,6 @@ from robot_runner.core.errors import AnalysisError, DesignError
 from robot_runner.core.words import counted, listed, shown_duration
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
-    from robot_runner.analysis.planning.candidate_designs import Candidate, RunTimes
-    from robot_runner.analysis.planning.power_analysis import Assumptions
     from robot_runner.analysis.statistics.known_design import KnownDesign
     from robot_runner.core.design.analysis_plan import AnalysisPlan
     from robot_runner.core.design.run_table_model import RunTableModel

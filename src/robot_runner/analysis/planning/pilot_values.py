@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from robot_runner.analysis.planning.assumed_values import AssumedMeasure
-from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, design_of
+from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, Design, design_of
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     import pandas as pd
 
     from robot_runner.analysis.planning.planned_study import Cell, Study
     from robot_runner.analysis.results import Results
-    from robot_runner.analysis.statistics.analysed_design import Design
 
 #: Of fewer runs a combination's own standard deviation is hardly known (by half and more); that of all takes its place.
 _ENOUGH = 5

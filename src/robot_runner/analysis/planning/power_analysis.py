@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.planning.assumed_values import (
+    AssumedMeasure,
     Scenario,
     assumed_scenario,
     differences_of,
@@ -14,19 +17,14 @@ from robot_runner.analysis.planning.assumed_values import (
     with_blocks,
 )
 from robot_runner.analysis.planning.pilot_values import Pilot, pilot_values
-from robot_runner.analysis.planning.power_search import PowerPoint, ScenarioPower, Search, search_repetitions
+from robot_runner.analysis.planning.power_search import Found, PowerPoint, ScenarioPower, Search, search_repetitions
 from robot_runner.analysis.wording import shown_level
 from robot_runner.core.design.analysis_plan import Family
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from robot_runner.analysis.planning.assumed_values import AssumedMeasure
     from robot_runner.analysis.planning.planned_study import Study
-    from robot_runner.analysis.planning.power_search import Found
     from robot_runner.analysis.results import Results
 
 #: Without a plan every measure is a family of its own; more than a few would only take time.

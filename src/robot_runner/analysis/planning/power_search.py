@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -14,8 +15,6 @@ from robot_runner.analysis.planning.power_simulation import AT_ONCE, Claim, Simu
 from robot_runner.core.errors import AnalysisError, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
-
     from robot_runner.analysis.planning.assumed_values import Scenario
     from robot_runner.analysis.planning.planned_study import Study
     from robot_runner.analysis.statistics.families import Key

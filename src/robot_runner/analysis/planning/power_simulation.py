@@ -6,42 +6,37 @@ experiments. What no test hangs on (descriptions, figures, sentences) is left ou
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from robot_runner.analysis.statistics.analysed_design import design_of
+from robot_runner.analysis.arrays import Floats, Numbers
+from robot_runner.analysis.statistics.analysed_design import Design, MeasureData, design_of
 from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.designed_models import designed_model_of
-from robot_runner.analysis.statistics.families import claim_of, contrast_key, effect_key, families_of
+from robot_runner.analysis.statistics.families import Key, claim_of, contrast_key, effect_key, families_of
 from robot_runner.analysis.statistics.left_out import left_out_of
 from robot_runner.analysis.statistics.lenth_test import LenthModel
 from robot_runner.analysis.statistics.post_hoc import adjusted, contrast_of, p_value_of_contrast
 from robot_runner.analysis.statistics.strata_model import StrataModel
 from robot_runner.analysis.statistics.surface_model import SurfaceModel
 from robot_runner.analysis.statistics.tested import NotComputed, named_within
-from robot_runner.analysis.statistics.tests import Choices, planned_model_of
+from robot_runner.analysis.statistics.tests import AnyModel, Choices, planned_model_of
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from numpy.typing import NDArray
 
     from robot_runner.analysis.planning.assumed_values import AssumedMeasure, Scenario
     from robot_runner.analysis.planning.planned_study import Cell, Study
-    from robot_runner.analysis.statistics.analysed_design import Design, MeasureData
-    from robot_runner.analysis.statistics.families import Key
-    from robot_runner.analysis.statistics.tests import AnyModel
     from robot_runner.core.design.hypothesis import Hypothesis
-
-    Floats = NDArray[np.float64]
 
 #: Experiments that are drawn and analysed together; counts do not depend on how many are asked for at a time.
 AT_ONCE = 500
@@ -78,7 +73,7 @@ class _Prepared:
     """
 
     assumed: AssumedMeasure
-    rows: NDArray[np.intp]
+    rows: Numbers
     blocks: tuple[str, ...]
     data: MeasureData
     model: AnyModel

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from itertools import product
 from typing import TYPE_CHECKING, Any
@@ -20,8 +21,6 @@ from robot_runner.core.storage.registration import Registration, differences, re
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.outcome import ExperimentStatistics
 

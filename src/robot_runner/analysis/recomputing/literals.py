@@ -7,14 +7,13 @@ without saying as what is refused.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.report.rendering import markdown_text, templates_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from jinja2 import Environment
 
 _PACKAGE = "robot_runner.analysis.recomputing"

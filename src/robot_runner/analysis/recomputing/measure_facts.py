@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from robot_runner.analysis.recomputing.study_facts import (
     Compared,
     Contrasted,
     MeasureFacts,
+    Number,
     Paired,
     Reported,
     TestedEffect,
@@ -22,20 +24,14 @@ from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.known_precision import level_of_looks
 from robot_runner.analysis.statistics.linear_model import FittedModel
 from robot_runner.analysis.statistics.nested_factors import NestedFactors
-from robot_runner.analysis.statistics.outcome import Proportion
-from robot_runner.analysis.statistics.tested import NotComputed
-from robot_runner.analysis.statistics.tests import check_estimand, model_of
+from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics, Proportion
+from robot_runner.analysis.statistics.tested import Comparison, Effect, EffectSize, Interval, NotComputed, PostHoc
+from robot_runner.analysis.statistics.tests import Choices, check_estimand, model_of
 from robot_runner.core.design.analysis_plan import Estimand
 from robot_runner.core.design.columns import RUN_ID
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from robot_runner.analysis.recomputing.study_facts import Number
     from robot_runner.analysis.statistics.analysed_design import Design, MeasureData
-    from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics
-    from robot_runner.analysis.statistics.tested import Comparison, Effect, EffectSize, Interval, PostHoc
-    from robot_runner.analysis.statistics.tests import Choices
     from robot_runner.core.design.hypothesis import Hypothesis
 
     Model = CellMeans | FittedModel

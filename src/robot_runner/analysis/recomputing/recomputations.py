@@ -4,25 +4,29 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from enum import Enum
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.recomputing.fact_finding import facts_of_study
 from robot_runner.analysis.recomputing.literals import Code, python_literal, r_literal, rendered
-from robot_runner.analysis.recomputing.study_facts import LEVEL
+from robot_runner.analysis.recomputing.study_facts import (
+    LEVEL,
+    Compared,
+    Contrasted,
+    Reported,
+    StudyFacts,
+    TestedEffect,
+)
 from robot_runner.analysis.report.writing import made_by, report_folder
-from robot_runner.analysis.results import results_of
+from robot_runner.analysis.results import Results, results_of
 from robot_runner.analysis.statistics.nested_factors import IDLE
 from robot_runner.core.storage.guarded_files import make_folder, replace
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
-
-    from robot_runner.analysis.recomputing.study_facts import Compared, Contrasted, Reported, StudyFacts, TestedEffect
-    from robot_runner.analysis.results import Results
     from robot_runner.core.design.analysis_plan import AnalysisPlan
 
 

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from robot_runner.analysis.figures.style import looks_by
+from robot_runner.analysis.figures.style import Look, looks_by
 from robot_runner.analysis.report.blocks import Chart
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from robot_runner.analysis.figures.courses import Course, MissionCourses
-    from robot_runner.analysis.figures.style import Look
     from robot_runner.analysis.report.material import Material
 
 #: Single runs in a chart: each is some 3 kB of the page.

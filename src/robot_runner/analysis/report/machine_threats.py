@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 from robot_runner.analysis.report.blocks import Tone
-from robot_runner.analysis.report.material import noted_number
+from robot_runner.analysis.report.material import Material, noted_number
 from robot_runner.analysis.sample_files import noted
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import enumerated
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from robot_runner.analysis.report.material import Material
 
 #: The profiler whose files are read; its class as the manifest has it.
 _WATCH = ":MachineWatch"

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.analysis.planning.registered import registered
+from robot_runner.analysis.planning.registered import Registered, registered
 from robot_runner.analysis.report.blocks import Badge, Tone
 from robot_runner.analysis.sample_files import noted
 from robot_runner.analysis.statistics.disclosed import Reason
 from robot_runner.analysis.statistics.execution_order import execution_order
-from robot_runner.analysis.statistics.known_precision import known_precisions
+from robot_runner.analysis.statistics.known_precision import KnownPrecision, known_precisions
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.events.measure import Quality
@@ -23,13 +23,9 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     import pandas as pd
 
-    from robot_runner.analysis.planning.registered import Registered
     from robot_runner.analysis.results import Results
-    from robot_runner.analysis.statistics.known_precision import KnownPrecision
     from robot_runner.analysis.statistics.outcome import ExperimentStatistics, MeasureStatistics
 
 #: How the values of a measure can fall short, with an explanation for a badge.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -15,7 +16,7 @@ from robot_runner.analysis.figures.distribution import (
 )
 from robot_runner.analysis.figures.effects import draw_interaction
 from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Section, Tone
-from robot_runner.analysis.report.material import JOINT, origin_in_words
+from robot_runner.analysis.report.material import JOINT, Material, origin_in_words
 from robot_runner.analysis.report.mission_figures import mission_parts, stills_part, trajectory_part
 from robot_runner.analysis.statistics.nested_factors import IDLE
 from robot_runner.analysis.wording import RHO, difference_unit, shown_number, with_unit
@@ -23,9 +24,6 @@ from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from robot_runner.analysis.report.material import Material
     from robot_runner.analysis.statistics.outcome import Description, Drift, MeasureStatistics
 
 _MOST_COMBINATIONS = 16

@@ -5,8 +5,9 @@ Of a covering array it also tells which pairs of treatments runs failed with: wh
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import pandas as pd
 
@@ -24,17 +25,12 @@ from robot_runner.analysis.report.blocks import (
     Tone,
 )
 from robot_runner.analysis.report.charts import in_order_of_execution
-from robot_runner.analysis.report.material import by_plugin
+from robot_runner.analysis.report.material import Material, RunQuality, by_plugin
 from robot_runner.analysis.report.tables import Field, build_table, field, number, number_cell, text
 from robot_runner.analysis.wording import MISSING, kind_of, listed
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.words import counted, shown_duration
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from robot_runner.analysis.report.material import Material, RunQuality
 
 _TONES = {RunStatus.DONE.value: Tone.GOOD, RunStatus.FAILED.value: Tone.BAD}
 _WORDS = {RunStatus.TODO.value: "To do"}

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.report.blocks import Block, Cell, Paragraph, Part, Table, Tone
 from robot_runner.analysis.report.tables import build_table, field, interval, number, p_value, text
-from robot_runner.analysis.statistics.disclosed import Beside
+from robot_runner.analysis.statistics.disclosed import Adjustment, Beside, Slope
 from robot_runner.analysis.statistics.left_out import MOST_FALSE_POSITIVES, rate_in_words
 from robot_runner.analysis.wording import (
     MISSING,
@@ -19,10 +20,7 @@ from robot_runner.analysis.wording import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from robot_runner.analysis.report.material import Material
-    from robot_runner.analysis.statistics.disclosed import Adjustment, Slope
     from robot_runner.analysis.statistics.outcome import MeasureStatistics, Standing
     from robot_runner.analysis.statistics.tested import MeasureTest
 

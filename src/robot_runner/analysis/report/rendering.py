@@ -11,6 +11,7 @@ import csv
 import io
 import json
 import re
+from collections.abc import Callable, Mapping
 from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
@@ -23,8 +24,6 @@ from markupsafe import Markup
 from robot_runner.analysis.figures.style import file_name, verbatim
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from robot_runner.analysis.report.blocks import Document, Table
 
 _PACKAGE = "robot_runner.analysis.report"

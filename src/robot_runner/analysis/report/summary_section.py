@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
 
 from robot_runner.analysis.report.blocks import (
     Block,
@@ -16,20 +16,14 @@ from robot_runner.analysis.report.blocks import (
     Remark,
     Remarks,
     Section,
+    Table,
     Tone,
 )
-from robot_runner.analysis.report.material import JOINT
+from robot_runner.analysis.report.material import JOINT, Material
 from robot_runner.analysis.report.tables import Field, build_table, field, text
-from robot_runner.analysis.statistics.outcome import Proportion
+from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics, Proportion
 from robot_runner.analysis.wording import MISSING, TIMES, listed, shown_number
 from robot_runner.core.storage.cells import RunStatus
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from robot_runner.analysis.report.blocks import Table
-    from robot_runner.analysis.report.material import Material
-    from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics
 
 _CONTENTS = (
     ("run_table.csv", "all runs with their treatments and measures; run_table.schema.json says what each column means"),

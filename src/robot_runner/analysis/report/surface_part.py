@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.figures.style import COLUMN, DASHED, INK, figure_style, label_axes, new_axes
-from robot_runner.analysis.report.blocks import Block, FigureBlock, Paragraph, Part
+from robot_runner.analysis.report.blocks import Block, FigureBlock, Paragraph, Part, Table
 from robot_runner.analysis.report.tables import build_table, interval, number, p_value, text
 from robot_runner.analysis.wording import (
     about_intervals,
@@ -22,17 +24,11 @@ from robot_runner.analysis.wording import (
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
 
-    from robot_runner.analysis.report.blocks import Table
     from robot_runner.analysis.report.material import Material
     from robot_runner.analysis.statistics.outcome import MeasureStatistics
     from robot_runner.analysis.statistics.surface_model import Surface
-
-    Floats = NDArray[np.float64]
 
 _GRID = 60
 _PAIR = 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
@@ -10,8 +11,6 @@ from robot_runner.analysis.report.blocks import Cell, Column, Place, Table, Tone
 from robot_runner.analysis.wording import shown_interval, shown_number, shown_p
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
     from robot_runner.analysis.statistics.tested import Interval
 
     #: Reads a value of an item: a function, or the name of an attribute.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.plan_file import choices_in_words
@@ -20,13 +21,21 @@ from robot_runner.analysis.report.blocks import (
     Table,
     Tone,
 )
-from robot_runner.analysis.report.material import correction_in_words
+from robot_runner.analysis.report.material import Material, correction_in_words
 from robot_runner.analysis.report.measure_figures import quantile_figure
 from robot_runner.analysis.report.plan_part import besides, planned_parts, standing_parts
 from robot_runner.analysis.report.surface_part import surface_parts
 from robot_runner.analysis.report.tables import Field, build_table, field, interval, number, p_value, text
 from robot_runner.analysis.statistics.proportions import PROPORTION, QUANTITY
-from robot_runner.analysis.statistics.tested import named_within
+from robot_runner.analysis.statistics.tested import (
+    Comparison,
+    Effect,
+    EffectSize,
+    MeasureTest,
+    NotComputed,
+    PostHoc,
+    named_within,
+)
 from robot_runner.analysis.wording import (
     ALPHA,
     MISSING,
@@ -42,18 +51,7 @@ from robot_runner.core.design.analysis_plan import Estimand
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
-    from robot_runner.analysis.report.material import Material
     from robot_runner.analysis.statistics.outcome import MeasureStatistics, Power
-    from robot_runner.analysis.statistics.tested import (
-        Comparison,
-        Effect,
-        EffectSize,
-        MeasureTest,
-        NotComputed,
-        PostHoc,
-    )
 
 _PLANNED = Badge("planned", Tone.GOOD, "Measure, level and correction were fixed before the experiment.")
 _EXPLORATORY = Badge("exploratory", Tone.PLAIN, "The analysis was not fixed before the experiment.")

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.report.blocks import Block, Gallery, Paragraph, Remark, Remarks, Section, Tone
 from robot_runner.analysis.report.design_section import shown_stamp
 from robot_runner.analysis.report.machine_threats import machine_threats
-from robot_runner.analysis.report.material import by_plugin
+from robot_runner.analysis.report.material import Material, by_plugin
 from robot_runner.analysis.report.measure_figures import drift_figure
 from robot_runner.analysis.report.outcome_section import failures_in_words
 from robot_runner.analysis.statistics.disclosed import Beside
-from robot_runner.analysis.statistics.execution_order import execution_order
+from robot_runner.analysis.statistics.execution_order import execution_order, robot_warnings
 from robot_runner.analysis.statistics.experiment_statistics import order_warnings, planned_warnings
 from robot_runner.analysis.statistics.lost_runs import (
     failed_by_treatment,
@@ -19,7 +20,6 @@ from robot_runner.analysis.statistics.lost_runs import (
     missing_by_treatment,
     repeated_by_treatment,
 )
-from robot_runner.analysis.statistics.robot_shares import robot_warnings
 from robot_runner.analysis.wording import kind_of, listed, sentence, shown_number
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID
 from robot_runner.core.events.measure import Quality
@@ -30,9 +30,6 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from robot_runner.analysis.report.material import Material
     from robot_runner.analysis.statistics.outcome import MeasureStatistics
 
     #: Title, text and weight of a threat.

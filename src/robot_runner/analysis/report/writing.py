@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import Enum
 from importlib.metadata import version
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.figures.pdf_worker import PdfWorker
@@ -15,7 +17,7 @@ from robot_runner.analysis.figures.style import FigureFormat, figure_bytes
 from robot_runner.analysis.report.document import json_of_report, report_document
 from robot_runner.analysis.report.material import Material
 from robot_runner.analysis.report.rendering import SafeNames, csv_of, html_of, latex_label, latex_of, markdown_of
-from robot_runner.analysis.results import results_of
+from robot_runner.analysis.results import Results, results_of
 from robot_runner.analysis.statistics.experiment_statistics import analyse
 from robot_runner.core.storage.guarded_files import make_folder, replace
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -23,11 +25,7 @@ from robot_runner.core.storage.safe_write import write_beside_and_rename
 from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
     from robot_runner.analysis.report.blocks import Document
-    from robot_runner.analysis.results import Results
     from robot_runner.core.design.analysis_plan import AnalysisPlan
 
 #: With more, figures as PDF are not left to a process of its own.

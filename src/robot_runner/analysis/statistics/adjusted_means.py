@@ -8,29 +8,22 @@ single differences are those of Welch, and of pairs within blocks.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_runner.analysis.statistics.analysed_design import VALUE
-from robot_runner.analysis.statistics.contrasts import rounding_of
-from robot_runner.analysis.statistics.covariate_design import AdjustmentError, CovariateDesign
+from robot_runner.analysis.arrays import Floats
+from robot_runner.analysis.statistics.analysed_design import VALUE, MeasureData
+from robot_runner.analysis.statistics.contrasts import Contrast, Tested, rounding_of
+from robot_runner.analysis.statistics.covariate_design import AdjustmentError, Covariate, CovariateDesign
 from robot_runner.analysis.statistics.effect_coding import marginal_row, mean_squares, term_size
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
 from robot_runner.core.design.analysis_plan import Estimand, Statistic
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from robot_runner.analysis.statistics.analysed_design import MeasureData
-    from robot_runner.analysis.statistics.contrasts import Contrast, Tested
-    from robot_runner.analysis.statistics.covariate_design import Covariate
     from robot_runner.analysis.statistics.robust_covariance import RobustFit
-
-    Floats = NDArray[np.float64]
 
 #: What each kind of test is called.
 HOTELLING, BOX = "approximate Hotelling", "ANOVA-type"

@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from robot_runner.analysis.statistics.analysed_design import VALUE
+from robot_runner.analysis.statistics.analysed_design import VALUE, MeasureData
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.disclosed import AdjustedMean, Adjustment, Slope
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import Interval, NotComputed
-from robot_runner.analysis.statistics.tests import model_of
+from robot_runner.analysis.statistics.tests import Choices, model_of
 from robot_runner.analysis.wording import p_in_words
 from robot_runner.core.design.analysis_plan import ELAPSED, ORDER, Correction, Estimand
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
     from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
-    from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.analysis.statistics.contrasts import Contrast
     from robot_runner.analysis.statistics.covariate_design import Covariate
-    from robot_runner.analysis.statistics.tests import Choices
 
 #: From here on a covariate is nearly told by the rest of the design (Marquardt 1970; Kutner et al., Applied Linear
 #: Statistical Models, 2005, section 10.5).

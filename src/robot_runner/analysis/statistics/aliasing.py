@@ -8,25 +8,16 @@ is the structure of the defining relation (Box and Hunter, The 2^(k-p) fractiona
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from math import comb
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from robot_runner.analysis.statistics.effect_coding import coded_columns
-from robot_runner.analysis.statistics.nested_factors import columns_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from robot_runner.analysis.statistics.effect_coding import Term
-    from robot_runner.analysis.statistics.nested_factors import NestedFactors
-
-    Floats = NDArray[np.float64]
-    Numbers = NDArray[np.intp]
+from robot_runner.analysis.arrays import Floats, Numbers
+from robot_runner.analysis.statistics.effect_coding import Term, coded_columns
+from robot_runner.analysis.statistics.nested_factors import NestedFactors, columns_of
 
 #: Interactions of more factors can hardly be interpreted.
 _MOST_FACTORS = 3

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
+from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.run_frame import treatment_texts
 from robot_runner.analysis.statistics.design_structure import are_complete, treatments_before, with_structure
 from robot_runner.analysis.statistics.execution_order import STAMP, execution_order
@@ -20,8 +22,6 @@ from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
-
     from numpy.typing import NDArray
 
     from robot_runner.analysis.results import Results
@@ -70,7 +70,7 @@ class MeasureData:
     conditions: Conditions = field(default_factory=dict)
 
     @property
-    def values(self) -> NDArray[np.float64]:
+    def values(self) -> Floats:
         """The values of all runs that have one."""
         return np.asarray(self.frame[VALUE], dtype=np.float64)
 
@@ -80,12 +80,12 @@ class MeasureData:
         return np.asarray(self.frame[_BLOCK], dtype=str)
 
     @property
-    def batches(self) -> NDArray[np.intp]:
+    def batches(self) -> Numbers:
         """The number of the batch of each run that has a value."""
         return np.asarray(self.frame[BATCH].astype(int), dtype=np.intp)
 
     @property
-    def plots(self) -> NDArray[np.intp]:
+    def plots(self) -> Numbers:
         """The number of the whole plot of each run that has a value, of a split-plot design."""
         return numbered(self.frame, list(map(role_column, self.known.unit_columns)))
 
@@ -104,7 +104,7 @@ class MeasureData:
         frame = self.frame.assign(**{_BLOCK: self.plots.astype(str)})
         return replace(self, frame=frame, is_blocked=True, known=PLAIN)
 
-    def covariate(self, name: str) -> NDArray[np.float64]:
+    def covariate(self, name: str) -> Floats:
         """Return a covariate of each run that has a value."""
         return np.asarray(self.frame[covariate_column(name)], dtype=np.float64)
 
@@ -241,7 +241,7 @@ class Design:
             return None
         return self._data(measure, values.to_numpy(dtype=np.float64, na_value=np.nan), ())
 
-    def _data(self, measure: str, values: NDArray[np.float64], covariates: tuple[str, ...]) -> MeasureData:
+    def _data(self, measure: str, values: Floats, covariates: tuple[str, ...]) -> MeasureData:
         told = {covariate_column(name): self._covariate(name) for name in covariates}
         every = self.frame.assign(**{VALUE: values, **told})
         if self.without:
@@ -254,14 +254,14 @@ class Design:
         told_of = (is_blocked, is_extended, covariates, self.known, block, self.conditions)
         return MeasureData(measure, frame, every, factors, *told_of)
 
-    def _numbers(self, measure: str) -> NDArray[np.float64] | None:
+    def _numbers(self, measure: str) -> Floats | None:
         """Return the values of a measure, NaN where there is none; None where they are no numbers."""
         values = self.results.done[measure]
         if isinstance(values.dtype, pd.StringDtype | pd.BooleanDtype) or values.dtype == object:
             return None
         return np.asarray(values.to_numpy(dtype=np.float64, na_value=np.nan))
 
-    def _covariate(self, name: str) -> NDArray[np.float64]:
+    def _covariate(self, name: str) -> Floats:
         """Return a covariate of each run; NaN everywhere where it has no numbers."""
         done = self.results.done
         found = self._numbers(name) if name in self.results.measures else None

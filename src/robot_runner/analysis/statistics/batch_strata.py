@@ -8,26 +8,23 @@ a constant for each batch.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     import pandas as pd
     from numpy.typing import NDArray
 
     from robot_runner.analysis.statistics.analysed_design import MeasureData
-
-    Floats = NDArray[np.float64]
-    Numbers = NDArray[np.intp]
 
 
 class Comparable(NamedTuple):

@@ -8,6 +8,7 @@ chance that effects are compared with.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import linalg, stats
 
+from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.batch_strata import batch_shares, run_counts, weights_in_blocks
 from robot_runner.analysis.statistics.cell_moments import (
     WINSORISED,
@@ -24,21 +26,15 @@ from robot_runner.analysis.statistics.cell_moments import (
     moments_of_units,
     winsorised_sizes,
 )
-from robot_runner.analysis.statistics.effect_coding import kron, marginal_row
+from robot_runner.analysis.statistics.effect_coding import Term, kron, marginal_row
 from robot_runner.analysis.statistics.nested_factors import NestedFactors, codes_of
 from robot_runner.core.design.analysis_plan import Estimand
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.analysis.statistics.contrasts import Moments
-    from robot_runner.analysis.statistics.effect_coding import Term
-
-    Floats = NDArray[np.float64]
-    Numbers = NDArray[np.intp]
 
 #: Interactions of more factors can hardly be interpreted.
 MOST_FACTORS = 3

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.contrasts import (
     DRAWS,
     MOST_FLIPPED,
@@ -28,13 +30,7 @@ from robot_runner.analysis.statistics.tested import EffectTest, TestMethod
 from robot_runner.core.design.analysis_plan import Estimand, Statistic
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from robot_runner.analysis.statistics.cell_layout import EffectContrast, Layout
-
-    Floats = NDArray[np.float64]
 
 #: Errors smaller than this, beside the values, are what rounding leaves behind.
 _ROUNDING = 1e-12

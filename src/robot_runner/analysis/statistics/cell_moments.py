@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.contrasts import Moments
 from robot_runner.core.design.analysis_plan import Estimand
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
-    Numbers = NDArray[np.intp]
 
 #: The standard deviation of normal values in those that are left of them by winsorising a fifth at either end (Algina,
 #: Keselman and Penfield, An alternative to Cohen's standardized mean difference effect size, 2005).

@@ -15,17 +15,13 @@ Combining p-values via averaging (Biometrika 107, 2020).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
+from robot_runner.analysis.arrays import Floats
 
 #: How often a bootstrap draws: p-values are then known to about 0.002 near 0.05.
 DRAWS = 9999

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import combinations, permutations
@@ -12,7 +13,8 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from robot_runner.analysis.statistics.analysed_design import PLACE, VALUE
+from robot_runner.analysis.arrays import Floats, Numbers
+from robot_runner.analysis.statistics.analysed_design import PLACE, VALUE, MeasureData
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.designed_columns import grouped, residuals_of
 from robot_runner.analysis.statistics.effect_sizes import correlation_magnitude
@@ -25,11 +27,6 @@ from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.core.design.analysis_plan import Correction
 
 _LEAST = 4
@@ -89,7 +86,7 @@ def _correlation(first: MeasureData, second: MeasureData) -> Correlation | NotCo
     )
 
 
-def spearman(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float]:
+def spearman(x: Floats, y: Floats) -> tuple[float, float]:
     """Return Spearman's rho and its p-value: of few values the share of orders that go together as closely.
 
     Example:
@@ -106,7 +103,7 @@ def spearman(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, flo
 
 
 @lru_cache(maxsize=_MOST_PERMUTED)
-def _orders(count: int) -> NDArray[np.intp]:
+def _orders(count: int) -> Numbers:
     return np.array(list(permutations(range(count))))
 
 
@@ -120,7 +117,7 @@ def _within(first: MeasureData, second: MeasureData) -> float | None:
     return float(stats.pearsonr(x, y).statistic)
 
 
-def _is_flat(residuals: NDArray[np.float64], values: NDArray[np.float64]) -> bool:
+def _is_flat(residuals: Floats, values: Floats) -> bool:
     """Return whether residuals are nothing but rounding, beside the values."""
     return float(np.ptp(residuals)) < 1e-12 * max(1e-300, float(np.max(np.abs(values))))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -10,23 +11,16 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import pandas as pd
 
+from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.cell_layout import relative_ranks
 from robot_runner.analysis.statistics.effect_coding import marginal_row
 from robot_runner.analysis.statistics.linear_model import estimable_terms
-from robot_runner.analysis.statistics.robust_covariance import fit_robustly
+from robot_runner.analysis.statistics.robust_covariance import RobustFit, fit_robustly
 from robot_runner.core.design.analysis_plan import ELAPSED, Estimand
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from robot_runner.analysis.statistics.analysed_design import MeasureData
-    from robot_runner.analysis.statistics.robust_covariance import RobustFit
-
-    Floats = NDArray[np.float64]
-    Numbers = NDArray[np.intp]
 
 #: A column of which the others leave less than this share is told by them.
 _TOLD = 1e-9

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from robot_runner.analysis.run_frame import treatment_texts
 from robot_runner.analysis.statistics.aliasing import aliasing_of
-from robot_runner.analysis.statistics.known_design import PLAIN, before_column, role_column
-from robot_runner.analysis.statistics.nested_factors import IDLE, NestedFactors, codes_of
+from robot_runner.analysis.statistics.known_design import PLAIN, KnownDesign, before_column, role_column
+from robot_runner.analysis.statistics.nested_factors import IDLE, Conditions, NestedFactors, codes_of
 from robot_runner.core.design.columns import RUN_ID
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     import pandas as pd
 
     from robot_runner.analysis.results import Results
-    from robot_runner.analysis.statistics.known_design import KnownDesign
-    from robot_runner.analysis.statistics.nested_factors import Conditions
 
 
 def treatments_before(results: Results, known: KnownDesign, names: Sequence[str]) -> dict[str, pd.Series]:

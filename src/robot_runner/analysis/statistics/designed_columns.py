@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
+from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.effect_coding import coded_columns
 from robot_runner.analysis.statistics.known_design import before_column, role_column
 from robot_runner.analysis.statistics.nested_factors import codes_of, columns_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
     from numpy.typing import ArrayLike, NDArray
 
     from robot_runner.analysis.statistics.analysed_design import MeasureData
-
-    Floats = NDArray[np.float64]
-
 
 #: Of columns of about 1: less is what rounding leaves of those that the groups tell.
 _ROUNDING = 1e-9

@@ -8,16 +8,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, covariate_column
+from robot_runner.analysis.arrays import Floats, Numbers
+from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, MeasureData, covariate_column
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS, relative_ranks
 from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.designed_columns import carried_over, numbers_of_levels
-from robot_runner.analysis.statistics.effect_coding import coded_columns, mean_squares, term_size
+from robot_runner.analysis.statistics.effect_coding import Term, coded_columns, mean_squares, term_size
 from robot_runner.analysis.statistics.known_design import role_column
 from robot_runner.analysis.statistics.lenth_test import LenthModel, fit_lenth
 from robot_runner.analysis.statistics.listed_cells import listed_layout
@@ -26,18 +26,8 @@ from robot_runner.analysis.statistics.strata_model import Hypothesis, StrataMode
 from robot_runner.analysis.statistics.surface_model import SurfaceModel, fit_surface
 from robot_runner.analysis.statistics.tested import NotComputed, TestMethod
 from robot_runner.analysis.wording import p_in_words, shown_statistic
-from robot_runner.core.design.analysis_plan import Estimand
+from robot_runner.core.design.analysis_plan import Estimand, Statistic
 from robot_runner.core.words import enumerated
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from robot_runner.analysis.statistics.analysed_design import MeasureData
-    from robot_runner.analysis.statistics.effect_coding import Term
-    from robot_runner.core.design.analysis_plan import Statistic
-
-    Floats = NDArray[np.float64]
-    Numbers = NDArray[np.intp]
 
 #: The models that designs ask for, beside the means of combinations.
 DesignedModel = StrataModel | LenthModel | SurfaceModel

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,8 +21,6 @@ from robot_runner.analysis.statistics.outcome import Power, RepetitionsNeeded
 from robot_runner.analysis.statistics.tested import NotComputed
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.analysis.statistics.grouped_runs import Group
 

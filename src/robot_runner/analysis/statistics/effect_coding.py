@@ -7,17 +7,12 @@ a marginal mean takes no list of all combinations: what it leaves open sums up t
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from collections.abc import Mapping, Sequence
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
-    Numbers = NDArray[np.intp]
+from robot_runner.analysis.arrays import Floats, Numbers
 
 #: The factors of an effect: one, or several of an interaction.
 Term = tuple[str, ...]

@@ -2,43 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
-from robot_runner.analysis.results import results_of
+from robot_runner.analysis.results import Results, results_of
 from robot_runner.analysis.run_frame import require_choice, several
-from robot_runner.analysis.statistics.analysed_design import design_of
+from robot_runner.analysis.statistics.analysed_design import Design, design_of
 from robot_runner.analysis.statistics.correlations import correlations_of
 from robot_runner.analysis.statistics.disclosed import Beside, LeftOut, Reason
-from robot_runner.analysis.statistics.displaced_runs import displaced_runs, followed_failures
+from robot_runner.analysis.statistics.execution_order import displaced_runs, followed_failures, robot_warnings
 from robot_runner.analysis.statistics.families import concluded
-from robot_runner.analysis.statistics.left_out import (
-    MOST_FALSE_POSITIVES,
-    doubtful_values,
-    left_out_of,
-    rate_in_words,
-)
+from robot_runner.analysis.statistics.left_out import MOST_FALSE_POSITIVES, doubtful_values, left_out_of, rate_in_words
 from robot_runner.analysis.statistics.lost_runs import lost_warnings
 from robot_runner.analysis.statistics.measure_statistics import measure_statistics
-from robot_runner.analysis.statistics.outcome import ExperimentStatistics, MeasureStatistics
-from robot_runner.analysis.statistics.robot_shares import robot_warnings
+from robot_runner.analysis.statistics.outcome import ExperimentStatistics, MeasureStatistics, Standing
 from robot_runner.analysis.statistics.robustness import Otherwise, doubtful_runs, standing_effects, standing_hypotheses
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.statistics.tests import Choices
 from robot_runner.analysis.wording import listed
-from robot_runner.core.design.analysis_plan import Correction
+from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction
 from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.words import counted
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from robot_runner.analysis.results import Results
-    from robot_runner.analysis.statistics.analysed_design import Design
-    from robot_runner.analysis.statistics.outcome import Standing
-    from robot_runner.core.design.analysis_plan import AnalysisPlan
 
 _ALPHA = 0.05
 

@@ -6,12 +6,22 @@ its treatments, and the hypotheses about it cannot contradict each other.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from robot_runner.analysis.statistics.outcome import HypothesisOutcome
+from robot_runner.analysis.statistics.outcome import HypothesisOutcome, MeasureStatistics
 from robot_runner.analysis.statistics.post_hoc import adjusted
-from robot_runner.analysis.statistics.tested import TestMethod, named_within
+from robot_runner.analysis.statistics.tested import (
+    Comparison,
+    ContrastTest,
+    Effect,
+    MeasureTest,
+    PostHoc,
+    TestMethod,
+    TestPart,
+    named_within,
+)
 from robot_runner.analysis.wording import (
     difference_unit,
     listed,
@@ -25,17 +35,6 @@ from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Est
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from robot_runner.analysis.statistics.outcome import MeasureStatistics
-    from robot_runner.analysis.statistics.tested import (
-        Comparison,
-        ContrastTest,
-        Effect,
-        MeasureTest,
-        PostHoc,
-        TestPart,
-    )
     from robot_runner.core.design.hypothesis import Hypothesis
 
 #: What was tested: an effect by its measure and factors, or the contrast of a hypothesis by its statement.

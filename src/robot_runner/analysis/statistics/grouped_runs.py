@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from robot_runner.analysis.arrays import Floats, Numbers
 
+if TYPE_CHECKING:
     import pandas as pd
     from numpy.typing import NDArray
 
@@ -28,10 +29,10 @@ class Group:
     """
 
     treatments: dict[str, str]
-    values: NDArray[np.float64]
+    values: Floats
     run_ids: tuple[str, ...]
     missing: int = 0
-    units: NDArray[np.intp] | None = None
+    units: Numbers | None = None
     unit: str = ""
 
     @property
@@ -57,16 +58,16 @@ class Group:
         return f", runs of one {self.unit} counting together"
 
 
-def numbered(frame: pd.DataFrame, columns: Sequence[str]) -> NDArray[np.intp]:
+def numbered(frame: pd.DataFrame, columns: Sequence[str]) -> Numbers:
     """Return the number of what each row has in these columns."""
     return np.asarray(frame.groupby(list(columns), observed=True, dropna=False).ngroup(), dtype=np.intp)
 
 
 def group_of(
     treatments: dict[str, str],
-    values: NDArray[np.float64],
+    values: Floats,
     run_ids: NDArray[np.object_],
-    units: NDArray[np.intp] | None,
+    units: Numbers | None,
     unit: str,
 ) -> Group:
     """Return a group of runs, of some of which a value is missing."""

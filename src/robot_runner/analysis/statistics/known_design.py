@@ -6,6 +6,7 @@ run table, so that they are right for a table that was made elsewhere, too.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -13,8 +14,6 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.analysis.wording import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-
     from robot_runner.analysis.statistics.aliasing import Aliasing
     from robot_runner.analysis.statistics.effect_coding import Term
 

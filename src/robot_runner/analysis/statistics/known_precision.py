@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -12,17 +13,14 @@ from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.tested import Interval
 from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.design.numeric_range import is_number
-from robot_runner.core.design.precise_estimates import Observed, judge
+from robot_runner.core.design.precise_estimates import Judgement, Known, Observed, judge
 from robot_runner.core.design.precision import PreciseOf, Precision, most_repetitions, rule_in_words, rules_of_mapping
 from robot_runner.core.design.repeated_intervals import CONFIDENCE, METHOD, level_at_each_look
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping
-
     from robot_runner.analysis.results import Results
-    from robot_runner.core.design.precise_estimates import Judgement, Known
 
 #: By simulation, means of normal values are taken for skewed in 1 to 10 % of experiments (fewest values: most often),
 #: those of exponential ones in 50 to 100 %. Fewer values of a combination do not tell.

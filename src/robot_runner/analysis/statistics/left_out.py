@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import stats
 
-from robot_runner.analysis.statistics.analysed_design import VALUE
+from robot_runner.analysis.arrays import Floats
+from robot_runner.analysis.statistics.analysed_design import VALUE, Design
 from robot_runner.analysis.statistics.disclosed import LeftOut, Reason
-from robot_runner.analysis.statistics.displaced_runs import displaced_runs
+from robot_runner.analysis.statistics.execution_order import displaced_runs
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.design.outliers import Doubtful, Outliers
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.statistics.analysed_design import Design
     from robot_runner.analysis.statistics.grouped_runs import Group
     from robot_runner.core.design.analysis_plan import AnalysisPlan
-
-    Floats = NDArray[np.float64]
 
 #: A test that errs more often at 5 % than this is told to, percent.
 MOST_FALSE_POSITIVES = 6.5

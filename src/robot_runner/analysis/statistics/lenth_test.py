@@ -11,28 +11,19 @@ values of the Lenth method for unreplicated factorial designs (Journal of Qualit
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
 from robot_runner.analysis.statistics.descriptive import quiet
-from robot_runner.analysis.statistics.effect_coding import marginal_row
+from robot_runner.analysis.statistics.effect_coding import Term, marginal_row
 from robot_runner.analysis.statistics.nested_factors import NestedFactors
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from robot_runner.analysis.statistics.effect_coding import Term
-
-    Floats = NDArray[np.float64]
-    Numbers = NDArray[np.intp]
 
 #: What the test is called.
 LENTH = "Lenth's t"

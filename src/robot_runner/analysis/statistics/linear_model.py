@@ -7,6 +7,7 @@ is modelled is the mean of a combination within a block, so that repeated runs o
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -16,7 +17,8 @@ import numpy as np
 import pandas as pd
 from scipy import optimize, stats
 
-from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE
+from robot_runner.analysis.arrays import Floats, Numbers
+from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, MeasureData
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS
 from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
 from robot_runner.analysis.statistics.effect_coding import marginal_row, mean_squares, term_size
@@ -24,13 +26,8 @@ from robot_runner.analysis.statistics.nested_factors import NestedFactors
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.statistics.analysed_design import MeasureData
-
-    Floats = NDArray[np.float64]
 
 #: A mean for each of more combinations takes long to fit, and nobody can read them.
 _MOST_CELLS = 500
@@ -204,7 +201,7 @@ def _fitted(values: Floats, exog: Floats, blocks: NDArray[np.str_] | None) -> _F
     return min((none, at(found.x)), key=lambda each: each.deviance)
 
 
-def _fit_at(ratio: float, values: Floats, exog: Floats, codes: NDArray[np.intp]) -> _Fit:
+def _fit_at(ratio: float, values: Floats, exog: Floats, codes: Numbers) -> _Fit:
     """Fit by least squares what is left of values once a share of the mean of their block is taken away."""
     sizes = np.bincount(codes)
     shares = 1 - 1 / np.sqrt(1 + ratio * sizes)

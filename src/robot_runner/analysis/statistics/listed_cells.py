@@ -6,23 +6,19 @@ the means of combinations, each of which counts the same.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robot_runner.analysis.arrays import Numbers
 from robot_runner.analysis.statistics.cell_layout import EffectContrast, Layout
 from robot_runner.analysis.statistics.nested_factors import NestedFactors, codes_of, columns_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.analysis.statistics.effect_coding import Term
-
-    Numbers = NDArray[np.intp]
 
 _PAIR = 2
 _ALONE = np.ones((1, 1))

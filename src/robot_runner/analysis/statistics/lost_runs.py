@@ -7,6 +7,7 @@ down as if it were how long the run took.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import pandas as pd
@@ -18,8 +19,6 @@ from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.words import counted, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.outcome import DesignSummary
 

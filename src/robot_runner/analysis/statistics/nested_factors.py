@@ -9,6 +9,7 @@ of those that apply together, are contrasts of the means of combinations, and to
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, lru_cache
 from itertools import combinations, product
 from typing import TYPE_CHECKING, Self
@@ -16,20 +17,15 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from scipy import linalg
 
-from robot_runner.analysis.statistics.effect_coding import coded_columns, kron, sum_coding
+from robot_runner.analysis.arrays import Floats, Numbers
+from robot_runner.analysis.statistics.effect_coding import Term, coded_columns, kron, sum_coding
 from robot_runner.core.inactive import INACTIVE
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
     import pandas as pd
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.statistics.effect_coding import Term
-
-    Floats = NDArray[np.float64]
-    Numbers = NDArray[np.intp]
 
 #: What a conditional factor has where it does not apply.
 IDLE = str(INACTIVE)

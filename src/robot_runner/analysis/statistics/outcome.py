@@ -6,15 +6,13 @@ the run table.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from robot_runner.analysis.statistics.disclosed import Beside
+from robot_runner.analysis.statistics.disclosed import Adjustment, Beside, LeftOut
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from robot_runner.analysis.statistics.disclosed import Adjustment, LeftOut
     from robot_runner.analysis.statistics.surface_model import Surface
     from robot_runner.analysis.statistics.tested import (
         AssumptionCheck,

@@ -10,6 +10,7 @@ nothing varies.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from itertools import combinations
@@ -18,7 +19,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy import optimize, stats
 
-from robot_runner.analysis.statistics.analysed_design import VALUE
+from robot_runner.analysis.arrays import Floats
+from robot_runner.analysis.statistics.analysed_design import VALUE, MeasureData
 from robot_runner.analysis.statistics.nested_factors import NestedFactors
 from robot_runner.analysis.statistics.outcome import Proportion, Proportions
 from robot_runner.analysis.statistics.post_hoc import adjusted
@@ -32,17 +34,13 @@ from robot_runner.analysis.statistics.tested import (
     TestMethod,
     named_within,
 )
-from robot_runner.analysis.statistics.tests import stranded_in_words
+from robot_runner.analysis.statistics.tests import Choices, stranded_in_words
 from robot_runner.core.words import counted, enumerated, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.analysis.statistics.grouped_runs import Group
-    from robot_runner.analysis.statistics.tests import Choices
 
     Integers = NDArray[np.int64]
 
@@ -239,11 +237,11 @@ class Strata:
         """
         return self._exact() if self.runs.shape[1] == _PAIR else self._permuted(draws)
 
-    def _expected(self) -> NDArray[np.float64]:
+    def _expected(self) -> Floats:
         totals = self.runs.sum(axis=1, keepdims=True)
         return np.asarray(self.runs * self.yes.sum(axis=1, keepdims=True) / totals, dtype=np.float64)
 
-    def _spread(self) -> tuple[NDArray[np.float64], int]:
+    def _spread(self) -> tuple[Floats, int]:
         """Return the generalised inverse of the covariances of yes that chance deals out, and its rank."""
         covariance = np.zeros((self.runs.shape[1],) * 2)
         for sizes, count in zip(self.runs.astype(np.float64), self.yes.sum(axis=1), strict=True):

@@ -15,18 +15,13 @@ Behavioral Statistics 40, 2015); Pustejovsky and Tipton, Small-sample methods fo
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 
+from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.contrasts import Contrast, Tested
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
-    Numbers = NDArray[np.intp]
 
 #: A run whose residual varies by less than this share of chance is told by the model alone: it says nothing of errors.
 _NO_FREEDOM = 1e-8

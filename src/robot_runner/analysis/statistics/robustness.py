@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from robot_runner.analysis.statistics.disclosed import Beside
-from robot_runner.analysis.statistics.outcome import Standing
+from robot_runner.analysis.statistics.outcome import HypothesisOutcome, MeasureStatistics, Standing
 from robot_runner.analysis.wording import listed, p_in_words, p_values_in_words
 from robot_runner.core.events.measure import Quality
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from robot_runner.analysis.results import Results
-    from robot_runner.analysis.statistics.outcome import HypothesisOutcome, MeasureStatistics
     from robot_runner.analysis.statistics.tested import Effect
 
 

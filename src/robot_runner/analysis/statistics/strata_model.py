@@ -10,26 +10,18 @@ leading axes, one experiment each.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 
+from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
-from robot_runner.analysis.statistics.effect_coding import marginal_row
+from robot_runner.analysis.statistics.effect_coding import Term, marginal_row
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from robot_runner.analysis.statistics.effect_coding import Term
-
-    Floats = NDArray[np.float64]
-    Numbers = NDArray[np.intp]
 
 #: Of a column: less than this share of it is what rounding leaves.
 _ROUNDING = 1e-9

@@ -10,6 +10,7 @@ terms together, as SAS's RSREG prints it.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
@@ -17,18 +18,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy import stats
 
+from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
 from robot_runner.analysis.statistics.strata_model import StratumFit, fit_stratum
 from robot_runner.analysis.statistics.tested import EffectTest, Interval, NotComputed, TestMethod
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from robot_runner.analysis.statistics.effect_coding import Term
-
-    Floats = NDArray[np.float64]
 
 _THREE = 3
 _LEVEL = 0.95
@@ -141,7 +137,7 @@ class SurfaceModel:
     others: Mapping[str, tuple[int, ...]]
     columns: Floats
     blocks: Floats
-    cells: NDArray[np.intp]
+    cells: Numbers
     fit: StratumFit
     values: Floats
     notes: tuple[str, ...] = ()

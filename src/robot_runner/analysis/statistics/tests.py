@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Protocol
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from scipy import stats
 
+from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans, fit_adjusted
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS, layout_of, relative_ranks
 from robot_runner.analysis.statistics.cell_means import BOOTSTRAP, SIGN_FLIPS, CellMeans
@@ -22,20 +24,23 @@ from robot_runner.analysis.statistics.listed_cells import incomplete_layout
 from robot_runner.analysis.statistics.nested_factors import NestedFactors
 from robot_runner.analysis.statistics.strata_model import StrataModel
 from robot_runner.analysis.statistics.surface_model import SurfaceModel
-from robot_runner.analysis.statistics.tested import Check, Effect, MeasureTest, NotComputed, TestMethod, TestPart
+from robot_runner.analysis.statistics.tested import (
+    Check,
+    Effect,
+    EffectTest,
+    MeasureTest,
+    NotComputed,
+    TestMethod,
+    TestPart,
+)
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.analysis_plan import Correction, Estimand, Statistic
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.analysis.statistics.contrasts import Contrast
-    from robot_runner.analysis.statistics.tested import EffectTest
 
 #: All that is fitted to a measure.
 AnyModel = CellMeans | FittedModel | AdjustedMeans | StrataModel | LenthModel | SurfaceModel
@@ -116,7 +121,7 @@ def planned_model_of(
     return fit_adjusted(data, estimand, statistic)
 
 
-def _ranks(data: MeasureData) -> NDArray[np.float64]:
+def _ranks(data: MeasureData) -> Floats:
     return relative_ranks(data.values, data.batches if data.is_extended else None)
 
 

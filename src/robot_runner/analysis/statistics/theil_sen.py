@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy import stats
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
+from robot_runner.analysis.arrays import Floats
 
+if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Floats = NDArray[np.float64]
 
 #: With so many values `scipy.stats.theilslopes` holds some 100 MB: it holds each pair several times, in both orders.
 _MOST_AT_ONCE = 2_000

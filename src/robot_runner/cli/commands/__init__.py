@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 
-from robot_runner.core.entry_points import entry_points
+from robot_runner.core.entry_points import EntryPoint, entry_points
 
 TYPE_CHECKING = False  # `typing` takes long to import, and `--help` is to be quick
 if TYPE_CHECKING:
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from typing import Any
 
     from robot_runner.cli.parser import CommandModule
-    from robot_runner.core.entry_points import EntryPoint
 
 __all__ = ["command_module", "installed_commands", "summary_of"]
 

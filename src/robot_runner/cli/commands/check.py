@@ -5,6 +5,8 @@ Each finding has its place and its fix. Exit code 0: the config can be executed;
 
 from __future__ import annotations
 
+from argparse import Namespace
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,22 +21,17 @@ from robot_runner.cli.design_words import (
 )
 from robot_runner.cli.findings import as_json, print_findings, tally
 from robot_runner.cli.guard import REFUSED
-from robot_runner.cli.parser import add_config, add_json, add_set
+from robot_runner.cli.parser import Parser, add_config, add_json, add_set
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import Preparation, prepare
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.precision import rule_in_words
-from robot_runner.core.execution.probe import probe_experiment
+from robot_runner.core.execution.probe import Probe, probe_experiment
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.words import shown_value
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Iterator
-
-    from robot_runner.cli.parser import Parser
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.probe import Probe
 
 
 def add_arguments(parser: Parser) -> None:

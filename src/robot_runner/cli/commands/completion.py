@@ -11,14 +11,12 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import TYPE_CHECKING, Any
+from argparse import Namespace
+from collections.abc import Sequence
+from typing import Any
 
 from robot_runner.cli.commands import command_module, installed_commands, summary_of
 from robot_runner.cli.parser import Parser, UsageError, parser_of
-
-if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Sequence
 
 
 def add_arguments(parser: Parser) -> None:

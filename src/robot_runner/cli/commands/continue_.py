@@ -6,22 +6,16 @@ same as ENTER, or the answers, in its own terminal. `robot-runner status` says w
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from argparse import Namespace
+from collections.abc import Sequence
 
 from robot_runner.cli.console import shown_path
-from robot_runner.cli.parser import add_set, add_target
+from robot_runner.cli.parser import Parser, add_set, add_target
 from robot_runner.cli.target import folder_of_target, only_experiment
-from robot_runner.core.config.operator_steps import read_answers
+from robot_runner.core.config.operator_steps import Question, read_answers
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.experiment_status import continue_and_see, questions_of, read_status, require_waiting
 from robot_runner.core.storage.lock import forget_requests
-
-if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Sequence
-
-    from robot_runner.cli.parser import Parser
-    from robot_runner.core.config.operator_steps import Question
 
 
 def add_arguments(parser: Parser) -> None:

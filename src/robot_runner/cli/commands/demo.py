@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import csv
 import itertools
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,9 +35,6 @@ from robot_runner.core.links.connect import SIMULATED, link_findings
 from robot_runner.core.words import shown_value
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Mapping, Sequence
-
     from robot_runner.cli.parser import Parser
     from robot_runner.core.execution.notices import ExperimentFinished
 

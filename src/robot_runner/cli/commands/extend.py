@@ -5,8 +5,9 @@ More repetitions, treatments or factors, as the config has them now or as is ask
 
 from __future__ import annotations
 
+from argparse import Namespace
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import command_line, output, print_facts, print_json, quiet_loading
 from robot_runner.cli.design_words import (
@@ -16,23 +17,16 @@ from robot_runner.cli.design_words import (
     run_as_json,
     warm_ups_in_words,
 )
-from robot_runner.cli.extension import ExtensionRequest, extend_experiment
+from robot_runner.cli.extension import Extension, ExtensionRequest, extend_experiment
 from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.guard import REFUSED
-from robot_runner.cli.parser import UsageError, add_config, add_json, add_set
+from robot_runner.cli.parser import Parser, UsageError, add_config, add_json, add_set
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.design.design_findings import is_seed
 from robot_runner.core.design.growing import Additions, NewFactor
 from robot_runner.core.secret_names import shown_assignments
 from robot_runner.core.words import counted
-
-if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Iterator, Sequence
-
-    from robot_runner.cli.extension import Extension
-    from robot_runner.cli.parser import Parser
 
 
 def add_arguments(parser: Parser) -> None:

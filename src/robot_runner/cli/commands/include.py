@@ -5,17 +5,12 @@ The journal keeps that they were excluded, why and how long.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from argparse import Namespace
 
 from robot_runner.cli.excluding import include_runs
-from robot_runner.cli.parser import add_runs, add_set, add_target
+from robot_runner.cli.parser import Parser, add_runs, add_set, add_target
 from robot_runner.cli.target import target_and_runs
 from robot_runner.core.words import counted, listed
-
-if TYPE_CHECKING:
-    from argparse import Namespace
-
-    from robot_runner.cli.parser import Parser
 
 
 def add_arguments(parser: Parser) -> None:

@@ -11,19 +11,14 @@ from __future__ import annotations
 import re
 import shlex
 import sys
+from argparse import Namespace
 from keyword import iskeyword
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import command_line, output, print_facts
-from robot_runner.cli.parser import UsageError
+from robot_runner.cli.parser import Parser, UsageError
 from robot_runner.cli.templating import template, write_new_file
 from robot_runner.core.errors import StorageError
-
-if TYPE_CHECKING:
-    from argparse import Namespace
-
-    from robot_runner.cli.parser import Parser
 
 #: The folder that each kind is written to where none is named.
 _PLUGINS = {"profiler": "my_meter", "system": "my_robot"}

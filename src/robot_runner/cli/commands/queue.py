@@ -14,28 +14,24 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from argparse import Namespace
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.cli.commands import run
 from robot_runner.cli.console import output, print_json, quiet_loading, shown_path
 from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.parser import Parser, UsageError, add_json
-from robot_runner.cli.queued_experiments import ExperimentQueue
+from robot_runner.cli.queued_experiments import ExperimentQueue, QueuedExperiment
 from robot_runner.cli.queueing import NAMES_A_ROBOT, QueueRunner, awaited_by, digest_of, execute_queued, named
 from robot_runner.core.config.claims import Claims, held_claims
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import Finding, StorageError, did_you_mean
 from robot_runner.core.secret_names import shown_assignments
-
-if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Iterator
-
-    from robot_runner.cli.queued_experiments import QueuedExperiment
 
 _WHERE = "robot-runner queue"
 

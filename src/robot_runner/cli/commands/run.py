@@ -7,6 +7,8 @@ Runs that are done are not executed again. Exit code 0: all runs are done; 1: so
 from __future__ import annotations
 
 import sys
+from argparse import Namespace
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
@@ -14,27 +16,21 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.cli.byte_code import no_byte_code
 from robot_runner.cli.console import command_line, output, print_json
-from robot_runner.cli.executing import execute_on_screen, read_or_not
+from robot_runner.cli.executing import Execution, execute_on_screen, read_or_not
 from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.page_beside import page_beside
-from robot_runner.cli.parser import RUNS_HELP, add_config, add_json, add_set
+from robot_runner.cli.parser import RUNS_HELP, Parser, add_config, add_json, add_set
 from robot_runner.cli.screens.ending import print_outcome
 from robot_runner.cli.screens.plain import terminal_input
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import prepare
-from robot_runner.core.errors import RobotRunnerError
+from robot_runner.core.errors import Finding, RobotRunnerError
 from robot_runner.core.execution.recovery import Resumption, TableChoice, TableDisagreementError, config_changes
 from robot_runner.core.secret_names import shown_assignments
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Iterator, Sequence
-
-    from robot_runner.cli.executing import Execution
-    from robot_runner.cli.parser import Parser
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.errors import Finding
 
 #: Options that stand for a static parameter.
 _SHORTCUTS = ("cluster", "workers")

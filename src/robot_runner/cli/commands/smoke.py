@@ -8,18 +8,21 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from argparse import Namespace
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.cli.byte_code import no_byte_code
 from robot_runner.cli.console import output, print_facts, quiet_loading, shown_path
-from robot_runner.cli.executing import execute_on_screen, read_or_not
+from robot_runner.cli.executing import Execution, execute_on_screen, read_or_not
 from robot_runner.cli.findings import print_odd, show_findings
 from robot_runner.cli.guard import REFUSED
-from robot_runner.cli.parser import add_config, add_set
+from robot_runner.cli.parser import Parser, add_config, add_set
 from robot_runner.cli.planning import plan_of
 from robot_runner.cli.smoke_test import (
     Shortening,
+    SmokeResult,
     covering_runs,
     result_of,
     shortened_loader,
@@ -32,12 +35,6 @@ from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.words import counted, shown_duration
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Iterator, Mapping
-
-    from robot_runner.cli.executing import Execution
-    from robot_runner.cli.parser import Parser
-    from robot_runner.cli.smoke_test import SmokeResult
     from robot_runner.core.execution.durations import Estimate
 
 

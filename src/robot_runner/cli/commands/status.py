@@ -5,6 +5,8 @@ It is told from what is on disk alone, so from any terminal.
 
 from __future__ import annotations
 
+from argparse import Namespace
+from collections.abc import Iterator
 from dataclasses import asdict
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -13,17 +15,13 @@ from rich.text import Text
 
 from robot_runner.cli.console import UserConsole, output, print_facts, print_json, shown_path
 from robot_runner.cli.findings import as_json, print_odd, quality_in_words
-from robot_runner.cli.parser import add_json, add_set, add_target
+from robot_runner.cli.parser import Parser, add_json, add_set, add_target
 from robot_runner.cli.screens.plain import continue_command
 from robot_runner.cli.target import folder_of_target, only_experiment
 from robot_runner.core.execution.experiment_status import ExperimentStatus, questions_of, read_status
 from robot_runner.core.words import counted, enumerated, one_line, shown_duration
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Iterator
-
-    from robot_runner.cli.parser import Parser
     from robot_runner.core.execution.experiment_history import Session
 
 _BAR = 30

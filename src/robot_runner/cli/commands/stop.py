@@ -5,18 +5,13 @@ The run that is being executed is closed, its robot made safe, and is to be done
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from argparse import Namespace
 
 from robot_runner.cli.console import shown_path
-from robot_runner.cli.parser import add_set, add_target
+from robot_runner.cli.parser import Parser, add_set, add_target
 from robot_runner.cli.target import folder_of_target, only_experiment
 from robot_runner.core.execution.experiment_status import read_status, require_executed
 from robot_runner.core.storage.lock import leave_request
-
-if TYPE_CHECKING:
-    from argparse import Namespace
-
-    from robot_runner.cli.parser import Parser
 
 
 def add_arguments(parser: Parser) -> None:

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from argparse import Namespace
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.text import Text
 
@@ -18,22 +20,14 @@ from robot_runner.cli.chosen_plugin import make_plugin, parsed_value
 from robot_runner.cli.console import UserConsole, output, print_facts, print_folded, print_json, quiet_loading
 from robot_runner.cli.findings import as_json, print_findings, show_findings
 from robot_runner.cli.guard import REFUSED, SOME_FAILED
-from robot_runner.cli.parser import add_json
-from robot_runner.cli.trial import has_mission, try_plugin
+from robot_runner.cli.parser import Parser, add_json
+from robot_runner.cli.trial import CalledEvent, RawFile, Trial, has_mission, try_plugin
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.links.connect import is_simulated
-from robot_runner.core.plugin import System, installed_plugins
+from robot_runner.core.plugin import Plugin, System, installed_plugins
 from robot_runner.core.words import enumerated, one_line, shown_duration, shown_value
-
-if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Iterator, Sequence
-
-    from robot_runner.cli.parser import Parser
-    from robot_runner.cli.trial import CalledEvent, RawFile, Trial
-    from robot_runner.core.plugin import Plugin
 
 _SECONDS = 5.0
 #: A mission of a system is longer than most measurements, and breaks off by itself only where it hangs.

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import complaints, is_live_terminal
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 _BETWEEN_LINES_S = 5.0
 _MEBIBYTE = 1 << 20

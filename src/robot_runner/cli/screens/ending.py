@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import UserConsole, print_facts, shown_path
@@ -10,8 +11,6 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import counted, listed, shown_duration
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from robot_runner.cli.screens.progress import Progress
     from robot_runner.core.execution.notices import ExperimentFinished
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self, TextIO
 
 from rich.cells import cell_len
-from rich.console import Group
+from rich.console import Group, RenderableType
 from rich.live import Live
 from rich.progress_bar import ProgressBar
 from rich.table import Table
@@ -29,7 +30,7 @@ from robot_runner.cli.screens.plain import (
     waited_so_far,
     waiting_at_gate,
 )
-from robot_runner.cli.screens.progress import Progress
+from robot_runner.cli.screens.progress import CurrentRun, Progress
 from robot_runner.cli.screens.run_rows import RunRows, treatments_in_words
 from robot_runner.core.execution.notices import (
     AnswersRefused,
@@ -38,6 +39,7 @@ from robot_runner.core.execution.notices import (
     ExperimentStarted,
     FindingsNoticed,
     GatePassed,
+    GateWaiting,
     HostRestarts,
     InterruptionNoticed,
     NextDecided,
@@ -54,15 +56,8 @@ from robot_runner.core.storage.lock import is_requested
 from robot_runner.core.words import counted, one_line, shown_duration
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from typing import Self, TextIO
-
-    from rich.console import RenderableType
-
     from robot_runner.cli.console import UserConsole
-    from robot_runner.cli.screens.progress import CurrentRun
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.notices import GateWaiting
 
 _BAR = 40
 #: The arrow and the id of a run.

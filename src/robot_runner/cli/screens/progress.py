@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from robot_runner.core.events.measure import Quality
+from robot_runner.core.events.measure import PublishedMeasure, Quality
 from robot_runner.core.execution.notices import (
     AttemptFinished,
     AttemptStarted,
@@ -14,21 +15,17 @@ from robot_runner.core.execution.notices import (
     GatePassed,
     GateWaiting,
     NextDecided,
+    Notice,
     Paused,
     PrecisionJudged,
     RunRecord,
     UserHasContinued,
     WaitingForUser,
 )
-from robot_runner.core.execution.task import AttemptStatus
+from robot_runner.core.execution.task import AttemptStatus, RunTask
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from robot_runner.core.events.measure import PublishedMeasure
     from robot_runner.core.execution.durations import TimeLeft
-    from robot_runner.core.execution.notices import Notice
-    from robot_runner.core.execution.task import RunTask
 
 
 @dataclass(slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from rich.text import Text
@@ -9,18 +10,14 @@ from rich.text import Text
 from robot_runner.cli.console import Column, aligned, fitting, shortened, width_of
 from robot_runner.cli.design_words import heading_of, run_cells, run_columns
 from robot_runner.core.design.columns import REPETITION, numbered_run_id
-from robot_runner.core.events.measure import Quality
-from robot_runner.core.execution.task import AttemptStatus
+from robot_runner.core.events.measure import PublishedMeasure, Quality
+from robot_runner.core.execution.task import AttemptStatus, RunTask
 from robot_runner.core.words import enumerated, one_line, shown_duration, shown_treatment, shown_value
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.design.run_table_model import RunTableModel
-    from robot_runner.core.events.measure import PublishedMeasure
     from robot_runner.core.execution.notices import AttemptFinished, WaitingForUser
-    from robot_runner.core.execution.task import RunTask
 
 #: A measure in four significant digits needs as much, with exponent and question mark.
 _MEASURE = 10

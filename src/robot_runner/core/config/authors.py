@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import ConfigError, Finding
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
 
 _ORCID = re.compile(r"(?:https://orcid\.org/)?(\d{4}-\d{4}-\d{4}-\d{3}[\dX])")
 _URL = re.compile(r"https?://[^\s/]+\S*")

@@ -8,22 +8,25 @@ from __future__ import annotations
 import ast
 import inspect
 import time
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from robot_runner.core.config.parameters import RunProcess
+from robot_runner.core.config.parameters import Parameters, RunProcess
 from robot_runner.core.config.source import tree_of
 from robot_runner.core.errors import Finding
-from robot_runner.core.events.manager import ORCHESTRATED_EVENTS, RUN_EVENTS, RobotRunnerEvents
+from robot_runner.core.events.manager import (
+    ORCHESTRATED_EVENTS,
+    RUN_EVENTS,
+    EventManager,
+    RobotRunnerEvents,
+    Subscriber,
+)
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.words import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
     from robot_runner.core.config.loader import LoadedConfig
-    from robot_runner.core.config.parameters import Parameters
-    from robot_runner.core.events.manager import EventManager, Subscriber
 
 
 def check_callbacks(loaded: LoadedConfig, parameters: Parameters, events: EventManager) -> list[Finding]:

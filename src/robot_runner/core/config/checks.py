@@ -7,13 +7,15 @@ import inspect
 import os
 import shutil
 import sys
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from enum import Enum
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.experiment import experiment_folder
-from robot_runner.core.config.loader import raised_in
+from robot_runner.core.config.loader import LoadedConfig, raised_in
 from robot_runner.core.config.parameters import (
     PARAMETERS,
     REQUIRED,
@@ -30,9 +32,9 @@ from robot_runner.core.design.precision import precision_findings
 from robot_runner.core.design.run_table_model import RunTable, RunTableModel
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, StorageError, did_you_mean
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
-from robot_runner.core.events.measure import CONFIG_OWNER, ROBOT, Measure
+from robot_runner.core.events.measure import CONFIG_OWNER, ROBOT, Measure, MeasureColumns
+from robot_runner.core.late_annotations import names_in
 from robot_runner.core.links.robot_name import Robots
-from robot_runner.core.signatures import names_in
 from robot_runner.core.storage.executed_runs import done_runs
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
@@ -40,11 +42,6 @@ from robot_runner.core.vain_parameters import parameters_guarded
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from robot_runner.core.config.loader import LoadedConfig
-    from robot_runner.core.events.measure import MeasureColumns
     from robot_runner.core.plugin import Plugin
     from robot_runner.core.storage.layout import ExperimentFolder
 

@@ -7,13 +7,14 @@ A claim is a text: `host:localhost` is this machine, its processor, memory and e
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.config.parameters import RunProcess
+from robot_runner.core.config.parameters import Parameters, RunProcess
 from robot_runner.core.config.plugin_checks import failed_check
 from robot_runner.core.errors import Finding
-from robot_runner.core.events.manager import RUN_EVENTS
+from robot_runner.core.events.manager import RUN_EVENTS, EventManager
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.plugin import THIS_MACHINE, Plugin
@@ -21,11 +22,7 @@ from robot_runner.core.treatments import built_with, factors_of, values_of
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.design.run_table_model import RunTableModel
-    from robot_runner.core.events.manager import EventManager
 
 
 #: Of a design with more runs than this, the first ones tell what all of them claim.

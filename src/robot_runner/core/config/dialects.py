@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -19,8 +20,6 @@ from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import Finding, PluginError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from robot_runner.core.config.loader import LoadedConfig
 
 

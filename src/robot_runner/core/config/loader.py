@@ -9,6 +9,7 @@ import re
 import sys
 import threading
 import traceback
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -22,15 +23,13 @@ from robot_runner.core.config.parameters import PARAMETERS
 from robot_runner.core.config.source import ConfigSource, activating_imports, read_source
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, did_you_mean, nearest
 from robot_runner.core.events.manager import RequestedSubscription, recorded_subscriptions
+from robot_runner.core.late_annotations import signature_of
 from robot_runner.core.secret_names import shown_settings
-from robot_runner.core.signatures import signature_of
 from robot_runner.core.storage.table_columns import OWN_SPELLING, TableSpelling
 from robot_runner.core.treatments import is_waiting
 from robot_runner.core.vain_parameters import CONFIG_MODULE, parameters_guarded
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-
     from robot_runner.core.plugin import Plugin
     from robot_runner.core.storage.layout import ExperimentFolder
 

@@ -11,18 +11,15 @@ import hashlib
 import json
 import os
 import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 from importlib.machinery import PathFinder
 from pathlib import Path
-from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
 from robot_runner.core.config.source import tree_of
 from robot_runner.core.vain_parameters import CONFIG_MODULE
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
 
 #: Python's own modules and ours: they lie below a config in the home folder where Python, or a clone, is there too.
 _OF_NO_CONFIG = (Path(os.__file__).parent, Path(__file__).parents[2])

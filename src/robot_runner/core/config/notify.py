@@ -5,15 +5,11 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, did_you_mean
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
 
 #: What can be told of.
 NOTIFIED_OF = ("end", "failure", "waiting")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -19,7 +19,6 @@ from robot_runner.core.links.declared_host import are_hosts, named_hosts
 from robot_runner.core.links.robot_name import Robots
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from enum import Enum
 
 

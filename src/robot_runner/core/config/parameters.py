@@ -6,6 +6,7 @@ checked, normalised, read from the command line and documented.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -42,8 +43,6 @@ from robot_runner.core.config.parameter_kinds import (
 from robot_runner.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from robot_runner.core.config.authors import Author
     from robot_runner.core.config.notify import Notify
     from robot_runner.core.config.operator_steps import OperatorStep

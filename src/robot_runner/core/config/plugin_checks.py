@@ -5,14 +5,14 @@ from __future__ import annotations
 import difflib
 import inspect
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import islice
 from math import prod
 from types import CodeType
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from robot_runner.core.config.loader import place_in
+from robot_runner.core.config.loader import LoadedConfig, place_in
 from robot_runner.core.design.factor import treatment_text
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.entry_points import EntryPoint, entry_points
@@ -23,9 +23,6 @@ from robot_runner.core.plugin import Circumstances, Plugin, refused_name
 from robot_runner.core.treatments import Treatment, bind, built_with, factors_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from robot_runner.core.config.loader import LoadedConfig
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.design.run_table_model import RunTableModel
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -59,8 +59,6 @@ from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.design.warm_up import WarmUp
     from robot_runner.core.plugin import Plugin

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from itertools import filterfalse
 from pathlib import Path
@@ -17,8 +18,6 @@ from robot_runner.core.storage.registration import Registration, differences, re
 from robot_runner.core.words import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from robot_runner.core.config.loader import LoadedConfig
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.design.run_table_model import RunTableModel

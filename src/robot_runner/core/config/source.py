@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import sys
 import warnings
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.abc import Loader, MetaPathFinder
@@ -18,13 +19,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import ConfigError, nearest
-from robot_runner.core.plugin import GROUPS, find_plugin
+from robot_runner.core.plugin import GROUPS, Plugin, find_plugin
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
     from types import ModuleType
 
-    from robot_runner.core.plugin import Plugin
 
 CONFIG_CLASS = "RobotRunnerConfig"
 _CONFIG_BASE = "ExperimentConfig"

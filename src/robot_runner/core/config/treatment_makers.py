@@ -5,23 +5,22 @@ Packages announce what makes treatments in the group `robot_runner.preparations`
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
 from robot_runner.core.config.plugin_checks import announced_findings
+from robot_runner.core.design.factor import Factor
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.manifest import read_manifest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from robot_runner.core.design.factor import Factor
     from robot_runner.core.storage.layout import ExperimentFolder
 
 

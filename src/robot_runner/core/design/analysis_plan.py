@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import Any, Self
 
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.hypothesis import Hypothesis, names_findings, names_of
 from robot_runner.core.design.outliers import Doubtful, Outliers
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from typing import Self
-
 
 #: Covariates that are no measures: the place in the order of execution (from 1), and the seconds since the first run.
 ORDER, ELAPSED = "order", "elapsed"

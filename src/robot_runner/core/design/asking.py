@@ -7,18 +7,16 @@ was taken down asks the same question, and gets the same answer. An answer that 
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
-from robot_runner.core.design.design import CombinationDesign, Design
+from robot_runner.core.design.design import CombinationDesign, Design, IsAllowed
+from robot_runner.core.design.factor import Combination, Factor
 from robot_runner.core.errors import Finding
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from robot_runner.core.design.design import IsAllowed
-    from robot_runner.core.design.factor import Combination, Factor
     from robot_runner.core.design.planned_runs import PlannedRun
 
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
 
 #: What the role of a batch is called that confirms what the runs before have found.
 CONFIRMATION = "confirmation"

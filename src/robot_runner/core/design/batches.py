@@ -8,6 +8,7 @@ and by repetitions, which are added while it is executed until it is precise: th
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from itertools import count
@@ -17,19 +18,15 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.design.batch import Batch, BatchRun, plain_treatment
 from robot_runner.core.design.columns import REPETITION, numbered_run_id
 from robot_runner.core.design.factor import Combination, Factor, factor_places
-from robot_runner.core.design.growing import typed
+from robot_runner.core.design.growing import Begun, GrownDesign, typed
 from robot_runner.core.design.listed_runs import run_findings
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, arranged
 from robot_runner.core.design.run_table_model import RunTable, RunTableModel
-from robot_runner.core.design.warm_up import with_warm_ups
+from robot_runner.core.design.warm_up import WarmUp, with_warm_ups
 from robot_runner.core.errors import DesignError, Finding
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
     from robot_runner.core.design.asking import Decision
-    from robot_runner.core.design.growing import Begun, GrownDesign
-    from robot_runner.core.design.warm_up import WarmUp
 
 #: The kind of the journal's record of an extension: the batch that it added; the first one has the plan before it, too.
 EXTENDED = "extended"

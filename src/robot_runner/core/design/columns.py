@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import unicodedata
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Iterator
+from typing import Protocol
 
 from robot_runner.core.errors import Finding
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 
 class _Named(Protocol):

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import count
-from typing import TYPE_CHECKING, Any, Final, Protocol, Self, runtime_checkable
+from typing import Any, Final, Protocol, Self, runtime_checkable
 
 from robot_runner.core.design.columns import numbered_run_id
 from robot_runner.core.design.factor import Combination, Factor, factor_places, full_factorial, treatment_text
 from robot_runner.core.design.planned_runs import PlannedRun
-from robot_runner.core.errors import DesignError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from robot_runner.core.errors import Finding
+from robot_runner.core.errors import DesignError, Finding
 
 #: Whether the exclusions leave a combination. The one that a run-table model gives is an `exclusions.Allowed`, which
 #: also says which treatments exclude each other, for designs that build combinations factor by factor.

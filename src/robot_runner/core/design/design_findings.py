@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from math import log10, prod
-from typing import TYPE_CHECKING
 
 from robot_runner.core.design.columns import REPETITION, WARM_UP, column_name, name_findings
 from robot_runner.core.design.design import CombinationDesign, Design, FullFactorial
@@ -14,10 +13,6 @@ from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.factor_conditions import condition_findings
 from robot_runner.core.design.warm_up import warm_up_of
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
 
 #: Whether the runs of a design that is too large are listed in a table.
 _ARE_LISTED: ContextVar[bool] = ContextVar("_ARE_LISTED", default=False)

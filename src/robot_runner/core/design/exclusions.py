@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import or_
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.design.factor import Combination, Factor
 from robot_runner.core.design.factor_conditions import identified, impossible_treatments
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
 
 #: `{"Task": ["Video", "Network"], "Speed": 0.2}` leaves out what matches in *all* named factors;
 #: a predicate leaves out the combinations for which it returns True.

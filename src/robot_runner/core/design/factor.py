@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice, product, repeat
 from math import prod
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.design.columns import name_findings
 from robot_runner.core.design.factor_conditions import identified, impossible_treatments
@@ -15,10 +15,6 @@ from robot_runner.core.design.numeric_range import Range
 from robot_runner.core.design.revision import Revision, is_revision_name
 from robot_runner.core.errors import DesignError, Finding, nearest
 from robot_runner.core.inactive import INACTIVE
-
-if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterator, Sequence
-
 
 # What a treatment looks like in the run table, and what keeps a value from being one.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from decimal import Decimal
@@ -15,15 +16,12 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.design.asking import decides_order
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.design_findings import MAX_RUNS
-from robot_runner.core.design.factor import Factor, treatment_text
+from robot_runner.core.design.factor import Combination, Factor, treatment_text
 from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 from robot_runner.core.inactive import INACTIVE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from robot_runner.core.design.factor import Combination
     from robot_runner.core.design.planned_runs import PlannedRun
     from robot_runner.core.design.run_table_model import RunTableModel
 

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import DesignError, Finding
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
 
 #: Weights of a contrast that sum up to less are a sum of zero but for rounding.
 _ROUNDING = 1e-9

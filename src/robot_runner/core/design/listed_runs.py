@@ -4,22 +4,16 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import repeat
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from robot_runner.core.design.columns import column_name
-from robot_runner.core.design.factor import Combination, factor_places
+from robot_runner.core.design.columns import NamedColumn, column_name
+from robot_runner.core.design.factor import Combination, Factor, factor_places
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder
 from robot_runner.core.design.run_table_model import RunTable, RunTableModel
 from robot_runner.core.errors import DesignError, Finding
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from robot_runner.core.design.columns import NamedColumn
-    from robot_runner.core.design.factor import Factor
-
 
 _RUN_ID = re.compile(r"\w[\w.-]{0,59}")  # it names the run's folder
 

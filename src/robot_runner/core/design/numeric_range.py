@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import TYPE_CHECKING
+from typing import TypeGuard
 
 from robot_runner.core.errors import DesignError, Finding
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from typing import TypeGuard
-
 
 #: Without a step of its own a range has about a thousand: finer than a robot can be set, and short in the table.
 _STEPS = 1000

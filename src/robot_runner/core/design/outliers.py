@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import DesignError, Finding
 from robot_runner.core.words import exact
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
 
 _ENDS = 2
 _WHERE = "analysis, outliers"

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import gc
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import chain, repeat
 from random import Random
 from secrets import randbits
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from robot_runner.core.design.columns import numbered_run_id
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from robot_runner.core.design.factor import Combination
-
+from robot_runner.core.design.factor import Combination
 
 # The order of the runs: as written, randomised, or randomised within complete blocks. Always from a known seed.
 

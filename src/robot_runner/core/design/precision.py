@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import Any, Self
 
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 from robot_runner.core.words import exact, has_true_zero
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from typing import Self
-
 
 #: Two values have a spread, and nobody would trust it.
 LEAST_REPETITIONS = 3

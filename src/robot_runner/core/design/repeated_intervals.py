@@ -12,13 +12,9 @@ It needs no library, so that the smallest computer can tell after a run whether 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import pairwise
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
 
 #: How often all intervals that are looked at hold their value.
 CONFIDENCE = 0.95

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, overload
 
-from robot_runner.core.design.columns import REPETITION
+from robot_runner.core.design.columns import REPETITION, NamedColumn
 from robot_runner.core.design.design import (
     ChosenCombinations,
     CombinationDesign,
@@ -18,18 +18,14 @@ from robot_runner.core.design.design import (
     grown_choice,
 )
 from robot_runner.core.design.design_findings import design_findings, order_findings, size_findings
-from robot_runner.core.design.exclusions import Allowed, apply_exclusions
+from robot_runner.core.design.exclusions import Allowed, Exclusion, Exclusions, apply_exclusions
 from robot_runner.core.design.factor import Combination, Factor, full_factorial
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, garbage_collection_paused, planned_runs
 from robot_runner.core.design.warm_up import WarmUp, warm_up_of, with_warm_ups
 from robot_runner.core.errors import DesignError, Finding
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from robot_runner.core.design.batch import Batch
-    from robot_runner.core.design.columns import NamedColumn
-    from robot_runner.core.design.exclusions import Exclusion, Exclusions
 
 
 class RunTable(Sequence[PlannedRun]):

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
 
 from robot_runner.core.design.factor import UnknownFactorError
 from robot_runner.core.errors import Finding
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 
 class WatchedCombination(Mapping[str, Any]):

@@ -5,21 +5,14 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.design.numeric_range import is_number
-from robot_runner.core.errors import ConditionError, ConditionTimeout
-from robot_runner.core.events.context import SystemClock
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from robot_runner.core.errors import Finding
-    from robot_runner.core.events.context import Clock, RobotRunnerContext
-
+from robot_runner.core.errors import ConditionError, ConditionTimeout, Finding
+from robot_runner.core.events.context import Clock, RobotRunnerContext, SystemClock
 
 #: What is left of a wait is not slept, s: on a clock whose steps are longer than that it would never be over.
 _RESOLUTION = 1e-6

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol, runtime_checkable
 
-from robot_runner.core.errors import LinkError, PluginError
-from robot_runner.core.events.early_end import EndingInPlace
+from robot_runner.core.errors import Finding, LinkError, PluginError
+from robot_runner.core.events.early_end import Ending, EndingInPlace
 from robot_runner.core.events.measure import MeasureValue, Origin, PublishedMeasure
 from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
 from robot_runner.core.storage.guarded_files import make_experiment_folder, make_folder
@@ -18,12 +21,6 @@ from robot_runner.core.storage.outliving import program_name, spare
 from robot_runner.core.storage.record_shapes import ClockFacts
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from contextlib import AbstractContextManager
-    from pathlib import Path
-
-    from robot_runner.core.errors import Finding
-    from robot_runner.core.events.early_end import Ending
     from robot_runner.core.events.host_access import HostAccess
     from robot_runner.core.events.outlook import ExperimentEnd, NextRun
     from robot_runner.core.events.resources import Resources

@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
 from numbers import Integral, Real
-from typing import TYPE_CHECKING
 
-from robot_runner.core.design.columns import name_findings
+from robot_runner.core.design.columns import NamedColumn, name_findings
 from robot_runner.core.errors import Finding, MeasureError, did_you_mean
 from robot_runner.core.words import exact
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from robot_runner.core.design.columns import NamedColumn
-
 
 #: What a cell of the run table can hold. None is a missing value: an empty cell.
 MeasureValue = int | float | bool | str | None

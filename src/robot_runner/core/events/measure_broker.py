@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from robot_runner.core.errors import Finding, MeasureError, did_you_mean
-from robot_runner.core.events.measure import Origin, PublishedMeasure, as_measure_value, shown
+from robot_runner.core.events.measure import (
+    MeasureColumn,
+    MeasureColumns,
+    MeasureValue,
+    Origin,
+    PublishedMeasure,
+    as_measure_value,
+    shown,
+)
 from robot_runner.core.secret_names import without_environment_secrets
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from robot_runner.core.events.measure import MeasureColumn, MeasureColumns, MeasureValue
-
 
 #: Takes what happens in a run as it happens: a kind and its plain fields.
 ReportRecord = Callable[[str, dict[str, Any]], None]

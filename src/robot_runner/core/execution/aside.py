@@ -6,6 +6,7 @@ as a run is, in a scratch folder: what it opens, breaks or leaves behind is gone
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -16,17 +17,13 @@ from robot_runner.core.config.parameters import Parameters, RunProcess
 from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents, methods_of
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.execution.executor import begin_run
-from robot_runner.core.execution.patience import Patience
-from robot_runner.core.execution.task import OutcomeBuilder
+from robot_runner.core.execution.patience import Patience, Steps
+from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
-
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.patience import Steps
     from robot_runner.core.execution.places import Watch
-    from robot_runner.core.execution.task import RunOutcome, RunTask
     from robot_runner.core.plugin import Profiler
 
 

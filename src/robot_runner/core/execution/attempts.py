@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -23,19 +24,15 @@ from robot_runner.core.execution.notices import (
     RunRecord,
 )
 from robot_runner.core.execution.operator import Operator
-from robot_runner.core.execution.places import Watch
-from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder
+from robot_runner.core.execution.places import Place, Watch
+from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder, PendingRun, Report, RunOutcome, RunTask
 from robot_runner.core.treatments import bind, factors_of, values_of
 from robot_runner.core.words import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from robot_runner.core.design.design import HeldOrder
     from robot_runner.core.execution.orchestrator_events import OngoingExperiment
     from robot_runner.core.execution.patience import Steps
-    from robot_runner.core.execution.places import Place
-    from robot_runner.core.execution.task import PendingRun, Report, RunOutcome, RunTask
 
 
 class Attempts:

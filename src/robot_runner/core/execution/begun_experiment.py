@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ from robot_runner.core.config.plugin_checks import check_plugins, check_treatmen
 from robot_runner.core.config.treatment_makers import Workshop, made_treatments
 from robot_runner.core.design.asking import AdaptiveDesign
 from robot_runner.core.design.batches import GrownRunTableModel, as_configured, described_design
+from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.circumstances import (
@@ -26,10 +28,7 @@ from robot_runner.core.treatments import factors_of
 from robot_runner.core.words import counted, enumerated, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.design.factor import Factor
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.execution.interruption import Interruption
     from robot_runner.core.execution.recovered_table import RecoveredTable

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.local_modules import editable_code
@@ -13,7 +15,7 @@ from robot_runner.core.design.precision import rules_as_mapping
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.execution.given_values import changed_values, given_values
 from robot_runner.core.execution.recovery import config_files
-from robot_runner.core.plugin import described_circumstances, installed_plugins
+from robot_runner.core.plugin import Plugin, described_circumstances, installed_plugins
 from robot_runner.core.secret_names import hidden_settings
 from robot_runner.core.storage.git_repository import LARGEST_DIFF, repository_state, uncommitted_changes
 from robot_runner.core.storage.guarded_files import MissingFileError, make_folder, read_bytes, replace
@@ -25,11 +27,7 @@ from robot_runner.core.treatments import factors_of
 from robot_runner.core.words import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.plugin import Plugin
 
 
 def manifest_of(experiment: Experiment) -> dict[str, Any]:

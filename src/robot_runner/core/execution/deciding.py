@@ -7,10 +7,11 @@ with the same plan; where the kill came before, the same is asked again, and ans
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
-from robot_runner.core.design.asking import AdaptiveDesign, Told
+from robot_runner.core.design.asking import AdaptiveDesign, Asking, Decision, Told
 from robot_runner.core.design.batches import (
     EXTENDED,
     GrownRunTableModel,
@@ -21,11 +22,12 @@ from robot_runner.core.design.batches import (
     records_of,
 )
 from robot_runner.core.design.columns import WARM_UP
+from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.growing import Begun, GrownDesign
 from robot_runner.core.design.outliers import Doubtful
-from robot_runner.core.design.planned_runs import RunOrder
+from robot_runner.core.design.planned_runs import PlannedRun, RunOrder
 from robot_runner.core.design.precise_estimates import JudgedPrecision, UntilPrecise
-from robot_runner.core.design.precision import LEAST_REPETITIONS
+from robot_runner.core.design.precision import LEAST_REPETITIONS, Precision
 from robot_runner.core.errors import Finding
 from robot_runner.core.execution.notices import NextDecided, PrecisionJudged
 from robot_runner.core.execution.task import seed_of_run
@@ -34,13 +36,7 @@ from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import utc_now
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.design.asking import Asking, Decision
-    from robot_runner.core.design.factor import Factor
-    from robot_runner.core.design.planned_runs import PlannedRun
-    from robot_runner.core.design.precision import Precision
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.execution.recovered_table import RecoveredTable
     from robot_runner.core.storage.run_table_rows import RunTableRows

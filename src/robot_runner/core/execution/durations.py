@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter, deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.config.parameters import OperationType
+from robot_runner.core.config.parameters import OperationType, Parameters
 from robot_runner.core.execution.mission_knowledge import (
     CombinationKey,
     MissionKnowledge,
@@ -24,10 +26,6 @@ from robot_runner.core.storage.journal import last_records
 from robot_runner.core.words import counted, enumerated, shown_duration
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.events.manager import EventManager
     from robot_runner.core.plugin import Plugin
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.config.claims import worker_count
+from robot_runner.core.config.claims import Claims, worker_count
 from robot_runner.core.config.parameters import Parameters, RunProcess
 from robot_runner.core.entry_points import named_entry_point
 from robot_runner.core.errors import PluginError, RobotRunnerError
@@ -17,21 +18,16 @@ from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.keeper import Keeper, reap_keepers
 from robot_runner.core.execution.open_files import write_inherited
 from robot_runner.core.execution.run_events import execute_run
-from robot_runner.core.execution.run_records import FINISHED, RecordReader
-from robot_runner.core.execution.standby import standby_of
+from robot_runner.core.execution.run_records import FINISHED, RecordReader, RecordWriter
+from robot_runner.core.execution.standby import Standby, standby_of
 from robot_runner.core.execution.worker import be_run, become_interpreter
 from robot_runner.core.links.connect import is_simulated, preload_simulation
 from robot_runner.core.secret_names import sentences_without_secrets
 from robot_runner.core.storage.layout import LazyLog
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-
-    from robot_runner.core.config.claims import Claims
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.places import Place, Places, RunInFlight, Watch
-    from robot_runner.core.execution.run_records import RecordWriter
-    from robot_runner.core.execution.standby import Standby
     from robot_runner.core.execution.systems_state import SystemsState
     from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 

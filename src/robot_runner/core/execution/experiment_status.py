@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.operator_steps import Question
 from robot_runner.core.design.precision import rule_in_words, rules_of_mapping
-from robot_runner.core.errors import ExecutionError
+from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.durations import Durations, TimeLeft
-from robot_runner.core.execution.experiment_history import ExperimentHistory
+from robot_runner.core.execution.experiment_history import ExperimentHistory, Session
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import moved_in_words, moved_runs, unrecorded_findings
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -21,11 +23,6 @@ from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    from robot_runner.core.errors import Finding
-    from robot_runner.core.execution.experiment_history import Session
     from robot_runner.core.execution.places import InFlight
 
 

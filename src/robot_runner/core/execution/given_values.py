@@ -15,7 +15,7 @@ import re
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from datetime import UTC, date, datetime, timedelta
@@ -34,8 +34,6 @@ from robot_runner.core.treatments import Bindable, Treatment, given_to
 from robot_runner.core.vain_parameters import CONFIG_MODULE
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
-
     from robot_runner.core.config.experiment import Experiment
 
 

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError
-from robot_runner.core.links.declared_host import host_findings
-from robot_runner.core.plugin import System
+from robot_runner.core.events.context import RobotRunnerContext
+from robot_runner.core.links.declared_host import Host, host_findings
+from robot_runner.core.plugin import Circumstances, Plugin, System
 from robot_runner.core.words import shown_duration
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-
     from robot_runner.core.config.parameters import Parameters
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.links.declared_host import Host
-    from robot_runner.core.plugin import Circumstances, Plugin
 
 
 _NAME = "host_files"

@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Self
 from weakref import WeakSet
@@ -20,7 +21,6 @@ from robot_runner.core.events.early_end import MissionStopped, RunFailed, RunInt
 from robot_runner.core.execution.failures import failure_fields, text_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
     from types import FrameType
 
     from robot_runner.core.events.manager import RobotRunnerEvents

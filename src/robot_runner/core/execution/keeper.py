@@ -24,6 +24,7 @@ import os
 import select
 import signal
 import time
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import TYPE_CHECKING, Self
 
@@ -47,8 +48,6 @@ from robot_runner.core.execution.run_records import RecordWriter
 from robot_runner.core.storage.outliving import is_spared, outliving
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from robot_runner.core.execution.standby import Standby
     from robot_runner.core.storage.layout import ExperimentFolder
 

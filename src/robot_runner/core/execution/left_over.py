@@ -21,6 +21,7 @@ import re
 import signal
 import sys
 import time
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -45,8 +46,6 @@ from robot_runner.core.storage.outliving import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from robot_runner.core.storage.layout import ExperimentFolder
 
 

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding
-from robot_runner.core.events.manager import RobotRunnerEvents
+from robot_runner.core.events.manager import EventManager, RobotRunnerEvents
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.treatments import built_with
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from robot_runner.core.events.manager import EventManager
     from robot_runner.core.plugin import Plugin
 
 

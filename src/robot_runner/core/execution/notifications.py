@@ -13,6 +13,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -25,6 +26,7 @@ from robot_runner.core.execution.notices import (
     ExperimentStarted,
     GateWaiting,
     NextDecided,
+    Notice,
     PrecisionJudged,
     WaitingForUser,
 )
@@ -32,11 +34,8 @@ from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.words import counted, one_line, shown_duration, shown_treatment
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.interruption import Interruption
-    from robot_runner.core.execution.notices import Notice
 
 
 _MODULE = "robot_runner.core.execution.notification_sender"

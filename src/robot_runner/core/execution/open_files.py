@@ -12,12 +12,10 @@ import io
 import os
 import stat
 import sys
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from weakref import ref
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
 
 _BUFFERED = (io.BufferedWriter, io.BufferedRandom)
 #: What writes its end when it is closed, and is no file without that: the modules are known where they are imported.

@@ -5,9 +5,10 @@ from __future__ import annotations
 import gc
 import logging
 import time
+from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.claims import Claims, held_claims
 from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, StorageError
@@ -37,9 +38,6 @@ from robot_runner.core.storage.claim_locks import HeldClaims
 from robot_runner.core.storage.lock import forget_requests, is_requested
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from typing import Any
-
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.task import RunTask
 

@@ -9,16 +9,13 @@ from __future__ import annotations
 import os
 import select
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Collection, Generator, Sequence
 from typing import TYPE_CHECKING, TypeVar
 
-from robot_runner.core.execution.places import INTERRUPTED, Awaited
+from robot_runner.core.execution.places import INTERRUPTED, Awaited, Places
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
-
     from robot_runner.core.execution.interruption import Interruption
-    from robot_runner.core.execution.places import Places
 
 
 _READABLE = select.POLLIN | select.POLLHUP | select.POLLERR

@@ -14,12 +14,11 @@ alone writes the journal and the run table.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
-
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.interruption import Interruption
     from robot_runner.core.execution.task import OutcomeBuilder, Report, RunOutcome, RunTask

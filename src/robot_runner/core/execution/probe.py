@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -13,20 +14,16 @@ from robot_runner.core.events.manager import RUN_EVENTS, EventManager, RobotRunn
 from robot_runner.core.execution.aside import execute_aside
 from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.places import Watch
-from robot_runner.core.execution.task import AttemptStatus, RunTask, seed_of_run
+from robot_runner.core.execution.task import AttemptStatus, RunFailure, RunOutcome, RunTask, seed_of_run
 from robot_runner.core.links.connect import is_simulated
-from robot_runner.core.plugin import Profiler
+from robot_runner.core.plugin import Plugin, Profiler
 from robot_runner.core.storage.lock import ExperimentLock
 from robot_runner.core.treatments import built_with, factors_of
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.events.measure import MeasureColumn, PublishedMeasure
-    from robot_runner.core.execution.task import RunFailure, RunOutcome
-    from robot_runner.core.plugin import Plugin
 
 
 #: The id of the run that a probe is, in its findings and in the contexts of its callbacks.

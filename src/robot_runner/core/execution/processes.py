@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 import warnings
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from io import TextIOWrapper
 from typing import TYPE_CHECKING, NoReturn, TextIO
@@ -20,8 +21,6 @@ from robot_runner.core.storage.masked_log import MaskedText
 from robot_runner.core.storage.outliving import is_spared, process_stat, processes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from robot_runner.core.execution.task import Report
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Self
@@ -12,11 +13,11 @@ from robot_runner.core.config.treatment_makers import PREPARED, known_treatments
 from robot_runner.core.design.batches import described_design
 from robot_runner.core.execution.begun_experiment import begun_manifest, made_folder, refuse_unfit_treatments
 from robot_runner.core.execution.circumstances import keep_config
-from robot_runner.core.execution.deciding import Deciding
-from robot_runner.core.execution.durations import durations_of
+from robot_runner.core.execution.deciding import Deciding, Growth
+from robot_runner.core.execution.durations import Durations, TimeLeft, durations_of
 from robot_runner.core.execution.left_over import await_left_over
-from robot_runner.core.execution.recovered_table import TableOnDisk, texts_of
-from robot_runner.core.execution.recovery import selected_places, with_session_warm_ups
+from robot_runner.core.execution.recovered_table import RecoveredTable, TableOnDisk, texts_of
+from robot_runner.core.execution.recovery import Resumption, selected_places, with_session_warm_ups
 from robot_runner.core.execution.run_facts import CALLED, ReportedFacts, UnreadFactors, missing_measures
 from robot_runner.core.execution.standby import await_standby
 from robot_runner.core.execution.table_recovery import recover_table
@@ -28,16 +29,10 @@ from robot_runner.core.storage.lock import ExperimentLock, forget_requests
 from robot_runner.core.storage.manifest import write_manifest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.errors import Finding
-    from robot_runner.core.execution.deciding import Growth
-    from robot_runner.core.execution.durations import Durations, TimeLeft
     from robot_runner.core.execution.notices import NextDecided, PrecisionJudged
     from robot_runner.core.execution.probe import Probe
-    from robot_runner.core.execution.recovered_table import RecoveredTable
-    from robot_runner.core.execution.recovery import Resumption
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import re
 import time
 from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import chain
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -15,20 +17,15 @@ from robot_runner.core.errors import Finding, StorageError
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import DONE_BEFORE, EXCLUSION_KINDS, ExcludedRuns
-from robot_runner.core.storage.journal import journal_lines, parsed_record, utc_now
-from robot_runner.core.storage.run_table_rows import write_run_table
+from robot_runner.core.storage.journal import Journal, journal_lines, parsed_record, utc_now
+from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 from robot_runner.core.storage.table_schema import describe_columns, write_schema
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.design.run_table_model import RunTable
-    from robot_runner.core.storage.journal import Journal
-    from robot_runner.core.storage.run_table_rows import RunTableRows
 
 
 # As `Journal.append` writes them: run and status are read from the line, as parsing takes twenty times as long.

@@ -6,6 +6,7 @@ import os
 import shlex
 import shutil
 import sys
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
@@ -14,17 +15,14 @@ from robot_runner.core.design.watched_combination import unread
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import RUN_EVENTS, RobotRunnerEvents
 from robot_runner.core.events.measure import CONFIG_OWNER, OPERATOR_OWNER
-from robot_runner.core.execution.task import AttemptStatus
-from robot_runner.core.storage.layout import keep_refused
+from robot_runner.core.execution.task import AttemptStatus, Report, RunOutcome, RunTask
+from robot_runner.core.storage.layout import ExperimentFolder, keep_refused
 from robot_runner.core.storage.manifest import described_programs
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from types import FrameType
 
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.task import Report, RunOutcome, RunTask
-    from robot_runner.core.storage.layout import ExperimentFolder
 
 
 #: The kind of the record that says that a program was called, and which other one names a program.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict, deque
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import chain
@@ -13,17 +14,13 @@ from robot_runner.core.events.measure import ROBOT
 from robot_runner.core.execution.attempts import Attempts
 from robot_runner.core.execution.left_over import forget_runs_elsewhere, runs_elsewhere
 from robot_runner.core.execution.mission_knowledge import combination_key
-from robot_runner.core.execution.patience import Pause
-from robot_runner.core.execution.task import AttemptStatus
+from robot_runner.core.execution.patience import Pause, Steps
+from robot_runner.core.execution.task import AttemptStatus, PendingRun, RunOutcome, RunTask
 from robot_runner.core.storage.cells import RunStatus
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
-
     from robot_runner.core.execution.orchestrator_events import OngoingExperiment
-    from robot_runner.core.execution.patience import Steps
     from robot_runner.core.execution.places import Awaited, Place, Places
-    from robot_runner.core.execution.task import PendingRun, RunOutcome, RunTask
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
 

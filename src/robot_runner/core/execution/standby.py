@@ -14,9 +14,10 @@ import select
 import signal
 import sys
 import time
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, suppress
 from copy import copy as shallow_copy
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.events.context import SystemClock
@@ -31,18 +32,14 @@ from robot_runner.core.links.commanded_topics import keep_commanding_zero
 from robot_runner.core.links.connect import connect_robot, is_simulated, join_beforehand, preload_robot
 from robot_runner.core.plugin import System
 from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, remove
-from robot_runner.core.storage.layout import print_to_log
+from robot_runner.core.storage.layout import ExperimentFolder, print_to_log
 from robot_runner.core.storage.lock_files import open_to_lock, was_open_to_strangers
 from robot_runner.core.treatments import factors_of
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from typing import Any
-
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.task import RunTask
-    from robot_runner.core.storage.layout import ExperimentFolder
 
 #: How long the standby may take from the run's death on, s. Finding a robot's nodes takes tenths, or up to 8 s where
 #: one is switched off; telling the robot to stand still takes 4 to 12 s; and where something fails, all of it is done

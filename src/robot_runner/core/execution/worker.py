@@ -11,12 +11,14 @@ import os
 import signal
 import sys
 import tempfile
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import ConfigError
 from robot_runner.core.execution.interruption import STOP_SIGNALS, InterruptGate
@@ -32,10 +34,7 @@ from robot_runner.core.storage.layout import print_to_log
 from robot_runner.core.treatments import bind
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.design.factor import Factor
 
 _MODULE = "robot_runner.core.execution.worker"
 

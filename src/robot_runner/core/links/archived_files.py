@@ -6,16 +6,13 @@ import errno
 import os
 import shutil
 import tarfile
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import IO, TYPE_CHECKING
+from typing import IO
 
 from robot_runner.core.words import one_line
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
 
 #: What an archive may have beyond the bytes of its files: headers, and the blocks that it is filled up with.
 TAR_MARGIN = 10_000_000

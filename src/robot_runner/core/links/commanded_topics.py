@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.robot import Advertiser
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from robot_runner.core.links.robot import RobotLink
+from robot_runner.core.links.robot import Advertiser, RobotLink
 
 #: For how long and how often a robot is told to stand still, s: it may be discovered only now, on Fast DDS up to 3.2 s
 #: after this process has joined, and one message may be lost.

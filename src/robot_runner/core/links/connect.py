@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, nearest
-from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.context import Clock, RobotRunnerContext, SystemClock
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.links.graph_names import full_name, namespace_prefix
 from robot_runner.core.links.kinds import (
     FindsRobot,
+    FoundRobot,
     JoinsGraph,
     LooksAtGraph,
     Preloads,
@@ -22,15 +24,11 @@ from robot_runner.core.links.kinds import (
     link_key,
     link_kind,
 )
+from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.links.robot_name import RobotName
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
-    from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.links.graph_needs import GraphNeed
-    from robot_runner.core.links.kinds import FoundRobot
-    from robot_runner.core.links.robot import RobotLink
     from robot_runner.core.storage.input_files import InputFile
 
 

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import ConfigError, Finding, LinkError
 from robot_runner.core.events.condition import Condition
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
 
 #: The name of this machine as a host.
 LOCAL = "localhost"

@@ -5,28 +5,22 @@ from __future__ import annotations
 import math
 import shlex
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from robot_runner.core.errors import CommandError, LinkError, did_you_mean
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.host_access import CommandResult
 from robot_runner.core.links.archived_files import TAR_MARGIN, Unpacked, pack, unpack
-from robot_runner.core.links.declared_host import FETCHABLE, is_fetchable
-from robot_runner.core.links.host_program import MOST_KEPT, Program, last_lines, shell_path, shortened
+from robot_runner.core.links.declared_host import FETCHABLE, Host, is_fetchable
+from robot_runner.core.links.host_program import MOST_KEPT, Ended, Program, last_lines, shell_path, shortened
 from robot_runner.core.links.ssh_command import KeptConnection
 from robot_runner.core.secret_names import without_environment_secrets
 from robot_runner.core.storage.guarded_files import make_folder, open_to_append
 from robot_runner.core.words import shown_duration
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.links.declared_host import Host
-    from robot_runner.core.links.host_program import Ended
-
 
 _LAST_LINES = 5
 #: What ssh itself ends with where the connection fails; a command may do so, too.

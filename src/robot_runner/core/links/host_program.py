@@ -8,16 +8,13 @@ import selectors
 import signal
 import subprocess
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import IO, TYPE_CHECKING
+from typing import IO
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.words import one_line
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
 
 #: As much is kept in memory of what a program writes, each to its output and its errors.
 MOST_KEPT = 16_000_000

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import LinkError, did_you_mean
-
-if TYPE_CHECKING:
-    from robot_runner.core.links.robot import Message
+from robot_runner.core.links.robot import Message
 
 
 def field_of(message: Message, field: str, *, where: str) -> Any:

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import ConfigError, Finding, LinkError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
 
 _WHERE = "robot"
 

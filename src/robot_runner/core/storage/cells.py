@@ -6,18 +6,14 @@ import csv
 import io
 import math
 import re
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import MeasureError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from robot_runner.core.design.factor import Factor
-
 
 # How far a run has come, and the word for it in the run table (paper, Fig. 3).
 

@@ -10,10 +10,11 @@ import fcntl
 import os
 import socket
 import time
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import Self
 from urllib.parse import quote
 
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
@@ -22,10 +23,6 @@ from robot_runner.core.storage.guarded_files import open_descriptor
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.lock_files import sign, signature_of, try_lock
 from robot_runner.core.storage.system_refusals import storage_error
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Sequence
-
 
 #: How often a file is tried that nobody holds and somebody merely looks at, and how long to wait between, s.
 _TRIES, _BETWEEN = 50, 0.01

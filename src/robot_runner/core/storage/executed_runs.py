@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from robot_runner.core.design.columns import EXCLUDED, STATUS
 from robot_runner.core.errors import Finding
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.words import counted, listed
-
-if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
 
 
 def done_runs(journal: Path) -> set[str]:

@@ -6,11 +6,8 @@ import os
 import re
 import subprocess
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
+from pathlib import Path
+from typing import Any
 
 #: How long git may take to answer, s: on a cold disk and a large repository it has to look at every file.
 _PATIENCE = 30.0

@@ -19,9 +19,11 @@ import io
 import os
 import stat
 import threading
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
-from typing import TYPE_CHECKING, Any, cast
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO, TextIO, cast
 
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.declared_shapes import DEEPEST, levels_of, parsed_json, shape_findings
@@ -41,10 +43,7 @@ from robot_runner.core.storage.guarded_paths import (
 from robot_runner.core.storage.system_refusals import fsync_file, fsync_folder, storage_error
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from io import BufferedReader
-    from pathlib import Path
-    from typing import BinaryIO, TextIO
 
 __all__ = [
     "LINE_LIMIT",

@@ -6,10 +6,12 @@ import json
 import os
 import shutil
 import time
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from functools import lru_cache
 from io import BytesIO
 from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.errors import StorageError
@@ -28,8 +30,6 @@ from robot_runner.core.storage.record_shapes import RECORDS, Record
 from robot_runner.core.storage.system_refusals import fsync_file, storage_error
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
-    from pathlib import Path
     from types import TracebackType
 
 #: `Journal.append` writes the kind first, so that a line's kind is known without parsing it.

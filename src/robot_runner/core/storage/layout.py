@@ -9,17 +9,14 @@ from __future__ import annotations
 import io
 import json
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from robot_runner.core.storage.guarded_files import make_folder, open_descriptor, open_to_append
 from robot_runner.core.storage.masked_log import MaskedText, mask_log
 from robot_runner.core.storage.system_refusals import storage_errors
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
 
 _RUNS = "runs"
 _MANIFEST = "manifest.json"

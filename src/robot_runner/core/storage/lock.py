@@ -5,24 +5,22 @@ from __future__ import annotations
 import json
 import os
 import socket
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
 from robot_runner.core.storage.file_shapes import HolderFile, RequestFile
 from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, read_bytes, remove, replace
-from robot_runner.core.storage.journal import utc_now
+from robot_runner.core.storage.journal import Journal, utc_now
 from robot_runner.core.storage.lock_files import is_at, is_held_exclusively, lock_exclusively, sign, signature_of
 from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
     from types import TracebackType
-
-    from robot_runner.core.storage.journal import Journal
 
 
 @dataclass(frozen=True, slots=True)

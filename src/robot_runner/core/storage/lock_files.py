@@ -14,16 +14,13 @@ import os
 import stat
 import time
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.declared_shapes import faults_of
 from robot_runner.core.storage.guarded_files import open_descriptor
 from robot_runner.core.storage.guarded_paths import rights_of
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
 
 #: Nobody signs with more.
 _MOST_BYTES = 4096

@@ -8,10 +8,11 @@ import os
 import platform
 import subprocess
 import sys
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import StorageError
 from robot_runner.core.secret_names import without_secrets
@@ -24,10 +25,6 @@ from robot_runner.core.storage.guarded_files import (
     read_json,
     replace,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
 
 #: What is compared with the config, or reproduces it: a treatment may be called as a password is.
 _COMPARED = frozenset(

@@ -7,16 +7,12 @@ is hidden when the run has ended, before the log gets its name.
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
 
 from robot_runner.core.secret_names import REDACTED, forms_of, secrets_of_environment, without_environment_secrets
 from robot_runner.core.storage.guarded_files import open_to_read, open_to_write
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-    from typing import BinaryIO
-
 
 _BLOCK = 1 << 20
 

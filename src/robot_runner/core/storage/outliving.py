@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.core.storage.guarded_files import MissingFileError, make_experiment_folder, open_to_append, read_text
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
 
 # The fields of /proc/<pid>/stat behind the program's name, from man 5 proc_pid_stat.
 _PARENT, _GROUP, _SESSION, _STARTED = 1, 2, 3, 19

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.precision import rule_in_words, rules_of_mapping
@@ -13,11 +15,6 @@ from robot_runner.core.errors import DesignError, StorageError
 from robot_runner.core.storage.file_shapes import RegistrationFile
 from robot_runner.core.storage.guarded_files import MissingFileError, read_declared, replace
 from robot_runner.core.words import enumerated
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
 
 #: Version of the file's format; readers refuse a newer one.
 FORMAT = 1

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain, islice, repeat
 from operator import is_
+from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from robot_runner.core.design.columns import BATCH, EXCLUDED, REPETITION, RUN_ID, STATUS, WARM_UP, numbered_run_id
 from robot_runner.core.design.factor import Combination, factor_places
@@ -19,8 +21,9 @@ from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.run_table_rows import RunRow, RunTableRows
 from robot_runner.core.storage.system_refusals import storage_error
-from robot_runner.core.storage.table_columns import MARKS
+from robot_runner.core.storage.table_columns import MARKS, TableLayout
 from robot_runner.core.storage.table_decoders import (
+    CellDecoder,
     FactorDecoder,
     MarkDecoder,
     MeasureDecoder,
@@ -34,12 +37,6 @@ from robot_runner.core.storage.table_decoders import (
 
 if TYPE_CHECKING:
     from _csv import Reader as CsvReader
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-    from typing import TextIO
-
-    from robot_runner.core.storage.table_columns import TableLayout
-    from robot_runner.core.storage.table_decoders import CellDecoder
 
 
 # The first line of a run table's file: which heading belongs to which column, in any order.

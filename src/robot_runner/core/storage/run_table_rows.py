@@ -5,25 +5,21 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import repeat
 from operator import attrgetter, itemgetter
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from robot_runner.core.design.columns import BATCH, RUN_ID, STATUS, WARM_UP
-from robot_runner.core.design.planned_runs import garbage_collection_paused
-from robot_runner.core.errors import MeasureError, StorageError, did_you_mean
-from robot_runner.core.storage.cells import RunStatus, checked_measure, csv_text
+from robot_runner.core.design.factor import Combination
+from robot_runner.core.design.planned_runs import PlannedRun, garbage_collection_paused
+from robot_runner.core.errors import Finding, MeasureError, StorageError, did_you_mean
+from robot_runner.core.storage.cells import CellValue, RunStatus, checked_measure, csv_text
 from robot_runner.core.storage.safe_write import write_beside_and_rename
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from robot_runner.core.design.factor import Combination
-    from robot_runner.core.design.planned_runs import PlannedRun
-    from robot_runner.core.errors import Finding
-    from robot_runner.core.storage.cells import CellValue
     from robot_runner.core.storage.table_columns import FactorColumn, TableLayout
 
 

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import io
 import os
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TextIO
 
 from robot_runner.core.storage.guarded_files import open_to_write
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from typing import TextIO
-
 
 #: The permissions of a file that belongs to no experiment: what the user's umask leaves of them.
 _RIGHTS = 0o666

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import BATCH, EXCLUDED, REPETITION, RUN_ID, STAMP_COLUMNS, STATUS, WARM_UP
+from robot_runner.core.design.factor import Factor
 from robot_runner.core.errors import DesignError, Finding
 from robot_runner.core.storage.cells import RunStatus
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from robot_runner.core.design.factor import Factor
     from robot_runner.core.design.run_table_model import RunTableModel
 
 

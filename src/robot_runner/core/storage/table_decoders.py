@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from itertools import accumulate
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS, numbered_run_id
 from robot_runner.core.errors import Finding, Severity, StorageError, did_you_mean
 from robot_runner.core.storage.cells import (
+    CellValue,
     RunStatus,
     are_stamps,
     as_stamp,
@@ -21,10 +24,6 @@ from robot_runner.core.storage.cells import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from robot_runner.core.storage.cells import CellValue
     from robot_runner.core.storage.table_columns import ColumnDescription, FactorColumn
 
 

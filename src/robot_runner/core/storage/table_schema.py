@@ -9,8 +9,10 @@ import json
 import math
 import re
 from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from numbers import Integral
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS, WARM_UP
@@ -20,14 +22,10 @@ from robot_runner.core.storage.declared_shapes import shape_findings, with_short
 from robot_runner.core.storage.file_shapes import Schema
 from robot_runner.core.storage.guarded_files import DamagedFileError, read_json
 from robot_runner.core.storage.guarded_files import replace as replace_file
-from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, ColumnRole
+from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, ColumnRole, FactorColumn
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-
     from robot_runner.core.storage.run_table_rows import RunTableRows
-    from robot_runner.core.storage.table_columns import FactorColumn
 
 
 _OWN = "robot_runner:"

@@ -9,25 +9,20 @@ Exit code 0: both plan the same runs; 2: an old file is refused, or a new one ha
 
 from __future__ import annotations
 
+from argparse import Namespace
+from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import command_line, output, print_facts, quiet_loading, shown_path
 from robot_runner.cli.findings import print_findings, show_findings
 from robot_runner.cli.guard import REFUSED
-from robot_runner.cli.parser import UsageError
+from robot_runner.cli.parser import Parser, UsageError
 from robot_runner.cli.templating import write_new_file
 from robot_runner.core.errors import Finding, RobotRunnerError, StorageError
 from robot_runner.core.words import counted
 from robot_runner.legacy.conversion.comparing_configs import check_conversion
 from robot_runner.legacy.conversion.converting import convert, new_file
 from robot_runner.legacy.recognition import recognise
-
-if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Collection, Iterator
-
-    from robot_runner.cli.parser import Parser
 
 
 def add_arguments(parser: Parser) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import sys
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.util import resolve_name
@@ -14,13 +15,10 @@ from robot_runner.core.config.source import read_tree
 from robot_runner.core.errors import ConfigError
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 from robot_runner.legacy.recognition import is_earlier_import
-from robot_runner.legacy.syntax import attributes_of, bound_names, imports_of, nodes
+from robot_runner.legacy.syntax import ImportedName, attributes_of, bound_names, imports_of, nodes
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
     from robot_runner.legacy.conversion.earlier_imports import ConvertedFile
-    from robot_runner.legacy.syntax import ImportedName
 
 _INSTALLED = frozenset({"dist-packages", "site-packages"})
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -13,8 +14,6 @@ from robot_runner.legacy.earlier_experiment import ROW_NAMES, WITHOUT_CONTEXT
 from robot_runner.legacy.syntax import attributes_of, bound_names, classes_of, imports_of, nodes
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
-
     from robot_runner.legacy.conversion.earlier_imports import ConvertedFile
     from robot_runner.legacy.session import Session
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ast
 import shlex
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.config.preparation import prepare
@@ -34,24 +36,15 @@ from robot_runner.legacy.conversion.callbacks import (
     write_values_as_text,
 )
 from robot_runner.legacy.conversion.contexts import convert_contexts
-from robot_runner.legacy.conversion.earlier_imports import (
-    ConvertedFile,
-    convert_imports,
-    convert_names,
-    modules_beside,
-)
+from robot_runner.legacy.conversion.earlier_imports import ConvertedFile, convert_imports, convert_names, modules_beside
 from robot_runner.legacy.conversion.names import convert_parameters, convert_run_tables, rename_clashing
 from robot_runner.legacy.earlier_experiment import EarlierExperiment
 from robot_runner.legacy.recognition import Recognised, recognise
-from robot_runner.legacy.session import active_session
+from robot_runner.legacy.session import Session, active_session
 from robot_runner.legacy.syntax import Edits, classes_of, nodes
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping
-    from pathlib import Path
-
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.legacy.session import Session
 
 
 def check_neighbours(experiment: Experiment, tree: ast.Module, written: Collection[str | Path]) -> Iterator[Finding]:

@@ -9,17 +9,15 @@ import math
 import plistlib
 import re
 import shlex
+from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from robot_runner.legacy.profilers.data_source import CLISource, ParameterDict
 from robot_runner.legacy.profilers.programs import Table, read_table
 from robot_runner.legacy.session import warn_of_run
 from robot_runner.meters.command_meters import parse_energibridge
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
 
 _ORDERS = {"PID": "pid", "WAKEUP": "wakeups", "CPU": "cputime", "HYBRID": "composite"}
 _SAMPLERS = {

@@ -5,19 +5,16 @@ from __future__ import annotations
 import json
 import re
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from robot_runner.core.errors import PluginError
 from robot_runner.legacy.profilers.data_source import DeviceSource
 from robot_runner.legacy.stand_ins.machinery import OutputProcedure
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
 
 # Queries by the name of the library's function, `nvmlDeviceGet<name>`: what stays as it is, and what changes.
 _STATIC = (

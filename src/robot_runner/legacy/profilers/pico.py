@@ -6,16 +6,14 @@ import ctypes
 import ctypes.util
 import math
 import time
+from collections.abc import Callable, Mapping
 from datetime import datetime
 from enum import Enum
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import LinkError, PluginError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
 
 # Source of functions and numbers: Pico Technology, PicoLog CM3 Programmer's Guide.
 _CHANNELS = 3

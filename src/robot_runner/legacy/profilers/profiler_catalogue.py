@@ -9,12 +9,9 @@ import ctypes.util
 import importlib.util
 import shutil
 import sys
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
 
 _HERE = "robot_runner.legacy.profilers"
 

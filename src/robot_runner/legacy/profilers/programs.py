@@ -6,19 +6,15 @@ import csv
 import math
 import shlex
 import signal
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.legacy.session import warn_of_run
-from robot_runner.measuring.meter_process import ChildProgram
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from robot_runner.measuring.meter_process import Ending
+from robot_runner.measuring.meter_process import ChildProgram, Ending
 
 #: A program that fails at once does so within this time, s.
 _STARTING_S = 0.1

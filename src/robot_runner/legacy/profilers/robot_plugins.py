@@ -6,23 +6,18 @@ import csv
 import filecmp
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from shutil import copyfile
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.connect import connect_robot
 from robot_runner.core.plugin import find_plugin
 from robot_runner.legacy.profilers.programs import Program
 from robot_runner.legacy.session import current_run, warn_of_run
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
-    from robot_runner.core.events.context import RobotRunnerContext
-
 
 #: How long somebody may take to bring the memory card, s.
 _PATIENCE_S = 3600.0

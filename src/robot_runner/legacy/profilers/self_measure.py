@@ -6,18 +6,14 @@ import os
 import re
 import shutil
 import sys
-from typing import TYPE_CHECKING, ClassVar
+from collections.abc import Iterable, Sequence
+from typing import ClassVar
 
 from robot_runner.core.errors import Finding
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure
-from robot_runner.core.plugin import Profiler
+from robot_runner.core.plugin import Circumstances, Profiler
 from robot_runner.legacy.profilers.programs import Program
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.plugin import Circumstances
 
 #: The column that it fills.
 COLUMN = "self-measure"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, MutableMapping
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -11,13 +11,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.config.parameters import OperationType
 from robot_runner.core.errors import ConfigError, did_you_mean, nearest
 from robot_runner.core.events.manager import RobotRunnerEvents as OwnEvents
-from robot_runner.legacy.session import EarlierSubscription, current_session
+from robot_runner.legacy.session import EarlierSubscription, Session, current_session
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, MutableMapping
     from types import CodeType
-
-    from robot_runner.legacy.session import Session
 
 
 #: The events of Robot Runner; DURING_RUN and SIGNAL_SEMI_CONTINUE are those of its first months.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 from robot_runner.core.design.planned_runs import RunOrder, arranged
 from robot_runner.core.errors import ConfigError, Finding, did_you_mean
@@ -12,10 +12,6 @@ from robot_runner.legacy.recognition import Dialect
 from robot_runner.legacy.run_ids import Numbering, numbering_of
 from robot_runner.legacy.session import Session, current_session
 from robot_runner.legacy.stand_ins.machinery import RunProgress
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
 
 #: What the earlier tools put into a cell that was still to be filled.
 MISSING = " "

@@ -6,24 +6,21 @@ To have another profiler stand in, add a line to `PLUGINS` in `robot_runner.lega
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import module_from_spec, spec_from_file_location
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from types import MappingProxyType, ModuleType
+from typing import Any
 
 from robot_runner.core.errors import did_you_mean
 from robot_runner.legacy.profilers.profiler_catalogue import PLUGIN_MODULES
 from robot_runner.legacy.recognition import EARLIER_PACKAGES, is_earlier_import
 from robot_runner.legacy.run_ids import clone_around
 from robot_runner.legacy.stand_ins.machinery import ERRORS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-    from types import ModuleType
 
 Names = dict[str, str]
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, SupportsIndex
 
 from robot_runner.core.design.watched_combination import WatchedCombination
+from robot_runner.core.events.context import RobotRunnerContext
 
 if TYPE_CHECKING:
     from _collections_abc import dict_items, dict_values
-    from collections.abc import Iterator, Mapping
 
-    from robot_runner.core.events.context import RobotRunnerContext
 
 #: Robot Runner had no repetitions: a factor counted them, which nobody has to read.
 _COUNTS_RUNS = re.compile(r"(?i)(.*_)?(rep|repeat|repetition|replication|run|iter|iteration|trial|round)s?(_.*)?")

@@ -8,13 +8,15 @@ what the power is to be explained by (PsUtil, BasicTurtlebot3).
 from __future__ import annotations
 
 import json
+from argparse import Namespace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
 
 from robot_runner.cli.console import UserConsole, output, print_facts, print_json, shown_path
-from robot_runner.cli.parser import UsageError, add_json, add_set, add_target
+from robot_runner.cli.parser import Parser, UsageError, add_json, add_set, add_target
 from robot_runner.cli.target import folder_of_target
 from robot_runner.cli.templating import write_new_file
 from robot_runner.core.errors import did_you_mean
@@ -26,10 +28,6 @@ from robot_runner.core.words import counted, listed, shown_duration
 from robot_runner.meters.power_model.power_model import PowerModel
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Sequence
-
-    from robot_runner.cli.parser import Parser
     from robot_runner.core.storage.layout import ExperimentFolder
 
 _NONE = "none"

@@ -7,17 +7,12 @@ list the plugin Tune in its config.
 
 from __future__ import annotations
 
+from argparse import Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from robot_runner.cli.parser import UsageError
+from robot_runner.cli.parser import Parser, UsageError
 from robot_runner.core.errors import ConfigError, ExecutionError
 from robot_runner.meters.machine.tuning import Machine, Wishes
-
-if TYPE_CHECKING:
-    from argparse import Namespace
-
-    from robot_runner.cli.parser import Parser
 
 
 def add_arguments(parser: Parser) -> None:

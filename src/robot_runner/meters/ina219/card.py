@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import Clock
 from robot_runner.core.events.window import Window
 from robot_runner.measuring.serial_line import Chunk
 from robot_runner.meters.ina219.frames import FIRST_SENSOR, FrameDecoder, Hello
-from robot_runner.meters.ina219.registers import evaluate_registers
+from robot_runner.meters.ina219.registers import Evaluation, evaluate_registers
 from robot_runner.meters.ina219.sample_stream import SampleStream
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from robot_runner.core.events.context import Clock
-    from robot_runner.meters.ina219.registers import Evaluation
 
 _BLOCK = 512
 _HELLO_BEGINS, _HELLO_SIZE = b"\xa5\x5a\x12\x0c", 20

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import struct
 from binascii import crc_hqx
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain, repeat
-from typing import TYPE_CHECKING, NamedTuple
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from typing import NamedTuple
 
 _SYNC = b"\xa5\x5a"
 _VERSION = 1

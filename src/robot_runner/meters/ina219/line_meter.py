@@ -7,16 +7,15 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import Clock
 from robot_runner.core.events.window import Window
 from robot_runner.meters.ina219.doubts import silence
 from robot_runner.meters.ina219.frames import FIRST_SENSOR, FrameDecoder, SampleFrame
-from robot_runner.meters.ina219.registers import DEFAULT_SHUNT, Calibration, evaluate_registers
+from robot_runner.meters.ina219.registers import DEFAULT_SHUNT, Calibration, Evaluation, evaluate_registers
 from robot_runner.meters.ina219.sample_stream import SampleStream
 
 if TYPE_CHECKING:
-    from robot_runner.core.events.context import Clock
     from robot_runner.measuring.serial_line import Chunk, SerialLine
-    from robot_runner.meters.ina219.registers import Evaluation
 
 
 class Meter(Protocol):

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
-from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.links.connect import SIMULATED, is_simulated
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.ssh_command import ssh_findings
-from robot_runner.core.plugin import Profiler, probe_window
+from robot_runner.core.plugin import Circumstances, Profiler, probe_window
 from robot_runner.measuring.devices import connect_host, open_serial_line
 from robot_runner.measuring.evaluation import publish_measures
 from robot_runner.measuring.host import FileHost
@@ -24,19 +24,13 @@ from robot_runner.measuring.quality import Column
 from robot_runner.measuring.serial_line import found_ports, port_problem
 from robot_runner.meters.ina219.card import CardMeter
 from robot_runner.meters.ina219.frames import FIRST_SENSOR
-from robot_runner.meters.ina219.line_meter import LineMeter, PromptMeter, SharedLine
-from robot_runner.meters.ina219.registers import DEFAULT_RATE
+from robot_runner.meters.ina219.line_meter import LineMeter, Meter, PromptMeter, SharedLine
+from robot_runner.meters.ina219.registers import DEFAULT_RATE, Evaluation
 from robot_runner.meters.ina219.sysfs import DEFAULT_SYSFS_RATE, SysfsMeter, find_sensor
 from robot_runner.meters.parameter_checks import check_positive
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-
-    from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.events.window import Window
-    from robot_runner.core.plugin import Circumstances
-    from robot_runner.meters.ina219.line_meter import Meter
-    from robot_runner.meters.ina219.registers import Evaluation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

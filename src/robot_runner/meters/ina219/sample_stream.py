@@ -6,6 +6,7 @@ import math
 from array import array
 from bisect import bisect_left, bisect_right
 from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from itertools import accumulate, groupby
@@ -16,19 +17,19 @@ from robot_runner.measuring.device_clock import fit_clock
 from robot_runner.meters.ina219.frames import (
     FIRST_SENSOR,
     SAMPLE_BYTES,
+    DecoderCounts,
+    Frame,
     FrameDecoder,
     Hello,
     Mark,
+    SampleColumns,
     SampleFrame,
     Sensing,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
     from robot_runner.core.events.window import Window
     from robot_runner.measuring.serial_line import Chunk
-    from robot_runner.meters.ina219.frames import DecoderCounts, Frame, SampleColumns
 
 _SEQUENCES = 1 << 16
 #: By how much the number of the next sample differs: it may wrap.

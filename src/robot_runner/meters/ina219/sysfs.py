@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import Clock
 from robot_runner.measuring.periodic import HostSampler
 from robot_runner.measuring.quality import Column
 from robot_runner.meters.ina219.doubts import stuck_doubts, voltage_doubts
 from robot_runner.meters.ina219.registers import Evaluation
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from robot_runner.core.events.context import Clock
     from robot_runner.core.events.window import Window
     from robot_runner.measuring.host import FileHost, SamplingReport
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import mmap
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from robot_runner.meters.machine.machine_state import Conditions, MachineState
     from robot_runner.meters.machine.others_load import Load
 

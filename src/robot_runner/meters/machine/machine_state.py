@@ -10,13 +10,11 @@ import math
 import os
 import re
 import time
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+from typing import Protocol
 
 #: Ticks a second in which /proc counts: USER_HZ, 100 wherever Linux runs on a robot or beside it.
 _TICKS = 100.0

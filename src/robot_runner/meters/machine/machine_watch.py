@@ -5,30 +5,23 @@ from __future__ import annotations
 import json
 import os
 import re
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.links.declared_host import LOCAL
-from robot_runner.core.plugin import Profiler
+from robot_runner.core.plugin import Plugin, Profiler
 from robot_runner.measuring.devices import connect_host
 from robot_runner.measuring.host import FileHost, RemoteHost
 from robot_runner.measuring.measured_machine import Computer, concerned
 from robot_runner.measuring.periodic import PeriodicSampler
 from robot_runner.meters.machine.machine_doubts import MachineReport, Thresholds
-from robot_runner.meters.machine.machine_state import MachineFiles, SystemFiles
-from robot_runner.meters.machine.others_load import load_between
+from robot_runner.meters.machine.machine_state import Conditions, MachineFiles, MachineState, SystemFiles
+from robot_runner.meters.machine.others_load import Load, load_between
 from robot_runner.meters.parameter_checks import check_list, check_positive
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
-
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.plugin import Plugin
-    from robot_runner.meters.machine.machine_state import Conditions, MachineState
-    from robot_runner.meters.machine.others_load import Load
 
 _USUAL = Thresholds()
 #: How often frequency and temperature of this machine are looked at, s: heat takes longer than that to build up, and a

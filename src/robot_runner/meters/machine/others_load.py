@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
 from typing import TYPE_CHECKING
@@ -10,8 +11,6 @@ from robot_runner.measuring.cpu_counters import counted_before
 from robot_runner.measuring.local_host import matches
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
     from robot_runner.meters.machine.machine_state import MachineState, ProcessTimes
 
 _PERCENT = 100.0

@@ -6,20 +6,18 @@ import logging
 import os
 import subprocess
 import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
-from robot_runner.core.plugin import System
+from robot_runner.core.events.context import RobotRunnerContext
+from robot_runner.core.plugin import Circumstances, Plugin, System
 from robot_runner.meters.machine.tuning import Machine, Wishes
 from robot_runner.meters.parameter_checks import check_list
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from robot_runner.core.config.parameters import Parameters
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.plugin import Circumstances, Plugin
 
 _log = logging.getLogger(__name__)
 

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.words import enumerated
 from robot_runner.meters.machine.machine_state import ProcessTimes, text_in
 from robot_runner.meters.machine.tuning_state import Change, Kept, state_file
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _CPU = "sys/devices/system/cpu"
 _CACHES = "proc/sys/vm/drop_caches"

@@ -5,14 +5,13 @@ Each start of the program asks for it: what only a watch needs is imported where
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from itertools import count
 from typing import TYPE_CHECKING
 
 from robot_runner.measuring.measured_machine import concerned
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.plugin import Plugin
 

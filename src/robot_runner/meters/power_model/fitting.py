@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -13,8 +14,6 @@ from robot_runner.meters.power_model.linear_power_model import FitReport, Linear
 from robot_runner.meters.power_model.uncertainty import SINGULAR, PiecesOfRuns, check_linearity, uncertainty_of
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
-
     import numpy.typing as npt
 
     from robot_runner.meters.power_model.measured_runs import MeasuredRun

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.events.window import Window
@@ -12,13 +14,7 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.measuring.quality import MINIMUM_COVERAGE
 from robot_runner.measuring.series import Series, cut, mean
 from robot_runner.meters.power_model.raw_columns import read_numbers
-from robot_runner.meters.power_model.states import read_states
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from robot_runner.meters.power_model.states import RobotState, Sources
+from robot_runner.meters.power_model.states import RobotState, Sources, read_states
 
 #: A piece shorter than this, s, holds too few samples of a 200 Hz meter for its mean power to mean much.
 _SHORTEST = 0.02

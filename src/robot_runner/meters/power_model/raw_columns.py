@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import csv
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from pathlib import Path
 
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.storage.guarded_files import MissingFileError, open_text
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
 
 
 def heading_of(path: Path) -> list[str]:

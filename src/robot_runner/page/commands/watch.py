@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+from argparse import Namespace
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,8 +20,6 @@ from robot_runner.core.errors import StorageError, did_you_mean
 from robot_runner.core.execution.processes import use_no_streams
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-
     from robot_runner.cli.parser import Parser
     from robot_runner.page.serving import Serving
 

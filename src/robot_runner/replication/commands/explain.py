@@ -5,6 +5,7 @@ For each value: plugin, raw file, aggregation, config line, attempt and host.
 
 from __future__ import annotations
 
+from argparse import Namespace
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,14 +13,11 @@ from typing import TYPE_CHECKING
 from rich.text import Text
 
 from robot_runner.cli.console import UserConsole, output, print_facts, print_folded, print_json
-from robot_runner.cli.parser import add_json, add_set, add_target
+from robot_runner.cli.parser import Parser, add_json, add_set, add_target
 from robot_runner.cli.target import folder_of_target
 from robot_runner.core.words import one_line, shown_value
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-
-    from robot_runner.cli.parser import Parser
     from robot_runner.replication.explanation import RunExplanation
 
 _MARKS = {"met": "+", "not met": "-"}

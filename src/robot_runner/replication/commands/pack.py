@@ -6,7 +6,8 @@ and home paths are replaced or left out, and listed. Packing twice gives the sam
 
 from __future__ import annotations
 
-from argparse import BooleanOptionalAction
+from argparse import BooleanOptionalAction, Namespace
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import asdict
 from functools import cache
@@ -26,16 +27,12 @@ from robot_runner.cli.console import (
     shown_path,
 )
 from robot_runner.cli.findings import as_json, show_findings
-from robot_runner.cli.parser import UsageError, add_json, add_set
+from robot_runner.cli.parser import Parser, UsageError, add_json, add_set
 from robot_runner.cli.screens.byte_progress import byte_progress
 from robot_runner.cli.target import folder_of_target, only_experiment
 from robot_runner.core.words import counted, one_line
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Iterable, Iterator
-
-    from robot_runner.cli.parser import Parser
     from robot_runner.core.config.authors import Author
     from robot_runner.replication.cleaning import Replaced
     from robot_runner.replication.packing import Packed

@@ -18,22 +18,24 @@ from __future__ import annotations
 import os
 import re
 import sys
+from argparse import Namespace
+from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.analysis.comparison.compared import Bounds
 from robot_runner.cli.byte_code import no_byte_code
 from robot_runner.cli.console import command_line, output, print_json, shown_path
 from robot_runner.cli.executing import execute_on_screen, read_or_not
 from robot_runner.cli.guard import SOME_FAILED
-from robot_runner.cli.parser import UsageError, add_json, add_set
+from robot_runner.cli.parser import Parser, UsageError, add_json, add_set
 from robot_runner.cli.screens.byte_progress import byte_progress
 from robot_runner.cli.screens.ending import print_verdict
 from robot_runner.cli.target import only_package
 from robot_runner.core.config.loader import parse_assignments
-from robot_runner.core.errors import PackageError, RobotRunnerError, did_you_mean
+from robot_runner.core.errors import Finding, PackageError, RobotRunnerError, did_you_mean
 from robot_runner.core.execution.recovery import ACCEPT
 from robot_runner.core.secret_names import shown_assignments
 from robot_runner.core.storage.input_files import kept_copies
@@ -46,8 +48,9 @@ from robot_runner.replication.commands.replication_plan import (
     wants_own_environment,
 )
 from robot_runner.replication.commands.replication_verdict import Comparing, facts_of
-from robot_runner.replication.differences import differing_environment
+from robot_runner.replication.differences import Difference, differing_environment
 from robot_runner.replication.replicating import (
+    Source,
     find_source,
     original_settings,
     prepare_replication,
@@ -56,15 +59,6 @@ from robot_runner.replication.replicating import (
 )
 from robot_runner.replication.run_by_run import is_executed
 from robot_runner.replication.virtual_environments import execute_with, make_environment, program_in
-
-if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Iterator
-
-    from robot_runner.cli.parser import Parser
-    from robot_runner.core.errors import Finding
-    from robot_runner.replication.differences import Difference
-    from robot_runner.replication.replicating import Source
 
 _HERE, _VENV, _CONTAINER = _ENVIRONMENTS = ("here", "venv", "container")
 

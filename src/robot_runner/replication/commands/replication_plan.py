@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import shlex
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 from rich.text import Text
 
@@ -24,16 +26,8 @@ from robot_runner.core.errors import Finding
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.words import counted, listed, one_line
 from robot_runner.replication.container import container_commands, is_pinned
-from robot_runner.replication.differences import ranked, remaining_differences
-from robot_runner.replication.replicating import original_settings
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-    from typing import Any
-
-    from robot_runner.replication.differences import Difference
-    from robot_runner.replication.replicating import Source
+from robot_runner.replication.differences import Difference, ranked, remaining_differences
+from robot_runner.replication.replicating import Source, original_settings
 
 #: So few are named instead of counted.
 _FEW = 5

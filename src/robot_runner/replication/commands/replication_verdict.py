@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.libraries import MissingLibraryError, require_libraries
@@ -17,18 +19,19 @@ from robot_runner.core.storage.safe_write import write_beside_and_rename
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import one_line
 from robot_runner.replication.commands.replication_plan import agrees
-from robot_runner.replication.run_by_run import identical_values
-from robot_runner.replication.verdicts import Conclusion, margins_of, reached_verdict, why_not_primary
+from robot_runner.replication.run_by_run import Sameness, identical_values
+from robot_runner.replication.verdicts import (
+    Conclusion,
+    ReplicationVerdict,
+    margins_of,
+    reached_verdict,
+    why_not_primary,
+)
 from robot_runner.replication.virtual_environments import compare_with, is_complete, make_comparison_environment
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
     from robot_runner.replication.differences import Difference
     from robot_runner.replication.replicating import Source
-    from robot_runner.replication.run_by_run import Sameness
-    from robot_runner.replication.verdicts import ReplicationVerdict
 
 _STYLES = {
     Conclusion.IDENTICAL: "green",

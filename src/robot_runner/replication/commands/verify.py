@@ -6,6 +6,7 @@ Nothing is unpacked and nothing is executed. Exit code 0: intact; 2: refused.
 from __future__ import annotations
 
 import re
+from argparse import Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,15 +15,12 @@ from rich.text import Text
 from robot_runner.cli.console import command_line, output, print_facts, print_json
 from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.guard import REFUSED
-from robot_runner.cli.parser import UsageError, add_json
+from robot_runner.cli.parser import Parser, UsageError, add_json
 from robot_runner.cli.screens.byte_progress import byte_progress
 from robot_runner.cli.target import only_package
 from robot_runner.core.words import counted, one_line
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-
-    from robot_runner.cli.parser import Parser
     from robot_runner.replication.signatures import Signer
     from robot_runner.replication.verification import Verification
 

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing, nullcontext
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import GoalRejectedError, LinkError, PluginError, did_you_mean
-from robot_runner.core.events.measure import Measure
+from robot_runner.core.events.context import RobotRunnerContext
+from robot_runner.core.events.measure import Measure, MeasureValue
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
-from robot_runner.core.links.goals import GoalStatus
+from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.links.message_fields import field_of
-from robot_runner.core.links.robot import Encoding
+from robot_runner.core.links.robot import Encoding, Goal, RobotLink
 from robot_runner.core.words import listed
 from robot_runner.ros.missions.goal_measures import FeedbackMeasures, ResultMeasures
 from robot_runner.ros.missions.way_measures import WayMeasures
@@ -25,12 +26,6 @@ from robot_runner.ros.turtlebot3.steered_robot import Heartbeat
 from robot_runner.ros.watchdog import VELOCITY_COMMANDS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.events.measure import MeasureValue
-    from robot_runner.core.links.goals import ActionResult
-    from robot_runner.core.links.robot import Goal, RobotLink
     from robot_runner.core.plugin import Circumstances
 
 #: How often it is looked whether the goal is over, s.

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 from statistics import fmean
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import LinkError, PluginError, did_you_mean
-from robot_runner.core.events.measure import Measure
+from robot_runner.core.events.measure import Measure, MeasureValue
 from robot_runner.core.links.message_fields import field_of, is_time
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from robot_runner.core.events.measure import MeasureValue
-    from robot_runner.core.links.robot import Message
+from robot_runner.core.links.robot import Message
 
 _PREFIX = "result."
 _PAIR = 2

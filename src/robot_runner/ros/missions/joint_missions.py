@@ -10,19 +10,16 @@ from __future__ import annotations
 import threading
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import PluginError, RobotRunnerError
+from robot_runner.core.events.context import Clock
 from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.words import enumerated
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from robot_runner.core.events.context import Clock
 
 #: How long a sleeping mission takes to notice that it is to stop, s.
 _NOTICE = 0.05

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext, RunBroker
 from robot_runner.core.events.manager import CLOSED_BY, EVENTS_BY_CALLBACK, RobotRunnerEvents
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.links.graph_names import full_name, namespace_prefix
-from robot_runner.core.plugin import Plugin, System
+from robot_runner.core.plugin import Circumstances, Plugin, System
 from robot_runner.core.words import enumerated
 from robot_runner.ros.missions.joint_missions import JointMission, SharedClock, execute_together
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
-    from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext, RunBroker
     from robot_runner.core.events.measure import Origin
     from robot_runner.core.events.window import MissionTimes
     from robot_runner.core.links.graph_needs import GraphNeed
-    from robot_runner.core.plugin import Circumstances
     from robot_runner.core.storage.input_files import InputFile
 
 _LAUNCH = RobotRunnerEvents.LAUNCH_MISSION

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import ConditionTimeout, Finding, PluginError
 from robot_runner.core.events.condition import Condition, Look
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.graph_needs import GraphNeed
-from robot_runner.core.links.robot import Advertiser
+from robot_runner.core.links.robot import Advertiser, RobotLink
 from robot_runner.ros.robot_system import RobotSystem, check_numbers
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.sole_control import SoleControl
@@ -20,10 +21,6 @@ from robot_runner.ros.turtlebot3.steered_robot import Heartbeat
 from robot_runner.ros.watchdog import VELOCITY_COMMANDS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.links.robot import RobotLink
     from robot_runner.core.plugin import Circumstances
 
 #: A clock rounds: what is due within this many seconds is done now.

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
+from robot_runner.core.events.context import Clock, RobotRunnerContext
 from robot_runner.core.events.measure import Measure
 from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.core.links.robot import Message, RobotLink
 from robot_runner.ros.sole_control import sole_publisher_findings
 from robot_runner.ros.transform_buffer import TransformBuffer
 from robot_runner.ros.turtlebot3.odometry import ODOMETRY, Odometer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
-    from robot_runner.core.events.context import Clock, RobotRunnerContext
-    from robot_runner.core.links.robot import Message, RobotLink
     from robot_runner.ros.transforms import Transform
 
 PATH_LENGTH = Measure("PathLength", "m", "Way covered during the mission, by odometry.", low=0.0)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure
 from robot_runner.core.links.connect import connect_robot, is_simulated, robot_namespace
 from robot_runner.ros.robot_system import check_numbers
@@ -19,9 +20,6 @@ from robot_runner.ros.turtlebot3.odometry import POSE_TOPIC, Odometer, Pose, wra
 from robot_runner.ros.turtlebot3.steered_robot import Robot, SteeredSystem
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
 
 #: What a robot may be commanded beyond its cruising speed to mend what it is off by, and beyond that the odometry

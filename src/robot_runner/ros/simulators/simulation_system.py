@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
+from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
 from robot_runner.core.events.measure import Measure
 from robot_runner.core.links.connect import connect_robot, is_simulated, robot_namespace
 from robot_runner.core.links.graph_needs import GraphNeed
-from robot_runner.core.plugin import System
+from robot_runner.core.links.robot import RobotLink
+from robot_runner.core.plugin import Circumstances, System
 from robot_runner.ros.graph_links import follows_graph_clock
 from robot_runner.ros.robot_system import OfTheRobot, check_numbers
-from robot_runner.ros.simulators.simulator_dialects import dialect_of
+from robot_runner.ros.simulators.simulator_dialects import Demand, Spot, dialect_of
 from robot_runner.ros.simulators.unpausing import guard_pauses, guard_pauses_no_more, unpause_from_elsewhere
 from robot_runner.ros.simulators.watched_pose import WatchedPose, checked_spot
 from robot_runner.ros.simulators.watched_time import CLOCK_TOPIC, WatchedTime
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
-    from robot_runner.core.links.robot import RobotLink
-    from robot_runner.core.plugin import Circumstances
-    from robot_runner.ros.simulators.simulator_dialects import Demand, Spot
 
 _RESETS = ("world", "simulation", "none")
 #: How long the first time of a simulator is awaited, s: Gazebo publishes it ten times a second at least.

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import LinkError, PluginError, did_you_mean
 from robot_runner.core.links.graph_names import full_name, missing
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from robot_runner.core.links.robot import Message, RobotLink
+from robot_runner.core.links.robot import Message, RobotLink
 
 #: Where a robot is to stand: x, y (m) and yaw (rad).
 Spot = tuple[float, float, float]

@@ -6,11 +6,8 @@ and constants, which say nothing of the bytes, are left out.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 _STATE = "geometry_msgs/Pose pose\ngeometry_msgs/Twist twist\nstring reference_frame\n"
 _ROS1 = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from contextlib import closing, suppress
 from typing import TYPE_CHECKING, Any
 
@@ -15,8 +16,6 @@ from robot_runner.core.links.graph_names import full_name, namespace_prefix
 from robot_runner.ros.graph_links import GRAPH_LINKS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from robot_runner.ros.simulators.simulator_dialects import Demand
 
 #: How long a client library may take to be imported and to find the simulator, s.

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError, PluginError, did_you_mean
 from robot_runner.core.links.graph_names import full_name, missing
+from robot_runner.core.links.robot import Message, RobotLink
 from robot_runner.ros.transforms import yaw_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from robot_runner.core.links.robot import Message, RobotLink
     from robot_runner.ros.simulators.simulator_dialects import Spot
 
 #: How many messages in a row must tell of the place: the first after a reset may still be of the time before.

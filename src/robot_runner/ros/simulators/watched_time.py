@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from robot_runner.core.links.robot import Message, RobotLink
+from robot_runner.core.links.robot import Message, RobotLink
 
 CLOCK_TOPIC = "/clock"
 _TYPE = "rosgraph_msgs/Clock"

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, TextIO
 
 from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.core.events.context import Clock
 from robot_runner.ros.robot_system import check_numbers
 from robot_runner.ros.turtlebot3.motion import MAXIMUM_SPEED, MAXIMUM_TURN_RATE, TICK, Ramp
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from robot_runner.core.events.context import Clock
     from robot_runner.ros.turtlebot3.odometry import Pose
     from robot_runner.ros.turtlebot3.steered_robot import Robot, Task
 

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import Clock
 from robot_runner.core.links.graph_names import full_name
-from robot_runner.core.links.robot import Advertiser
+from robot_runner.core.links.robot import Advertiser, RobotLink
 from robot_runner.ros.graph_transport import is_simulated_time
 from robot_runner.ros.turtlebot3.odometry import Odometer, Pose, wrapped
 from robot_runner.ros.watchdog import TWIST, VELOCITY_COMMANDS, velocity_command
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from robot_runner.core.events.context import Clock
-    from robot_runner.core.links.robot import RobotLink
 
 #: The topic of the robot's velocity commands.
 COMMAND_TOPIC = "cmd_vel"

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import Clock
+from robot_runner.core.links.robot import Message
 from robot_runner.measuring.quality import Column, write_samples
 from robot_runner.ros.shapes import nanoseconds_of
 from robot_runner.ros.transforms import yaw_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from robot_runner.core.events.context import Clock
-    from robot_runner.core.links.robot import Message
     from robot_runner.measuring.live_samples import LiveSamples
 
 #: The topic of the robot's odometry.

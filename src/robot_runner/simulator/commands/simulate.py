@@ -7,20 +7,15 @@ is printed once all of it is there; Ctrl-C or SIGTERM ends it.
 
 from __future__ import annotations
 
+from argparse import Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import output
-from robot_runner.cli.parser import UsageError
+from robot_runner.cli.parser import Parser, UsageError
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.core.execution.interruption import stop_signals_handled
 from robot_runner.core.links.connect import SIMULATED, link_findings
 from robot_runner.core.words import counted, shown_duration
-
-if TYPE_CHECKING:
-    from argparse import Namespace
-
-    from robot_runner.cli.parser import Parser
 
 _ROBOTS = ("turtlebot3",)
 _MODEL = ".xml"
