@@ -371,3 +371,34 @@ def test_a_callback_may_close_the_link_and_its_thread_does_not_trip_over_what_is
         assert time.monotonic() < deadline
         time.sleep(0.01)
     assert [str(fault.exc_value) for fault in faults] == []
+
+
+def test_a_subscription_that_is_closed_while_it_adapts_to_a_publisher_leaves_no_reader(closing, monkeypatch):
+    robot, link = (open_dds_link({"domain": str(DOMAIN)}, SystemClock()) for _ in range(2))
+    for each in (robot, link):
+        closing.callback(each.close)
+    reading, drain, ended, adapted = dds_transport._Subscription._reading, dds_reception.Reception.drain, [], []
+
+    def noted(self):
+        ended.append(reading(self))
+        return ended[-1]
+
+    def closed_meanwhile(self, source):  # as another thread may, between the new reader and its taking over
+        drain(self, source)
+        thread = threading.Thread(target=subscription.close)
+        thread.start()
+        thread.join()
+        adapted.append(source)
+
+    monkeypatch.setattr(dds_transport._Subscription, "_reading", noted)
+    monkeypatch.setattr(dds_reception.Reception, "drain", closed_meanwhile)
+    faults = []
+    monkeypatch.setattr(threading, "excepthook", faults.append)
+    subscription = link.subscribe("farewell", STRING, lambda _: None)
+    deadline = time.monotonic() + 60.0
+    while not adapted or any(source.is_open for source in ended):
+        robot.publish("farewell", STRING, {"data": "a"}, qos=Qos.TRANSIENT_LOCAL)
+        assert time.monotonic() < deadline, (adapted, ended, faults)
+        time.sleep(0.01)
+    assert len(ended) == 2
+    assert faults == []

@@ -219,6 +219,8 @@ class _Subscription:
         self._wire_topic = wire_topic(topic)
         self._take = take
         self._qos = qos
+        self._lock = threading.Lock()
+        self._is_closed = False
         # The stamp of the last sample of each publisher, and that after which a reader that took over has to begin.
         self._last: dict[int, int] = {}
         self._before: dict[int, int] = {}
@@ -259,10 +261,13 @@ class _Subscription:
             fresh = self._reading()
             self._session.reception.drain(self._source)
             self._before = dict(self._last)
-            stale, self._source = self._source, fresh
+            with self._lock:  # another thread may have closed it meanwhile
+                stale, self._source = (fresh, self._source) if self._is_closed else (self._source, fresh)
             self._end(stale)
 
     def close(self) -> None:
+        with self._lock:
+            self._is_closed = True
         self._end(self._source)
 
     def _policies(self) -> DdsQos:
