@@ -28,24 +28,25 @@ class RobotRunnerConfig(ExperimentConfig):
     experiment_name = "drawing"
 
     def before_run(self, context):
-        random.random(), np.random.normal()
+        context.share(drawn=random.random() + np.random.normal())
 
     def populate_run_data(self, context):
-        return {"Python": random.random(), "NumPy": np.random.normal()}
+        before = context.plugin_data["config"]["drawn"]
+        return {"Python": random.random(), "NumPy": np.random.normal(), "Before": before}
 
     def create_run_table(self):
-        return RunTableModel([Factor("A", [1, 2])], repetitions=2, seed=5, data_columns=["Python", "NumPy"])
+        return RunTableModel([Factor("A", [1, 2])], repetitions=2, seed=5, data_columns=["Python", "NumPy", "Before"])
 """
 
 
-def drawn(folder: Path, **settings: str) -> list[tuple[str, str]]:
+def drawn(folder: Path, **settings: str) -> list[tuple[str, ...]]:
     config = folder / "drawing.py"
     folder.mkdir()
     config.write_text(DRAWING, encoding="utf-8")
     finished = execute_experiment(prepare_or_refuse(config, settings), SilentObserver())
     assert finished.done_count == 4, finished.failures
     with (folder / "experiments" / "drawing" / "run_table.csv").open(encoding="utf-8", newline="") as file:
-        return [(row["Python"], row["NumPy"]) for row in csv.DictReader(file)]
+        return [(row["Python"], row["NumPy"], row["Before"]) for row in csv.DictReader(file)]
 
 
 @pytest.mark.long
@@ -54,8 +55,9 @@ def test_each_run_draws_numbers_of_its_own_and_the_same_in_each_kind_of_process(
     try:
         forked = drawn(tmp_path / "forked")
         assert len(set(forked)) == 4
-        for number in (0, 1):
+        for number in range(3):
             assert len({each[number] for each in forked}) == 4
+        assert all(float(python) + float(numpy) != float(before) for python, numpy, before in forked)
         assert drawn(tmp_path / "together", workers="2") == forked
         assert drawn(tmp_path / "anew", run_process="spawn") == forked
         assert drawn(tmp_path / "here", run_process="in_process") == forked

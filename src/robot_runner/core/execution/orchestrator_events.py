@@ -22,8 +22,9 @@ from robot_runner.core.execution.failures import failure_fields
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.notices import FindingsNoticed, Notice, Observer
 from robot_runner.core.execution.processes import forked
+from robot_runner.core.execution.random_states import seed_random_numbers
 from robot_runner.core.execution.run_events import run_contexts
-from robot_runner.core.execution.task import OutcomeBuilder, PendingRun, Report, RunTask
+from robot_runner.core.execution.task import OutcomeBuilder, PendingRun, Report, RunTask, seed_of_run
 from robot_runner.core.secret_names import sentences_without_secrets
 from robot_runner.core.storage.journal import utc_now
 
@@ -180,6 +181,8 @@ class OrchestratorEvents:
         told("event", {"event": event.value, "at": utc_now(), "clock": time.monotonic()})
         if not self._experiment.events.subscribers(event):
             return []
+        if event is RobotRunnerEvents.BEFORE_RUN:  # other numbers than the run's own, and in whatever order runs begin
+            seed_random_numbers(seed_of_run(task.run_seed, event.value))
         resources = Resources()
         clock = _AttentiveClock(self._patience)
         context_for = run_contexts(experiment, task, clock=clock, resources=resources, report=told)
