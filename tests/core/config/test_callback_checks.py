@@ -242,3 +242,52 @@ def test_a_mission_that_waits_by_this_machine_s_clock_is_told(tmp_path: Path, wa
 @pytest.mark.parametrize("way", ["context.clock.sleep(1)", "time.monotonic()"])
 def test_a_mission_that_waits_by_the_run_s_clock_is_right(tmp_path: Path, way: str) -> None:
     assert slept_told(tmp_path, way) == []
+
+
+# A file that each run writes under one name.
+
+
+def written_anew(folder: Path, body: str, head: str = "") -> list[str]:
+    config = folder / "writing.py"
+    config.write_text(LOST_BEGIN.format(head=f"from pathlib import Path\n{head}", body=body), encoding="utf-8")
+    preparation = prepare(config, is_for_here=False)
+    assert preparation.experiment is not None, preparation.findings
+    return [each.problem for each in preparation.findings if "anew in each run" in each.problem]
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        "open('out.csv', 'w')",
+        "open('out.csv', mode='xb')",
+        "open(OUT, 'w')",
+        "open(Path('out.csv'), 'w+')",
+        "Path('out.csv').open('w')",
+        "Path('out.csv').write_text('text')",
+        "self.frame.to_csv('out.csv', index=False)",
+        "numpy.savetxt('out.csv', [1])",
+        "written('out.csv', 'w')",
+    ],
+)
+def test_a_file_that_each_run_replaces_is_told(tmp_path: Path, call: str) -> None:
+    head = "import numpy\nOUT = 'out.csv'\ndef written(name, mode):\n    return open('out.csv', mode='w')\n"
+    told = written_anew(tmp_path, f"    def stop_run(self, context): {call}\n", head)
+    assert told == ["stop_run writes 'out.csv' anew in each run: the last one replaces the others"]
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        "open('in.csv')",
+        "open('out.csv', 'a')",
+        "open(context.run_folder / 'out.csv', 'w')",
+        "open(f'{context.run_id}.csv', 'w')",
+        "(context.run_folder / 'out.csv').write_text('text')",
+        "open(name, 'w')",
+        "self.archive.open('out.csv', 'w')",
+        "numpy.save(context.run_folder / 'out', [1])",
+    ],
+)
+def test_a_file_that_each_run_has_for_itself_is_right(tmp_path: Path, call: str) -> None:
+    assert written_anew(tmp_path, f"    def stop_run(self, context): {call}\n", "import numpy\n") == []
+    assert written_anew(tmp_path, "    def before_experiment(self): open('out.csv', 'w')\n") == []

@@ -9,6 +9,7 @@ import ast
 import inspect
 import time
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robot_runner.core.config.parameters import Parameters, RunProcess
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 def check_callbacks(loaded: LoadedConfig, parameters: Parameters, events: EventManager) -> list[Finding]:
     """Warn of each trap that callbacks of the config, and of the plugins that stand beside it, walk into."""
     code = _LocalCode(loaded)
-    found: dict[tuple[str, str, str], None] = {}
+    found: dict[tuple[str, str, str], None] = dict.fromkeys(_replaced_files(code, events))
     if parameters.run_process is not RunProcess.IN_PROCESS:
         found |= dict.fromkeys(_lost_changes(code, events))
     if parameters.run_process is RunProcess.FORK:
@@ -211,3 +212,59 @@ def _sleeps(called: _CalledCode) -> bool:
             case _:
                 pass
     return False
+
+
+# Files that each run writes under one name: that of the last run replaces all others.
+
+#: What writes a file anew whose name comes first, by the name of the function or method.
+_WRITING = {
+    "imwrite", "save", "savefig", "savetxt", "savez", "savez_compressed",
+    "to_csv", "to_excel", "to_feather", "to_hdf", "to_json", "to_parquet", "to_pickle",
+}  # fmt: skip
+_WRITING_METHODS = {"write_bytes", "write_text"}
+_FIX_OF_FILE = "Write into context.run_folder, which each run has for itself: what lies there is kept, and packed."
+
+
+def _replaced_files(code: _LocalCode, events: EventManager) -> Iterator[tuple[str, str, str]]:
+    for event in RUN_EVENTS:
+        for each in events.subscribers(event):
+            for called in code.called_by(each):
+                for name in filter(None, (_written(node, called) for node in called.nodes)):
+                    problem = (
+                        f"{event.callback_name} writes {name!r} anew in each run: the last one replaces the others"
+                    )
+                    yield each.owner, problem, _FIX_OF_FILE
+
+
+def _written(node: ast.AST, called: _CalledCode) -> str | None:
+    """Return the name of the file that a call writes anew, where it is the same in each run."""
+    match node:
+        case ast.Call(func=ast.Name(id="open"), args=[file, mode, *_]) if _is_writing(mode):
+            return _fixed_name(file, called)
+        case ast.Call(func=ast.Name(id="open"), args=[file], keywords=keywords):
+            is_writing = any(each.arg == "mode" and _is_writing(each.value) for each in keywords)
+            return _fixed_name(file, called) if is_writing else None
+        case ast.Call(func=ast.Attribute(value=file, attr="open"), args=[mode, *_]) if _is_writing(mode):
+            return _fixed_name(file, called) if isinstance(file, ast.Call) else None
+        case ast.Call(func=ast.Attribute(value=file, attr=name)) if name in _WRITING_METHODS:
+            return _fixed_name(file, called)
+        case ast.Call(func=ast.Attribute(attr=name), args=[file, *_]) if name in _WRITING:
+            return _fixed_name(file, called)
+        case _:
+            return None
+
+
+def _is_writing(mode: ast.expr) -> bool:
+    return isinstance(mode, ast.Constant) and isinstance(mode.value, str) and not {"w", "x"}.isdisjoint(mode.value)
+
+
+def _fixed_name(file: ast.AST, called: _CalledCode) -> str | None:
+    match file:
+        case ast.Constant(value=str(name)):
+            return name
+        case ast.Call(func=ast.Name(id="Path") | ast.Attribute(attr="Path"), args=[inner]):
+            return _fixed_name(inner, called)
+        case ast.Name() if isinstance(value := called.named(file), str | Path):
+            return str(value)
+        case _:
+            return None
