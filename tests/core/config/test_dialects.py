@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
 
+from robot_runner.core.config.dialects import LOADED_VARIABLE
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
@@ -80,3 +82,10 @@ def test_processes_that_are_started_anew_know_the_functions_and_classes_of_the_c
     journal = (tmp_path / "experiments" / "pooled" / "journal.jsonl").read_text(encoding="utf-8").splitlines()
     ended = [each for each in map(json.loads, journal) if each["kind"] == "attempt_finished"]
     assert [each["measures"]["Sum"]["value"] for each in ended] == sums
+
+
+def test_what_is_secret_is_not_told_to_programs_that_callbacks_start(tmp_path: Path) -> None:
+    config = tmp_path / "secret.py"
+    config.write_text(OWN.replace("gain = 2", "gain, api_token = 2, ''"), encoding="utf-8")
+    prepare_or_refuse(config, {"gain": "5", "api_token": "s3cret-0f-mine"})
+    assert json.loads(os.environ[LOADED_VARIABLE]) == {"file": str(config), "set": {"gain": "5"}}

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Protocol
 from robot_runner.core.config import loader
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.secret_names import is_secret_name
 
 if TYPE_CHECKING:
     from robot_runner.core.config.loader import LoadedConfig
@@ -65,9 +66,11 @@ def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({}))
 def _tell_children(path: Path, overrides: Mapping[str, str]) -> None:
     """Let processes that `multiprocessing` starts anew (the default on macOS, and from Python 3.14 on) find the config.
 
-    They are told what is on `sys.path`, and inherit the environment.
+    They are told what is on `sys.path`, and inherit the environment: what is secret does not go there, as programs that
+    callbacks start may print it.
     """
-    os.environ[LOADED_VARIABLE] = json.dumps({"file": str(path.resolve()), "set": dict(overrides)})
+    told = {name: text for name, text in overrides.items() if not is_secret_name(name)}
+    os.environ[LOADED_VARIABLE] = json.dumps({"file": str(path.resolve()), "set": told})
     if _FOR_CHILDREN not in sys.path:
         sys.path.append(_FOR_CHILDREN)
 
