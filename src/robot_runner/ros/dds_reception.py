@@ -23,7 +23,6 @@ from robot_runner.ros.shapes import Field, Shape
 if TYPE_CHECKING:
     from cyclonedds.domain import DomainParticipant
 
-
 _logger = logging.getLogger(__name__)
 
 # The DDS types of messages are made at run time; their samples go through as the bytes that they are on the wire.
@@ -88,9 +87,9 @@ def topic_wire_type(shape: Shape) -> WireType:
 
 
 @lru_cache(maxsize=256)
-def service_wire_type(shape: Shape) -> WireType:
-    """Return the DDS type of a request or response, with the header before it."""
-    return _structure(shape, wire_type_name(shape.type_name, "srv"), _SERVICE_HEADER)
+def service_wire_type(shape: Shape, *, has_header: bool = True) -> WireType:
+    """Return the DDS type of a request or response; without a header for a middleware that puts none before it."""
+    return _structure(shape, wire_type_name(shape.type_name, "srv"), _SERVICE_HEADER if has_header else {})
 
 
 def _structure(shape: Shape, type_name: str, leading: dict[str, Any]) -> WireType:
