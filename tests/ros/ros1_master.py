@@ -25,7 +25,7 @@ __all__ = ["needs_ros1", "quiet_about_rospy", "ros1_environment", "ros1_master"]
 MASTER = shutil.which("rosmaster")
 needs_ros1 = pytest.mark.skipif(
     MASTER is None or importlib.util.find_spec("rospy") is None,
-    reason="no ROS 1 on this machine (on Debian: apt install python3-rospy python3-rosmaster)",
+    reason="no ROS 1 for this Python (on Debian: apt install python3-rospy python3-rosmaster, for Debian's own Python)",
 )
 
 #: rospy leaves sockets to the garbage collector and calls what Python has since renamed.
