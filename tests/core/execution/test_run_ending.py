@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +21,10 @@ from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.early_end import MissionStopped, RunFailed
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.failures import failure_fields
+from robot_runner.core.execution.interruption import stop_signals_handled
 from robot_runner.core.execution.notices import AttemptFinished, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.execution.processes import leave_after
+from robot_runner.core.execution.processes import forked, leave_after
 from robot_runner.core.storage.journal import Journal, read_journal
 from robot_runner.replication.explanation import explain_run
 from robot_runner.testing import make_context
@@ -528,3 +531,27 @@ def test_the_name_that_may_be_meant_is_told_of_a_callback_that_fails(
         missing(make_context(tmp_path))
     problem = failure_fields(error.value)["problem"]
     assert problem.partition(" (did you mean ")[2] == (f"{meant!r}?)" if meant else "")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_processes_of_the_experiment_itself_live_on_where_those_of_callbacks_end(number: int) -> None:
+    def ended(fork: Callable[[], int]) -> int:
+        reader, writer = os.pipe()
+        pid = fork()
+        if pid == 0:
+            with suppress(BaseException):
+                os.write(writer, b".")
+                deadline = time.monotonic() + 0.5
+                while time.monotonic() < deadline:
+                    time.sleep(0.01)
+                os._exit(7)
+            os._exit(1)
+        os.read(reader, 1)
+        os.close(reader)
+        os.close(writer)
+        os.kill(pid, number)
+        return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+
+    with stop_signals_handled(lambda _number, _frame: None):
+        assert ended(forked) == 7  # a keeper, or who stops a robot: Ctrl-C reaches all of a terminal's processes
+        assert ended(os.fork) == (1 if number == signal.SIGINT else -number)

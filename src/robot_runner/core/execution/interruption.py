@@ -19,6 +19,7 @@ from weakref import WeakSet
 
 from robot_runner.core.events.early_end import MissionStopped, RunFailed, RunInterrupted, fails_run
 from robot_runner.core.execution.failures import failure_fields, text_of
+from robot_runner.core.execution.processes import begin_run_of_its_own, is_part
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -52,14 +53,14 @@ def stop_signals_to_handle() -> list[signal.Signals]:
 
 
 def _of_this_process(handler: Callable[[int, FrameType | None], None]) -> Callable[[int, FrameType | None], None]:
-    """Return a handler of the stop signals of this process alone.
+    """Return a handler of the stop signals of this process, and of those that it forks as parts of the experiment.
 
     A process that a callback forks, as `multiprocessing` does, inherits it, and takes them as if there were none.
     """
     process = os.getpid()
 
     def take(number: int, frame: FrameType | None) -> None:
-        if os.getpid() == process:
+        if os.getpid() == process or is_part():
             handler(number, frame)
         elif number == signal.SIGINT:
             signal.default_int_handler(number, frame)
@@ -103,6 +104,7 @@ class InterruptGate:
 
         What one of them does not end is told to `held_up`. Call it in the main thread of the run's process.
         """
+        begin_run_of_its_own()
         for number in STOP_SIGNALS:
             signal.signal(number, _of_this_process(self._take_signal))
         signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)

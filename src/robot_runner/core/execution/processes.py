@@ -51,12 +51,41 @@ def stop_with_parent() -> None:
         _prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
 
 
+class _Part:
+    """Whether this process was forked to be a part of the experiment: a keeper, a standby, who watches a deadline.
+
+    It then takes stop signals as the orchestrator does, and not as a process that a callback has forked.
+    """
+
+    is_one = False
+
+
+def is_part() -> bool:
+    """Whether this process was made by `forked`, and has not begun to be a run."""
+    return _Part.is_one
+
+
+def begin_run_of_its_own() -> None:
+    """Be a run from now on: what it forks is forked by callbacks."""
+    _Part.is_one = False
+
+
 def forked() -> int:
-    """Fork, as `os.fork`, without the warning of libraries that have threads of their own in C.
+    """Fork a part of the experiment, as `os.fork`, without the warning of libraries that have threads in C.
 
     Raises:
         ExecutionError: the system refuses another process.
     """
+    parent, was = os.getpid(), _Part.is_one
+    _Part.is_one = True  # before the fork: a signal may come in the first moment of the new process
+    try:
+        return _forked()
+    finally:
+        if os.getpid() == parent:
+            _Part.is_one = was
+
+
+def _forked() -> int:
     try:
         if sys.version_info < (3, 12) or threading.active_count() > 1:
             return os.fork()
