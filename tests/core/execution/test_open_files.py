@@ -35,6 +35,8 @@ class RobotRunnerConfig(ExperimentConfig):
 
     def before_run(self, context):
         self.all.write(f"before {context.run_id}\\n")
+        self.of_run = open(context.experiment_folder / f"{context.run_id}.csv", "w")
+        self.of_run.write("before\\n")
 
     def start_run(self, context):
         self.text = open(context.run_folder / "own.csv", "w")
@@ -47,6 +49,7 @@ class RobotRunnerConfig(ExperimentConfig):
 
     def launch_mission(self, context):
         csv.writer(self.text).writerow([1, 2])
+        self.of_run.write("in the run\\n")
         for each in (self.bytes, self.random):
             each.write(b"abc")
         self.packed.write("packed")
@@ -76,6 +79,7 @@ def test_what_callbacks_have_written_is_in_files_that_they_leave_open(tmp_path: 
     assert (folder / "all.csv").read_text(encoding="utf-8").splitlines() == lines
     for run in ("r_1", "r_2", "r_3"):
         own = folder / "runs" / run
+        assert (folder / f"{run}.csv").read_text(encoding="utf-8") == "before\nin the run\n"
         assert (own / "own.csv").read_bytes() == b"1,2\r\n"
         assert (own / "own.bin").read_bytes() == (own / "own.dat").read_bytes() == b"abc"
         assert gzip.decompress((own / "own.gz").read_bytes()) == b"packed"

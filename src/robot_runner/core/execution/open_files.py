@@ -18,6 +18,9 @@ from typing import Any
 from weakref import ref
 
 _BUFFERED = (io.BufferedWriter, io.BufferedRandom)
+_WRITERS = (io.TextIOWrapper, *_BUFFERED)
+#: Generations of the garbage collector that hold what was made a moment ago; since Python 3.14 there is one.
+_YOUNG = (0, 1) if sys.version_info < (3, 14) else (0,)
 #: What writes its end when it is closed, and is no file without that: the modules are known where they are imported.
 _ENDED_BY_CLOSING = (("gzip", "GzipFile"), ("bz2", "BZ2File"), ("lzma", "LZMAFile"), ("zipfile", "ZipFile"))
 
@@ -28,6 +31,13 @@ _inherited: list[ref[Any]] = []
 def note_open_files() -> None:
     """Take down which files are open in this process, which is about to fork runs."""
     _inherited[:] = map(ref, _files_among(gc.get_objects()))
+
+
+def note_fresh_files() -> None:
+    """Take down as well which files `before_run` has opened: among the youngest objects."""
+    known = set(map(id, _still_there()))
+    young = (each for generation in _YOUNG for each in gc.get_objects(generation=generation))
+    _inherited.extend(ref(each) for each in _files_among(young) if id(each) not in known)
 
 
 def write_inherited() -> None:
@@ -52,13 +62,14 @@ def write_open_files() -> list[str]:
 
 
 def _still_there() -> list[Any]:
+    _inherited[:] = [each for each in _inherited if each() is not None]
     return [file for each in _inherited if (file := each()) is not None]
 
 
 def _files_among(*objects: Iterable[Any]) -> list[Any]:
     """Return the regular files among objects that can be written; text first, which writes into the others."""
     # Not `isinstance`, which asks each object for its class: some of a stranger's answer that by executing something.
-    found = [each for some in objects for each in some if issubclass(type(each), (io.TextIOWrapper, *_BUFFERED))]
+    found = [each for some in objects for each in some if issubclass(type(each), _WRITERS)]
     return sorted(filter(_is_written, found), key=lambda each: isinstance(each, _BUFFERED))
 
 

@@ -21,6 +21,7 @@ from robot_runner.core.events.resources import Resources
 from robot_runner.core.execution.failures import failure_fields
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.notices import FindingsNoticed, Notice, Observer
+from robot_runner.core.execution.open_files import note_fresh_files
 from robot_runner.core.execution.processes import forked
 from robot_runner.core.execution.random_states import seed_random_numbers
 from robot_runner.core.execution.run_events import run_contexts
@@ -188,6 +189,8 @@ class OrchestratorEvents:
         context_for = run_contexts(experiment, task, clock=clock, resources=resources, report=told)
         try:
             emission = self._emit(event, lambda owner: adapt(context_for(owner)))
+            if event is RobotRunnerEvents.BEFORE_RUN:
+                note_fresh_files()
             for failure in emission.failures:
                 told("failure", {"event": event.value, "owner": failure.owner, **_fields(failure)})
             return [returned for _, returned in emission.returned]

@@ -158,8 +158,8 @@ class _Run:
 
     def _open(self) -> None:
         task, resources = self._task, self._resources
-        seed_random_numbers(task.run_seed)
         self._clock = open_clock(self._experiment.parameters.robot, resources, seed=task.run_seed)
+        seed_random_numbers(task.run_seed)  # here, as the simulator has imported NumPy by now
         self._context_for = run_contexts(
             self._experiment,
             task,
