@@ -68,8 +68,11 @@ def _still_there() -> list[Any]:
 
 def _files_among(*objects: Iterable[Any]) -> list[Any]:
     """Return the regular files among objects that can be written; text first, which writes into the others."""
-    # Not `isinstance`, which asks each object for its class: some of a stranger's answer that by executing something.
-    found = [each for some in objects for each in some if issubclass(type(each), _WRITERS)]
+    all_of_them = [each for some in objects for each in some]
+    # By their types, of which there are few. Not `isinstance`, which asks each object for its class: some of a
+    # stranger's answer that by executing something.
+    kinds = {kind for kind in set(map(type, all_of_them)) if issubclass(kind, _WRITERS)}
+    found = [each for each in all_of_them if type(each) in kinds] if kinds else []
     return sorted(filter(_is_written, found), key=lambda each: isinstance(each, _BUFFERED))
 
 
