@@ -93,8 +93,20 @@ def test_plugins_of_the_config_s_own_are_looked_at_as_well(tmp_path: Path) -> No
             "    def populate_run_data(self): self.file.write('line')\n"
             "    def after_experiment(self): self.file.close()\n"
         ),
+        (
+            "    def before_experiment(self): self.base = object()\n"
+            "    def populate_run_data(self): self.base.insert(1); self.base.update(2)\n"
+            "    def after_experiment(self): print(self.base)\n"
+        ),
     ],
-    ids=["within a run", "of before the experiment", "of before the run", "of another object", "a file"],
+    ids=[
+        "within a run",
+        "of before the experiment",
+        "of before the run",
+        "of another object",
+        "a file",
+        "no container",
+    ],
 )
 def test_nothing_is_said_of_what_arrives(tmp_path: Path, body: str) -> None:
     assert lost_told(tmp_path, body) == []
@@ -249,7 +261,9 @@ def test_a_mission_that_waits_by_the_run_s_clock_is_right(tmp_path: Path, way: s
 
 def written_anew(folder: Path, body: str, head: str = "") -> list[str]:
     config = folder / "writing.py"
-    config.write_text(LOST_BEGIN.format(head=f"from pathlib import Path\n{head}", body=body), encoding="utf-8")
+    config.write_text(
+        LOST_BEGIN.format(head=f"import os\nfrom pathlib import Path\n{head}", body=body), encoding="utf-8"
+    )
     preparation = prepare(config, is_for_here=False)
     assert preparation.experiment is not None, preparation.findings
     return [each.problem for each in preparation.findings if "anew in each run" in each.problem]
@@ -285,7 +299,11 @@ def test_a_file_that_each_run_replaces_is_told(tmp_path: Path, call: str) -> Non
         "(context.run_folder / 'out.csv').write_text('text')",
         "open(name, 'w')",
         "self.archive.open('out.csv', 'w')",
-        "numpy.save(context.run_folder / 'out', [1])",
+        "numpy.savetxt(context.run_folder / 'out', [1])",
+        "open('/sys/class/gpio/export', 'w')",
+        "Path('/dev/ttyACM0').write_bytes(b'?')",
+        "self.maps.save('lab')",
+        "(os.chdir(context.run_folder), open('out.csv', 'w'))",
     ],
 )
 def test_a_file_that_each_run_has_for_itself_is_right(tmp_path: Path, call: str) -> None:

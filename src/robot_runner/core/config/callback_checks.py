@@ -9,6 +9,7 @@ import ast
 import inspect
 import time
 from collections.abc import Iterator, Mapping
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -81,13 +82,15 @@ class _LocalCode:
     """The functions of a config file and of the modules that it imports and that are not installed."""
 
     def __init__(self, loaded: LoadedConfig) -> None:
+        trees = {path: tuple(ast.walk(tree_of(path))) for path in (loaded.source.path, *loaded.local_modules)}
         # By file and first line, that of a decorator included, as code objects have them.
         self._functions = {
             (str(path), min([node.lineno, *(each.lineno for each in node.decorator_list)])): node
-            for path in (loaded.source.path, *loaded.local_modules)
-            for node in ast.walk(tree_of(path))
+            for path, nodes in trees.items()
+            for node in nodes
             if isinstance(node, ast.FunctionDef)
         }
+        self.containers = frozenset(chain.from_iterable(map(_containers_in, chain.from_iterable(trees.values()))))
 
     def called_by(self, subscriber: Subscriber) -> Iterator[_CalledCode]:
         """Yield the code of a callback and of the functions and methods that it names."""
@@ -113,6 +116,7 @@ class _LocalCode:
 _CHANGING = {"add", "append", "clear", "discard", "extend", "insert", "pop", "remove", "setdefault", "update"}
 #: What comes before the first run reads nothing of one.
 _LATER = tuple(each for each in ORCHESTRATED_EVENTS if each is not RobotRunnerEvents.BEFORE_EXPERIMENT)
+_CONTAINERS = {"Counter", "OrderedDict", "defaultdict", "deque", "dict", "list", "set"}
 _FIX_OF_CHANGE = (
     "Return it from populate_run_data, or write it into context.run_folder and read it there; "
     "run_process = RunProcess.IN_PROCESS executes runs in the orchestrator's process."
@@ -123,7 +127,7 @@ def _lost_changes(code: _LocalCode, events: EventManager) -> Iterator[tuple[str,
     changed: dict[str, dict[str, None]] = {}
     for event in RUN_EVENTS:
         for each in events.subscribers(event):
-            changed.setdefault(each.owner, {}).update(dict.fromkeys(_changed_by(code.called_by(each))))
+            changed.setdefault(each.owner, {}).update(dict.fromkeys(_changed_by(code.called_by(each), code.containers)))
     for event in _LATER:
         for each in events.subscribers(event):
             read = set(_read_by(code.called_by(each)))
@@ -133,7 +137,31 @@ def _lost_changes(code: _LocalCode, events: EventManager) -> Iterator[tuple[str,
                 yield each.owner, problem, _FIX_OF_CHANGE
 
 
-def _changed_by(called_code: Iterator[_CalledCode]) -> Iterator[str]:
+def _containers_in(node: ast.AST) -> Iterator[str]:
+    """Yield the variables and attributes to which a list, a dict or a set is given: other objects are no containers."""
+    match node:
+        case ast.Assign(targets=targets, value=value):
+            pass
+        case ast.AnnAssign(target=target, value=ast.expr() as value):
+            targets = [target]
+        case _:
+            return
+    match value:
+        case ast.List() | ast.Dict() | ast.Set() | ast.ListComp() | ast.DictComp() | ast.SetComp():
+            pass
+        case ast.Call(func=ast.Name(id=made)) if made in _CONTAINERS:
+            pass
+        case _:
+            return
+    for each in targets:
+        match each:
+            case ast.Attribute(attr=name) | ast.Name(id=name):
+                yield name
+            case _:
+                pass
+
+
+def _changed_by(called_code: Iterator[_CalledCode], containers: frozenset[str]) -> Iterator[str]:
     for called in called_code:
         for node in called.nodes:
             match node:
@@ -141,7 +169,9 @@ def _changed_by(called_code: Iterator[_CalledCode]) -> Iterator[str]:
                     changed = node
                 case ast.Subscript(value=ast.Attribute() as changed, ctx=ast.Store() | ast.Del()):
                     pass
-                case ast.Call(func=ast.Attribute(value=ast.Attribute() as changed, attr=name)) if name in _CHANGING:
+                case ast.Call(func=ast.Attribute(value=ast.Attribute() as changed, attr=name)) if (
+                    name in _CHANGING and changed.attr in containers
+                ):
                     pass
                 case _:
                     continue
@@ -218,22 +248,29 @@ def _sleeps(called: _CalledCode) -> bool:
 
 #: What writes a file anew whose name comes first, by the name of the function or method.
 _WRITING = {
-    "imwrite", "save", "savefig", "savetxt", "savez", "savez_compressed",
+    "imwrite", "savefig", "savetxt", "savez", "savez_compressed",
     "to_csv", "to_excel", "to_feather", "to_hdf", "to_json", "to_parquet", "to_pickle",
 }  # fmt: skip
 _WRITING_METHODS = {"write_bytes", "write_text"}
+#: What is written there goes to devices and to the system.
+_NO_FILES = ("/dev/", "/proc/", "/sys/")
 _FIX_OF_FILE = "Write into context.run_folder, which each run has for itself: what lies there is kept, and packed."
 
 
 def _replaced_files(code: _LocalCode, events: EventManager) -> Iterator[tuple[str, str, str]]:
     for event in RUN_EVENTS:
         for each in events.subscribers(event):
-            for called in code.called_by(each):
-                for name in filter(None, (_written(node, called) for node in called.nodes)):
-                    problem = (
-                        f"{event.callback_name} writes {name!r} anew in each run: the last one replaces the others"
-                    )
-                    yield each.owner, problem, _FIX_OF_FILE
+            called_code = list(code.called_by(each))
+            written = [name for called in called_code for node in called.nodes if (name := _written(node, called))]
+            if any(map(_moves, called_code)):
+                continue  # from then on, a name may mean another file in each run
+            for name in written:
+                problem = f"{event.callback_name} writes {name!r} anew in each run: the last one replaces the others"
+                yield each.owner, problem, _FIX_OF_FILE
+
+
+def _moves(called: _CalledCode) -> bool:
+    return any(isinstance(node, ast.Attribute) and node.attr == "chdir" for node in called.nodes)
 
 
 def _written(node: ast.AST, called: _CalledCode) -> str | None:
@@ -261,7 +298,7 @@ def _is_writing(mode: ast.expr) -> bool:
 def _fixed_name(file: ast.AST, called: _CalledCode) -> str | None:
     match file:
         case ast.Constant(value=str(name)):
-            return name
+            return None if name.startswith(_NO_FILES) else name
         case ast.Call(func=ast.Name(id="Path") | ast.Attribute(attr="Path"), args=[inner]):
             return _fixed_name(inner, called)
         case ast.Name() if isinstance(value := called.named(file), str | Path):
