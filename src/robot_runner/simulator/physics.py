@@ -42,7 +42,7 @@ if mujoco.get_mju_user_warning() is None:
     mujoco.set_mju_user_warning(logging.getLogger(__name__).warning)
 if mujoco.get_mjcb_time() is None:
     # Its bindings look at the clock a dozen times a step, a tenth of what a step takes, for `MjData.timer`, that nobody
-    # reads here. Whoever wants it sets a clock (`mujoco.set_mjcb_time`); no function of the bindings takes theirs away.
+    # reads here. They have no function to switch that off; `mujoco.set_mjcb_time(time.perf_counter)` brings it back.
     ctypes.c_void_p.in_dll(ctypes.CDLL(mujoco._functions.__file__), "mjcb_time").value = None  # noqa: SLF001
 
 
