@@ -73,7 +73,7 @@ def read_tree(path: Path) -> tuple[str, ast.Module]:
 
 
 def parsed(code: str | bytes, name: str = "<unknown>") -> ast.Module:
-    """Return the syntax tree of Python code, as `ast.parse`, without its warnings: Python gives them when it is executed.
+    """Return the syntax tree of Python code, as `ast.parse` and without its warnings: they come when it is executed.
 
     Raises:
         SyntaxError: it is not Python.
