@@ -98,6 +98,11 @@ def test_setting_what_is_not_there_is_refused(
     assert everything_in(tmp_path) == before
 
 
+def test_a_setting_that_cannot_be_is_told_where_it_stands(robot_runner: Callable, write_config: Callable) -> None:
+    write_config()
+    assert "--set workers=foo: the value is " in robot_runner("check", "config.py", "--set", "workers=foo").out
+
+
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 @pytest.mark.parametrize("command", ["check", "run"])
 def test_an_unwritable_results_folder_is_refused(

@@ -3,6 +3,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import pytest
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import Origin
+from robot_runner.core.storage.input_files import copy_kept, kept_contents, kept_copies
 from robot_runner.measuring.meter_process import Ending, MeterProcess
 from robot_runner.meters import command
 from robot_runner.meters.command import Measured
@@ -316,3 +318,32 @@ def test_the_check_names_the_program_that_is_missing_and_how_to_get_it():
 def test_what_cannot_be_is_refused(settings, problem):
     with pytest.raises(PluginError, match=problem):
         profiler(**settings)
+
+
+def test_the_script_that_measures_is_kept_with_the_modules_beside_it_and_found_again(tmp_path, monkeypatch):
+    study = tmp_path / "study"
+    study.mkdir()
+    (study / "calibration.py").write_text("FACTOR = 60.0\n")
+    (study / "meter.py").write_text(
+        "import time, calibration\n"
+        "print('watts', flush=True)\n"
+        "while True:\n"
+        "    print(calibration.FACTOR, flush=True)\n"
+        "    time.sleep(0.02)\n"
+    )
+    monkeypatch.chdir(study)
+    watts = CommandColumn("watts", Measure("Power", "W", "Power."), Aggregate.LAST)
+    meter = CommandProfiler(command=[sys.executable, "meter.py"], columns=[watts], period_s=PATIENT)
+    config = tmp_path / "package" / "config"
+    kept = kept_contents(list(meter.input_files()), study, config)
+    assert {place.name for place in kept} == {"meter.py", "calibration.py", "input_files.json"}
+    for place, content in kept.items():
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_bytes(content)
+    shutil.rmtree(study)
+    monkeypatch.chdir(config)
+    copy_kept(config, working := tmp_path / "working")
+    with kept_copies(config, working):
+        context = make_context(tmp_path / "run", meter, robot=None, clock=SystemClock())
+        measures = rehearse(context, meter, mission=lambda: time.sleep(0.05))
+    assert measures["Power"] == 60.0

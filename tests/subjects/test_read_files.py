@@ -11,7 +11,6 @@ from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import PluginError
 from robot_runner.core.storage.input_files import copy_kept, kept_contents, kept_copies
 from robot_runner.plugins.systems import ComposeProject, Program, RosLaunch, RosNode
-from robot_runner.subjects.read_files import scripts_in
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -173,19 +172,6 @@ def test_on_another_machine_the_copies_are_what_is_started(
         (parameters,) = [each for each in launch.surroundings.wrapped(launch.words()) if each.startswith("params:=")]
         assert parameters.startswith(f"params:={working}")
         assert {*subjects()[0].input_files()}  # what is repeated can be packed again
-
-
-def test_scripts_are_told_from_options_and_inline_programs() -> None:
-    assert list(scripts_in(["bash", "-x", "plan.sh", "more.sh"])) == ["plan.sh"]
-    assert list(scripts_in(["/usr/bin/python3.11", "-m", "plan"])) == []
-    assert list(scripts_in(["bin/plan", "hall"])) == ["bin/plan"]
-
-
-def test_the_python_of_a_virtual_environment_is_no_file_of_the_experiment(tmp_path: Path) -> None:
-    (tmp_path / "pyvenv.cfg").touch()
-    python, plan = str(tmp_path / "bin" / "python"), str(tmp_path / "bin" / "plan")
-    assert list(scripts_in([python, "talker.py"])) == ["talker.py"], "elsewhere it would find none of its packages"
-    assert list(scripts_in([plan, "hall"])) == [plan]
 
 
 def test_a_single_text_is_no_list_of_files() -> None:

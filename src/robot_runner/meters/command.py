@@ -15,9 +15,11 @@ from robot_runner.core.events.context import Clock, RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
 from robot_runner.core.plugin import Circumstances, Profiler, probe_window
+from robot_runner.core.storage.input_files import InputFile, kept_copy
 from robot_runner.measuring.evaluation import publish_measures
 from robot_runner.measuring.measured_machine import clock_details, machine_clock
 from robot_runner.measuring.meter_process import Ending, MeterProcess, Record
+from robot_runner.measuring.own_scripts import script_input, scripts_in
 from robot_runner.measuring.quality import Column, SampleQuality, quality_of, report_quality, write_samples
 from robot_runner.meters.command_output import (
     Aggregate,
@@ -152,7 +154,11 @@ class CommandProfiler(Profiler):
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: the program is not there."""
         del circumstances
-        return self._missing_programs(self.command[0])
+        return self._missing_programs(self._found[0])
+
+    def input_files(self) -> Iterable[InputFile]:
+        """Yield the program where it is one of the user's own, and a script that an interpreter executes."""
+        return (script_input(Path(script)) for script in scripts_in(self.command))
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Forget the run before."""
@@ -231,7 +237,7 @@ class CommandProfiler(Profiler):
     def words(self, folder: Path) -> list[str]:
         """Return the command with the path of the output file in it."""
         output = self._output_file(folder)
-        return [word.replace(_PLACE, str(output)) if output else word for word in self.command]
+        return [word.replace(_PLACE, str(output)) if output else word for word in self._found]
 
     def doubts(self, measured: Measured) -> Iterable[str]:
         """Yield what is doubtful about the output, besides the quality of its samples; a subclass may add to it."""
@@ -326,6 +332,12 @@ class CommandProfiler(Profiler):
 
     def _output_file(self, folder: Path) -> Path | None:
         return folder / self.output if self.output else None
+
+    @property
+    def _found(self) -> list[str]:
+        """The command, with the copies that a package has of its scripts."""
+        scripts = set(scripts_in(self.command))
+        return [str((each in scripts and kept_copy(Path(each))) or each) for each in self.command]
 
     @property
     def _look(self) -> str:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.events.measure import Measure, Origin
-from robot_runner.subjects.read_files import script_input, scripts_in
+from robot_runner.measuring.own_scripts import script_input, scripts_in
 from robot_runner.subjects.subject import Subject
 from robot_runner.subjects.surroundings import holds_revision, is_known, word
 

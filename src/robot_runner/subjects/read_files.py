@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from itertools import chain, islice
+from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 
 from robot_runner.core.storage.input_files import InputFile, fits, kept_copy
+from robot_runner.measuring.own_scripts import files_below, is_file, is_installed, modules_beside, text_of, with_named
 
 #: Texts that YAML needs no quotes for, and those that everything else has in quotes.
 _PLAIN = re.compile(r"""[^\s"',\[\]{}|<>]+""")
@@ -22,17 +23,6 @@ _YAML = frozenset({".yaml", ".yml"})
 _NAMING = _YAML | {".launch", ".xml", ".py", ".urdf", ".xacro"}
 #: How a launch file of ROS says where it is itself.
 _HERE = re.compile(r"\$\((?:dirname|var __file__)\)/")
-_MOST_NAMING, _LARGEST_NAMING = 200, 1_000_000
-#: What is not read by software under test, or is written while it is executed.
-_NOT_READ = frozenset({"__pycache__", "node_modules"})
-_MOST_FILES = 5001  # more than is kept of any input
-#: Where the system and what is installed are: whoever replicates has it of their own.
-_INSTALLED = ("/bin", "/sbin", "/lib", "/usr", "/opt", "/dev", "/proc", "/sys", "/etc", "/snap", "/nix")
-_INTERPRETER = re.compile(r"(?:python|node|perl|ruby|julia|lua|octave|php)[\d.]*|(?:ba|da|z|k|fi)?sh|Rscript")
-#: Options of interpreters after which a program stands, and no file.
-_INLINE = re.compile(r"-[a-zA-Z]*[ceEm]")
-
-_IMPORT = re.compile(r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import|import[ \t]+([\w., \t]+))", re.MULTILINE)
 _BUILD = re.compile(r"(?:^|[\s{,])(build|context|dockerfile)[ \t]*:[ \t]*[\"']?([^\s\"'#{},]+)", re.MULTILINE)
 _COPY = re.compile(r"^\s*(?:COPY|ADD)\s+(.+)$", re.IGNORECASE | re.MULTILINE)
 
@@ -42,52 +32,11 @@ def is_own_setup(path: Path) -> bool:
     return not is_installed(path) and not re.fullmatch(r"(?:local_)?setup\.\w+", path.name)
 
 
-def is_installed(path: Path) -> bool:
-    """Return whether a path lies where the system and its packages are."""
-    return str(path).startswith(tuple(f"{each}/" for each in _INSTALLED))
-
-
-def scripts_in(words: Sequence[str]) -> Iterator[str]:
-    """Yield the files of a command that are executed: a program of the user's own, and a script for an interpreter.
-
-    Example:
-        >>> list(scripts_in(["python3", "-u", "planner.py", "--map", "hall.yaml"])), list(scripts_in(["planner"]))
-        (['planner.py'], [])
-    """
-    program, *rest = words
-    path = Path(program)
-    is_interpreter = _INTERPRETER.fullmatch(path.name) is not None
-    # A copy of a virtual environment's Python finds none of its packages.
-    is_of_environment = is_interpreter and (path.parent.parent / "pyvenv.cfg").is_file()
-    if "/" in program and not is_installed(path) and not is_of_environment:
-        yield program
-    if not is_interpreter:
-        return
-    for each in rest:
-        if _INLINE.fullmatch(each):
-            return
-        if not each.startswith("-"):
-            yield each
-            return
-
-
-def script_input(path: Path) -> InputFile:
-    """Return a program or a script as an input, with the modules beside it that it imports."""
-    return _with(path, _modules_beside)
-
-
 def with_what_it_names(path: Path) -> InputFile:
     """Return a file as an input, with the files that it names by relative paths, and those that they name."""
-    return _with(path, lambda each: chain(_named_beside(each), _modules_beside(each)))
-
-
-def _with(path: Path, look: Callable[[Path], Iterable[Path]]) -> InputFile:
-    found = {kept_copy(path) or path: None}
-    for place in range(_MOST_NAMING):
-        each = next(islice(found, place, None), None)  # those that were found meanwhile come, too
-        if each is not None and each.suffix in _NAMING:
-            found |= dict.fromkeys(look(each))
-    return InputFile(path, tuple(found)[1:])
+    return with_named(
+        path, lambda each: chain(_named_beside(each), modules_beside(each)) if each.suffix in _NAMING else ()
+    )
 
 
 def compose_input(path: Path) -> InputFile:
@@ -97,32 +46,9 @@ def compose_input(path: Path) -> InputFile:
     return InputFile(path, tuple(dict.fromkeys([*beside, *_named_beside(start), *_of_compose(start)])))
 
 
-def files_below(folder: Path) -> Iterator[Path]:
-    """Yield the files in a folder and below it, without hidden folders and results of experiments."""
-    return islice(_walked(folder), _MOST_FILES)
-
-
-def _walked(folder: Path) -> Iterator[Path]:
-    for place, folders, names in os.walk(folder):
-        if {"manifest.json", "run_table.csv"} <= set(names):
-            folders.clear()
-            continue
-        folders[:] = sorted(each for each in folders if not each.startswith(".") and each not in _NOT_READ)
-        yield from (Path(place, name) for name in sorted(names))
-
-
-def _text_of(path: Path) -> str:
-    try:
-        if path.is_file() and path.stat().st_size <= _LARGEST_NAMING:
-            return path.read_text(encoding="utf-8", errors="replace")
-    except OSError:  # who reads it says so
-        pass
-    return ""
-
-
 def _named_beside(path: Path) -> Iterator[Path]:
     """Yield the files that a file names by paths relative to its own folder."""
-    text = _text_of(path)
+    text = text_of(path)
     folder, into = path.parent, Path()
     if path.suffix in _YAML:
         text = re.sub(r"(?m)(?:^|\s)#.*$", "", text)
@@ -141,22 +67,12 @@ def _named_beside(path: Path) -> Iterator[Path]:
         into = into / plain if beside and _is_folder(beside[0]) else Path()
 
 
-def _modules_beside(path: Path) -> Iterator[Path]:
-    """Yield the modules that a Python file imports from its own folder."""
-    for names in _IMPORT.findall(_text_of(path)) if path.suffix == ".py" else ():
-        for name in {each.split()[0].partition(".")[0] for part in names for each in part.split(",") if each.strip()}:
-            package = path.parent / name
-            yield from filter(is_file, [package.with_name(f"{name}.py")] if name else ())
-            if name and is_file(package / "__init__.py"):
-                yield from files_below(package)
-
-
 def _of_compose(path: Path) -> Iterator[Path]:
     """Yield what images are built from, and what is in folders that containers see and cannot write to.
 
     A folder that they may write to changes with each run, so that it is none of what they were given.
     """
-    folder, text = path.parent, _text_of(path)
+    folder, text = path.parent, text_of(path)
     built: list[list[str]] = []  # each context, and its recipe
     for key, name in _BUILD.findall(text):
         if key == "dockerfile" and built:
@@ -174,7 +90,7 @@ def _of_compose(path: Path) -> Iterator[Path]:
 def _built_from(context: Path, recipe: str) -> Iterator[Path]:
     """Yield the recipe of an image, and what it copies from the folder that it is built in."""
     yield from filter(is_file, [context / recipe, context / ".dockerignore"])
-    joined = _text_of(context / recipe).replace("\\\n", " ")
+    joined = text_of(context / recipe).replace("\\\n", " ")
     for words in (_PLAIN.findall(each) for each in _COPY.findall(joined)):
         if any(each.startswith("--from") for each in words):
             continue
@@ -189,11 +105,6 @@ def _copied(context: Path, source: str) -> Iterator[Path]:
         return
     for each in found:
         yield from [each] if each.is_file() else files_below(each)
-
-
-def is_file(path: Path) -> bool:
-    """Return whether a text that may be the path of a file is that of one."""
-    return os.path.isfile(path)  # noqa: PTH113 - false of a name that no path can have
 
 
 def _is_folder(path: Path) -> bool:

@@ -10,7 +10,8 @@ from typing import Any
 
 from robot_runner.core.errors import Finding, did_you_mean
 from robot_runner.core.storage.input_files import InputFile, kept_copy
-from robot_runner.subjects.read_files import is_file, is_installed, with_what_it_names
+from robot_runner.measuring.own_scripts import is_file, is_installed
+from robot_runner.subjects.read_files import with_what_it_names
 from robot_runner.subjects.ros_subject import RosSubject
 from robot_runner.subjects.surroundings import holds_revision, word
 

@@ -9,6 +9,7 @@ import pytest
 from tests.core.execution.conftest import execute_in
 
 from robot_runner.core.errors import ExecutionError
+from robot_runner.core.execution import run_facts
 from robot_runner.core.execution.processes import children
 
 if TYPE_CHECKING:
@@ -201,6 +202,18 @@ def test_a_run_is_tried_again_and_the_earlier_attempt_is_kept(execute: Execute, 
     assert "attempt 3" in executed.log("r_1")
     earlier = sorted(executed.folder.glob("earlier_attempts/r_1/*/log.txt"))
     assert [path.read_text(encoding="utf-8").split()[1] for path in earlier] == ["1", "2"]
+
+
+def test_a_run_that_prints_more_than_anybody_reads_is_told(execute: Execute, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_facts, "_LARGE_LOG", 1_000_000)
+    executed = execute(
+        """
+        def launch_mission(self, context):
+            print("x" * (2_000_000 if context.run_id == "r_2" else 100))
+        """,
+    )
+    (told,) = [each for each in executed.finished.findings if "printed" in each.problem]
+    assert (told.where, told.problem) == ("r_2", "it has printed 2 MB, which log.txt keeps")
 
 
 def test_a_failed_before_run_fails_the_run_without_starting_it(execute: Execute) -> None:

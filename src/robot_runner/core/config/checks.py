@@ -35,6 +35,7 @@ from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 from robot_runner.core.events.measure import CONFIG_OWNER, ROBOT, Measure, MeasureColumns
 from robot_runner.core.late_annotations import names_in
 from robot_runner.core.links.robot_name import Robots
+from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.storage.executed_runs import done_runs
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
@@ -206,8 +207,9 @@ def _missing(loaded: LoadedConfig, parameter: Parameter) -> Finding:
 
 def _malformed(loaded: LoadedConfig, parameter: Parameter, value: object) -> Finding:
     shown = "..." if parameter.kind.is_secret else repr(value)
+    text = shown_settings(loaded.overrides).get(parameter.name)
     return Finding.error(
-        f"{loaded.where}.{parameter.name}",
+        f"{loaded.where}.{parameter.name}" if text is None else f"--set {parameter.name}={text}",
         f"the value is {shown}, of type {type(value).__name__}",
         f"It must be {parameter.kind.expected}.{_meant(parameter, value)}",
     )

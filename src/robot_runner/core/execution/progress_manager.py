@@ -18,7 +18,7 @@ from robot_runner.core.execution.durations import Durations, TimeLeft, durations
 from robot_runner.core.execution.left_over import await_left_over
 from robot_runner.core.execution.recovered_table import RecoveredTable, TableOnDisk, texts_of
 from robot_runner.core.execution.recovery import Resumption, selected_places, with_session_warm_ups
-from robot_runner.core.execution.run_facts import CALLED, ReportedFacts, UnreadFactors, missing_measures
+from robot_runner.core.execution.run_facts import CALLED, ReportedFacts, UnreadFactors, large_log, missing_measures
 from robot_runner.core.execution.standby import await_standby
 from robot_runner.core.execution.table_recovery import recover_table
 from robot_runner.core.execution.task import AttemptStatus, PendingRun, RunOutcome, RunTask, seed_of_run
@@ -305,6 +305,7 @@ class ProgressManager:
         """
         if task.slot:
             keep_log(self._folder.at_slot(task.slot), task.run_id)
+            self._findings += large_log(self._folder.log(task.run_id))
         self._durations.end(time.monotonic(), outcome.status.value, is_last=is_last, run=task.run_id)
         self._findings += [*outcome.findings, *missing_measures(self._experiment, task, outcome)]
         if outcome.status is AttemptStatus.FAILED and is_last:

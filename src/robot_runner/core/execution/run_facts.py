@@ -20,6 +20,7 @@ from robot_runner.core.storage.layout import ExperimentFolder, keep_refused
 from robot_runner.core.storage.manifest import described_programs
 
 if TYPE_CHECKING:
+    from pathlib import Path
     from types import FrameType
 
     from robot_runner.core.config.experiment import Experiment
@@ -30,6 +31,8 @@ CALLED, _SUBJECT = "program", "subject"
 #: The events of Python's own that start a program (PEP 578), with the place of the program among their arguments.
 _STARTS = {"subprocess.Popen": 0, "os.exec": 0, "os.posix_spawn": 0, "os.spawn": 1, "os.system": 0}
 _SHELLS = frozenset({"sh", "bash", "dash"})
+#: A log of this size is told, bytes: of a hundred runs, such logs fill the storage of a small computer.
+_LARGE_LOG = 100_000_000
 
 
 def notice_programs(experiment: Experiment, report: Report) -> None:
@@ -199,6 +202,18 @@ def missing_measures(experiment: Experiment, task: RunTask, outcome: RunOutcome)
         if column.owner != OPERATOR_OWNER  # a person is asked before some runs only
         if outcome.measures.get(column.name) is None or outcome.measures[column.name].value is None
     ]
+
+
+def large_log(log: Path) -> list[Finding]:
+    """Return a warning where a run has printed more than anybody reads: each attempt keeps it, and a package has it."""
+    try:
+        size = log.stat().st_size
+    except OSError:  # it has printed nothing
+        return []
+    if size < _LARGE_LOG:
+        return []
+    fix = "Print less, or pass the output of programs on to a file that the mission removes."
+    return [Finding.warning(log.parent.name, f"it has printed {size / 1e6:,.0f} MB, which {log.name} keeps", fix)]
 
 
 def _fix(owner: str, has_log: bool) -> str:

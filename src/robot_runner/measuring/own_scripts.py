@@ -1,0 +1,107 @@
+"""The user's own scripts among the words of a command, and the modules beside them: what a package has to keep."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+
+from robot_runner.core.storage.input_files import InputFile, kept_copy
+
+#: Where the system and what is installed are: whoever replicates has it of their own.
+_INSTALLED = ("/bin", "/sbin", "/lib", "/usr", "/opt", "/dev", "/proc", "/sys", "/etc", "/snap", "/nix")
+_INTERPRETER = re.compile(r"(?:python|node|perl|ruby|julia|lua|octave|php)[\d.]*|(?:ba|da|z|k|fi)?sh|Rscript")
+#: Options of interpreters after which a program stands, and no file.
+_INLINE = re.compile(r"-[a-zA-Z]*[ceEm]")
+
+_IMPORT = re.compile(r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import|import[ \t]+([\w., \t]+))", re.MULTILINE)
+#: Into how many files is looked for further ones, and how large one may be, bytes.
+_MOST_NAMING, _LARGEST_NAMING = 200, 1_000_000
+#: What is not read by software under test, or is written while it is executed.
+_NOT_READ = frozenset({"__pycache__", "node_modules"})
+_MOST_FILES = 5001  # more than is kept of any input
+
+
+def is_installed(path: Path) -> bool:
+    """Return whether a path lies where the system and its packages are."""
+    return str(path).startswith(tuple(f"{each}/" for each in _INSTALLED))
+
+
+def scripts_in(words: Sequence[str]) -> Iterator[str]:
+    """Yield the files of a command that are executed: a program of the user's own, and a script for an interpreter.
+
+    Example:
+        >>> list(scripts_in(["python3", "-u", "planner.py", "--map", "hall.yaml"])), list(scripts_in(["planner"]))
+        (['planner.py'], [])
+    """
+    program, *rest = words
+    path = Path(program)
+    is_interpreter = _INTERPRETER.fullmatch(path.name) is not None
+    # A copy of a virtual environment's Python finds none of its packages.
+    is_of_environment = is_interpreter and (path.parent.parent / "pyvenv.cfg").is_file()
+    if "/" in program and not is_installed(path) and not is_of_environment:
+        yield program
+    if not is_interpreter:
+        return
+    for each in rest:
+        if _INLINE.fullmatch(each):
+            return
+        if not each.startswith("-"):
+            yield each
+            return
+
+
+def script_input(path: Path) -> InputFile:
+    """Return a program or a script as an input, with the modules beside it that it imports."""
+    return with_named(path, modules_beside)
+
+
+def with_named(path: Path, look: Callable[[Path], Iterable[Path]]) -> InputFile:
+    """Return a file as an input, with the files that `look` finds in it, and those that it finds in them."""
+    found = {kept_copy(path) or path: None}
+    for place in range(_MOST_NAMING):
+        each = next(islice(found, place, None), None)  # those that were found meanwhile come, too
+        if each is not None:
+            found |= dict.fromkeys(look(each))
+    return InputFile(path, tuple(found)[1:])
+
+
+def modules_beside(path: Path) -> Iterator[Path]:
+    """Yield the modules that a Python file imports from its own folder."""
+    for names in _IMPORT.findall(text_of(path)) if path.suffix == ".py" else ():
+        for name in {each.split()[0].partition(".")[0] for part in names for each in part.split(",") if each.strip()}:
+            package = path.parent / name
+            yield from filter(is_file, [package.with_name(f"{name}.py")] if name else ())
+            if name and is_file(package / "__init__.py"):
+                yield from files_below(package)
+
+
+def text_of(path: Path) -> str:
+    """Return what a file says; nothing where it cannot be read, or is too large for one that names others."""
+    try:
+        if path.is_file() and path.stat().st_size <= _LARGEST_NAMING:
+            return path.read_text(encoding="utf-8", errors="replace")
+    except OSError:  # who reads it says so
+        pass
+    return ""
+
+
+def files_below(folder: Path) -> Iterator[Path]:
+    """Yield the files in a folder and below it, without hidden folders and results of experiments."""
+    return islice(_walked(folder), _MOST_FILES)
+
+
+def _walked(folder: Path) -> Iterator[Path]:
+    for place, folders, names in os.walk(folder):
+        if {"manifest.json", "run_table.csv"} <= set(names):
+            folders.clear()
+            continue
+        folders[:] = sorted(each for each in folders if not each.startswith(".") and each not in _NOT_READ)
+        yield from (Path(place, name) for name in sorted(names))
+
+
+def is_file(path: Path) -> bool:
+    """Return whether a text that may be the path of a file is that of one."""
+    return os.path.isfile(path)  # noqa: PTH113 - false of a name that no path can have
