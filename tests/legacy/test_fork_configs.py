@@ -155,6 +155,29 @@ def test_what_a_fork_added_to_a_module_of_the_tool_comes_from_its_clone(
     }
 
 
+def test_of_a_clone_the_modules_of_its_own_are_kept_and_none_of_the_tool(
+    config: Callable[..., Path], write: Callable[..., Path]
+) -> None:
+    tool = "clone/experiment-runner"
+    table = "import ConfigValidator.Config.Models.FactorModel\n"
+    write(table, f"{tool}/ConfigValidator/Config/Models/RunTableModel.py")
+    write("class FactorModel: ...\n", f"{tool}/ConfigValidator/Config/Models/FactorModel.py")
+    write("class WattsUpPro: own = True\n\ndef run_for(seconds): ...\n", f"{tool}/Plugins/Profilers/WattsUpPro.py")
+    write("class PowerJoular: ...\n", f"{tool}/Plugins/Profilers/PowerJoular.py")
+    write("", f"{tool}/__main__.py")
+    write("class Meter: ...\n", f"{tool}/Plugins/Profilers/ForkMeter.py")
+    imported = (
+        "from Plugins.Profilers.ForkMeter import Meter\n"
+        "from Plugins.Profilers.WattsUpPro import run_for\n"
+        "from Plugins.Profilers.PowerJoular import PowerJoular\n"
+    )
+    path = config(head=RUNNER.replace("from pathlib", f"{imported}from pathlib"), name="clone/run/RunnerConfig.py")
+    experiment = prepare(path, is_for_here=False).experiment
+    assert experiment is not None
+    kept = {place.as_posix() for place in experiment.local_modules.values()}
+    assert kept == {"Plugins/Profilers/ForkMeter.py", "Plugins/Profilers/WattsUpPro.py"}
+
+
 def test_an_event_that_a_fork_added_is_told_apart_from_a_misspelt_one(
     config: Callable[..., Path], write: Callable[..., Path]
 ) -> None:

@@ -101,6 +101,14 @@ def test_a_config_and_the_one_that_it_derives_from_are_converted_together(
     assert "it plans the same 3 runs" in capsys.readouterr().out.replace("\n", " ")
 
 
+def test_an_old_config_goes_on_beside_its_conversion(study: Path) -> None:
+    with load_apart():
+        assert main(["convert", str(study), "--out", str(study.with_name("new.py"))]) == 0
+    assert {each.name for each in study.parent.glob("*.py")} == {"E1.py", "new.py", "BaseOfStudy_converted.py"}
+    with load_apart():
+        assert main(["check", str(study)]) == 0
+
+
 def test_what_a_base_cannot_keep_is_found_in_the_file_of_the_base(
     config: Callable[..., Path], write: Callable[..., Path]
 ) -> None:

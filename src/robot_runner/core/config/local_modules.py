@@ -102,9 +102,11 @@ def imported_files(files: Mapping[Path, Path], folder: Path) -> dict[Path, Path]
     while unread:
         path = unread.pop()
         for each, place in _imported_by(path, found[path], lambda top: beside if _is_known(top) else roots):
+            if not _is_meant(each, place):
+                continue
             if is_local(each, folder):
                 place = each.relative_to(folder)  # noqa: PLW2901 - where it stands, whatever root it was found by
-            elif each.suffix != ".py" or not _is_elsewhere(each) or not _is_meant(each, place) or place in places:
+            elif each.suffix != ".py" or not _is_elsewhere(each) or place in places:
                 continue  # what stands beside the config is imported before what is called the same
             if each not in found:
                 found[each] = place
@@ -116,12 +118,13 @@ def imported_files(files: Mapping[Path, Path], folder: Path) -> dict[Path, Path]
 def _is_meant(path: Path, place: Path) -> bool:
     """Whether a file is what is imported by this name: not where other modules stand in for an earlier tool's."""
     root, top = path.parents[len(place.parts) - 1], place.parts[0].removesuffix(".py")
-    module = sys.modules.get(top)
-    if module is None:
-        return True
-    file = getattr(module, "__file__", None)
-    folders = map(_without_dots, getattr(module, "__path__", ()))
-    return root / top in folders or (file is not None and _without_dots(file) == root / f"{top}.py")
+    named = place.parent if place.name == _PACKAGE else place.with_suffix("")
+    module = sys.modules.get(".".join(named.parts))
+    if module is not None:
+        file = getattr(module, "__file__", None)
+        return file is not None and _without_dots(file) == path
+    package = sys.modules.get(top)
+    return package is None or root / top in map(_without_dots, getattr(package, "__path__", ()))
 
 
 def _is_known(top: str) -> bool:

@@ -154,6 +154,9 @@ class _Chain:
     def _convert_base(self, recognised: Recognised, base_class: type, bases: set[Path]) -> None:
         file = recognised.path
         new = new_file(file, self._folder)
+        if self._folder is not None and self._folder.resolve() == self._recognised.path.parent.resolve():
+            # The old config is to go on importing the old file.
+            new = self._folder / f"{file.stem}_converted.py"
         while new.name in self._taken and self._folder is not None:
             new = new.with_name(f"{new.stem}_base.py")
         self._taken.add(new.name)

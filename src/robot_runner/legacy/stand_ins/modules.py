@@ -232,6 +232,7 @@ class StandIns(MetaPathFinder, Loader):
                 raise AttributeError(f"module {module.__name__!r} has no attribute {name!r}", name=name, obj=module)
             if not loaded:
                 loaded.append(module_from_spec(spec))
+                module.__file__ = str(file)  # a module of the clone's own from here on, which a package has to have
                 spec.loader.exec_module(loaded[0])
             return getattr(loaded[0], name)
 
