@@ -45,6 +45,7 @@ class NullDesign:
         response: the standard deviation of the blocks' own effects of treatments.
         lacking: how many combinations each block lacks, in turn.
         shift: an effect that is there: that of the last factor's first treatment, which is then not counted.
+        is_ranked: whether ranks are compared, in the place of means.
         bounds: between which every single effect is to be found, in percent at alpha = 5 %.
         why: they are others than those of all designs; empty otherwise.
     """
@@ -58,6 +59,7 @@ class NullDesign:
     response: float = 0.0
     lacking: int = 0
     shift: float = 0.0
+    is_ranked: bool = False
     bounds: tuple[float, float] = (3.5, 6.5)
     why: str = ""
 
@@ -74,6 +76,7 @@ class NullDesign:
         parts += [f"response sd {self.response:g}"] if self.response else []
         parts += [f"{self.lacking} lacking"] if self.lacking else []
         parts += [f"other effect {self.shift:g}"] if self.shift else []
+        parts += ["ranks"] if self.is_ranked else []
         return ", ".join(parts)
 
     @property
@@ -140,6 +143,9 @@ def _one_large(count: int, large: float = 4.0) -> tuple[float, ...]:
 _SKEWED = "few skewed values: t is careful"
 _SKEWED_UNEQUAL = "skewed values of unequal spreads bias t"
 _TINY = "variances of three runs are hardly known"
+_TWO_RUNS = "the variance of two runs is not known"
+_RANKED = "ranks of few runs are coarse"
+_RANKED_UNEQUAL = "spreads that differ are not told by ranks"
 _FEW_BLOCKS = "Greenhouse-Geisser is careful of few blocks"
 
 NULL_DESIGNS: tuple[NullDesign, ...] = (
@@ -243,4 +249,10 @@ NULL_DESIGNS: tuple[NullDesign, ...] = (
     NullDesign((8,), 3, _one_large(8), bounds=(4.0, 7.0), why=_TINY),
     NullDesign((4,), 1, blocks=6, bounds=(2.0, 4.0), why=_FEW_BLOCKS),
     NullDesign((2, 3), 1, blocks=4, between=1, bounds=(2.5, 6.5), why=_FEW_BLOCKS),
+    NullDesign((2,), (2, 8), bounds=(8.0, 10.0), why=_TWO_RUNS),
+    *(
+        NullDesign(levels, runs, is_ranked=True, bounds=(2.0, 8.0), why=_RANKED)
+        for levels, runs in (((2,), 4), ((2,), (4, 20)), ((2,), 10), ((3,), 3), ((3,), 5), ((20,), 4), ((2, 2), 3))
+    ),
+    NullDesign((3,), (5, 10, 15), (3, 2, 1), is_ranked=True, bounds=(6.0, 8.5), why=_RANKED_UNEQUAL),
 )

@@ -118,10 +118,14 @@ def _false_positives(design: NullDesign, random: np.random.Generator, count: int
     return Judged(design.name, float(rates.min()), highest, design.bounds, design.why, beside, slack)
 
 
+def _estimand(design: NullDesign) -> Estimand:
+    return Estimand.RANK if design.is_ranked else Estimand.MEAN
+
+
 def _test_of(design: NullDesign) -> str:
     """Return by what a design is tested, as words."""
     values = design.draw(np.random.default_rng(_SEED), 1)[0]
-    model = model_of(design.data(values), Estimand.MEAN)
+    model = model_of(design.data(values), _estimand(design))
     if isinstance(model, NotComputed):
         raise TypeError(f"{design.name}: {model.why}")
     with quiet():
@@ -133,11 +137,11 @@ def _p_values(design: NullDesign, values: Floats) -> dict[tuple[str, ...], Float
     layout = layout_of(design.data(values[0]))
     if layout is not None:
         with quiet():
-            effects = CellMeans.of_values(layout, values, draws=_DRAWS).effects()
+            effects = CellMeans.of_values(layout, values, _estimand(design), draws=_DRAWS).effects()
             return {each.factors: np.asarray(each.p_value) for each in effects}
     found: dict[tuple[str, ...], list[float]] = {}
     for experiment in values[: len(values) // _SHARE_OF_MODELS]:
-        model = model_of(design.data(experiment), Estimand.MEAN)
+        model = model_of(design.data(experiment), _estimand(design))
         for each in () if isinstance(model, NotComputed) else model.effects():
             found.setdefault(each.factors, []).append(float(each.p_value))
     return {factors: np.array(several) for factors, several in found.items()}

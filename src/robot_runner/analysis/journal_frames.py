@@ -33,7 +33,7 @@ class History:
 
     Attributes:
         attempts: `run_id`, `attempt`, `status` (done, failed, unfinished), `started_at`, `seconds`, `failure`, in the
-            order in which they were begun; `attrs["clock_was_set_back"]` says whether their times do not tell it.
+            order in which they were begun; `attrs["clock_was_set"]` says whether their times do not tell it.
         events: `run_id`, `event`, `at`, `clock_s`, `since_start_s`; of the last attempt at each run.
         published: `run_id`, `measure`, `value`, `owner`, `origin`; of the last attempt at each run.
         doubts: what makes values doubtful or missing: reasons by measure, by run, of the last attempt at each run that
@@ -79,6 +79,7 @@ def read_history(journal: Path) -> History:
         "attempt_started": told.take_start,
         "attempt_finished": told.take_end,
         "clock": told.take_clock,
+        "clock_set": told.take_clock_set,
         "event": told.take_event,
         "finding": told.odd.append,
         "window": told.take_window,
@@ -106,6 +107,10 @@ def told_phases(journal: Path) -> dict[str, list[tuple[str, float, float]]]:
     return phases
 
 
+#: A clock that is set by less, s, as by an NTP daemon that steps it, leaves the times between runs what they are.
+_STEP = 1.0
+
+
 class _Told:
     """What the journal has told so far: no more than is needed of each record, or a long journal fills the memory."""
 
@@ -121,7 +126,7 @@ class _Told:
         self.readers: dict[str, dict[str, None]] | None = {}
         self.is_any_done = False
         self.odd: list[Mapping[str, Any]] = []
-        self.was_set_back = False
+        self.was_set = False
         self._latest = ""
         self._known: dict[Any, Any] = {}
 
@@ -155,8 +160,11 @@ class _Told:
 
     def _look_at_clock(self, at: str) -> None:
         """Take note of what the orchestrator's own stamp says: of one form and length, texts are ordered as times."""
-        self.was_set_back |= at < self._latest
+        self.was_set |= at < self._latest
         self._latest = at
+
+    def take_clock_set(self, record: Mapping[str, Any]) -> None:
+        self.was_set |= abs(record["seconds"]) > _STEP
 
     def _take_readers(self, told: object) -> None:
         self.is_any_done = True
@@ -217,7 +225,7 @@ class _Told:
         frame = pd.DataFrame(rows, columns=columns).astype({"run_id": "str", "attempt": "int64", "seconds": "float64"})
         frame["started_at"] = pd.to_datetime(frame["started_at"], utc=True, format="ISO8601")
         frame["status"] = pd.Categorical(frame["status"], ["done", "failed", "unfinished"])
-        frame.attrs["clock_was_set_back"] = self.was_set_back
+        frame.attrs["clock_was_set"] = self.was_set
         return frame
 
     def _events(self, attempts: Iterable[Attempt], starts: Mapping[str, float]) -> pd.DataFrame:

@@ -21,6 +21,9 @@ RHO = "\N{GREEK SMALL LETTER RHO}"
 #: What differs between findings of one kind: the processes in brackets that disturbed a run, and numbers.
 _VARYING = re.compile(r"\([^()]*, pid \d+[^()]*\)|\d+(?:[.,]\d+)*")
 _SMALLEST_P = 0.001
+#: Usual levels of significance: no p-value is rounded to one, so that it is seen on which side it lies.
+_LEVELS = (0.1, 0.05, 0.01, 0.005)
+_P_DIGITS, _MOST_P_DIGITS = 3, 17
 _LARGE_STATISTIC = 999.5  # three digits of what is larger are written with an exponent
 _DIGITS = 4
 _LARGE, _SMALL, _HUGE = 1e4, 1e-4, 1e7
@@ -85,15 +88,18 @@ def difference_unit(unit: str) -> str:
 
 
 def shown_p(p_value: float | None) -> str:
-    """Return a p-value as papers print it.
+    """Return a p-value as papers print it, in more digits where it is close to a usual level of significance.
 
     Example:
-        >>> shown_p(0.0002), shown_p(0.04321)
-        ('< 0.001', '0.043')
+        >>> shown_p(0.0002), shown_p(0.04321), shown_p(0.0496)
+        ('< 0.001', '0.043', '0.0496')
     """
     if p_value is None or not math.isfinite(p_value):
         return MISSING
-    return f"< {_SMALLEST_P}" if p_value < _SMALLEST_P else f"{p_value:.3f}"
+    if p_value < _SMALLEST_P:
+        return f"< {_SMALLEST_P}"
+    texts = (f"{p_value:.{digits}f}" for digits in range(_P_DIGITS, _MOST_P_DIGITS + 1))
+    return next((text for text in texts if p_value in _LEVELS or float(text) not in _LEVELS), repr(p_value))
 
 
 def p_in_words(p_value: float) -> str:

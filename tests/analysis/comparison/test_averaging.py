@@ -79,6 +79,13 @@ def test_an_effect_that_one_lab_alone_has_is_not_one_of_all(lab):
     assert "If all experiments estimated one and the same effect" in effect.conclusion
 
 
+def test_a_common_effect_among_several_is_said_to_be_significant_before_correction(lab):
+    found = meta_analyse(*(lab({"Video": each, "Network": 20.0, "Idle": 20.0}, spread=0.5) for each in (30, 20, 20)))
+    effect = next(each for each in found.measure("Energy").effects if set(each.weights) == {"Video", "Network"})
+    assert effect.adjusted_p_value > effect.difference.random.p_value
+    assert "which is significant before correction (p < 0.001)" in effect.conclusion
+
+
 @pytest.mark.parametrize("count", [2, 3, 4, 5])
 def test_it_is_said_what_so_few_experiments_cannot_tell(lab, count):
     (effect,) = meta_analyse(*(lab({"a": 2.0, "b": 1.0}) for _ in range(count))).measure("Energy").effects

@@ -405,6 +405,20 @@ def test_what_is_text_in_both_leaves_the_verdict_to_the_numbers(make_folder):
     assert compare(one, other, measures="Robot").verdict is Verdict.UNDECIDED
 
 
+def test_of_several_measures_it_is_told_how_often_one_of_them_differs_by_chance(make_folder):
+    values = ((1.0, 1.1), (1.2, 0.9), (0.9, 1.0), (1.1, 1.2))
+    made = {"factors": {"T": ["a"]}, "measures": {"E": "J", "P": "W"}}
+    one = make_folder(rows=[("a", *each) for each in values], name="one", **made).root
+    other = make_folder(rows=[("a", first + 5, second) for first, second in values], name="other", **made).root
+    (note,) = compare(one, other).notes
+    assert note == (
+        "2 measures are compared, each by itself at a level of 5%: where none differs, one of them is found to differ "
+        "in 9.75% of comparisons; in fewer where they go together."
+    )
+    assert compare(one, other, measures="E").notes == ()
+    assert compare(one, other, measures="P").notes == ()
+
+
 def test_notes_tell_experiments_of_one_name_apart(make_folder):
     one = make_folder(factors={"T": ["a", "b"]}, rows=[("a", 1.0), ("b", 1.1)], measures={"E": "J"})
     other = make_folder(factors={"T": ["a", "c"]}, rows=[("a", 1.0), ("c", 1.2)], measures={"E": "kJ"})

@@ -158,6 +158,11 @@ def test_letters_in_a_pdf_are_of_a_truetype_font():
     assert b"/Type3" not in data
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_time_line_of_an_attempt_that_was_killed_as_it_began_is_drawn_without_a_word() -> None:
+    draw_timeline([AttemptSpan("r_1", "a", 0.0, 0.0, None, is_done=False)], order=["a"])
+
+
 @pytest.mark.long
 def test_crowds_of_points_and_bars_are_kept_as_pixels():
     spans = [AttemptSpan(f"r_{n}", "Video", n, n + 0.9, (n + 0.1, n + 0.8), is_done=True) for n in range(400)]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from scipy import stats
 from tests.analysis.made_experiment import make_experiment
 
 from robot_runner.analysis import load_results
@@ -144,6 +146,25 @@ def test_a_spread_that_is_given_takes_the_place_of_the_pilots(tmp_path: Path) ->
     pilot = pilot_of(tmp_path / "pilot", study, assumed(), 6)
     (told,) = scenarios_of(study, Assumptions(pilot=pilot, spreads=["40"]))
     assert (told.title, set(told.measures[0].spreads.values())) == ("the pilot's effects", {40.0})
+
+
+def test_how_little_a_small_pilot_knows_of_the_spread_is_told(tmp_path: Path) -> None:
+    study = study_of(TASK)
+    quick = Search(first=5, last=6, simulations=20)
+
+    def told(repetitions: int, *spreads: str) -> list[str]:
+        pilot = pilot_of(tmp_path / f"pilot_{repetitions}_{len(spreads)}", study, assumed(), repetitions)
+        found = power_analysis(study, Assumptions(pilot=pilot, spreads=spreads), quick)
+        return [note for note in found.notes if "standard deviation" in note]
+
+    (note,) = told(3)
+    spread = pilot_values(study, load_results(tmp_path / "pilot_3_0"), ["Energy"]).measures["Energy"].spreads
+    at_most = next(iter(spread.values())) * math.sqrt(4 / stats.chi2.ppf(0.2, 4))
+    assert "4 degrees of freedom" in note
+    assert "1.56 times" in note
+    assert f"--sd Energy={at_most:.3g}" in note
+    assert told(3, "40") == []  # it is not the pilot's
+    assert told(40) == []
 
 
 def test_values_that_do_not_vary_have_no_power(tmp_path: Path) -> None:

@@ -155,7 +155,7 @@ def _of_check(what: str, effect: dict[str, Any], alpha: float) -> Iterator[str]:
     if check is None or check["p_value"] is None:
         return
     agrees = (check["p_value"] < alpha) == (effect["p_value"] < alpha)
-    told = "The same test of " in effect["conclusion"]
+    told = "The test of " in effect["conclusion"]
     # The check is not corrected: where nothing is left of the effect after correction, neither shows anything.
     is_worth_telling = not agrees and (effect["is_significant"] or check["p_value"] < alpha)
     if check["agrees"] is not agrees or told is not is_worth_telling:

@@ -53,6 +53,31 @@ def test_a_p_value_is_never_shown_as_zero(p_value):
     assert shown_p(p_value) != "0.000"
 
 
+@pytest.mark.parametrize(
+    ("p_value", "shown"),
+    [
+        (0.0496, "0.0496"),
+        (0.0504, "0.0504"),
+        (0.049_999_7, "0.0499997"),
+        (0.05, "0.050"),
+        (0.0098, "0.0098"),
+        (0.010_49, "0.0105"),
+        (0.001_2, "0.001"),
+        (0.0996, "0.0996"),
+        (0.2, "0.200"),
+    ],
+)
+def test_a_p_value_is_not_rounded_to_the_level_that_it_lies_below_or_above(p_value, shown):
+    assert shown_p(p_value) == shown
+
+
+@given(st.floats(min_value=0.0, max_value=1.0))
+def test_a_p_value_is_shown_on_its_side_of_each_usual_level(p_value):
+    shown = shown_p(p_value)
+    for level in (0.1, 0.05, 0.01, 0.005):
+        assert (float(shown.removeprefix("< ")) < level) == (p_value < level)
+
+
 def test_plain_values_are_what_json_knows():
     given_values = {
         "a": np.float64(1.5),

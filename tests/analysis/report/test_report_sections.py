@@ -49,6 +49,24 @@ def test_values_that_were_not_measured_are_labelled_everywhere(two_tasks, origin
     assert any(word in [badge.text for badge in part.badges] for part in parts)
 
 
+def test_what_bars_of_figures_are_is_said_below_them(make_folder):
+    rows = [(a, b, 10.0 + place % 7, place % 3 == 0) for place, (a, b) in enumerate(["xp", "xq", "yp", "yq"] * 4)]
+    folder = make_folder(
+        factors={"A": ["x", "y"], "B": ["p", "q"]}, rows=rows, measures={"E": "J", "Ok": ""}, types={"Ok": "boolean"}
+    )
+    captions = {figure.name: figure.caption for figure in document(folder).figures}
+    assert "diamond and bar: mean and its 95% confidence interval." in captions["distribution E by A / B"]
+    assert "Bars: 95% confidence intervals." in captions["interaction E A B"]
+    assert "with their 95% confidence intervals." in captions["distribution Ok by A / B"]
+    more = [("pq"[place % 2], "xyz"[place % 3], 10.0 + place % 7) for place in range(18)]
+    turned = make_folder(factors={"B": ["p", "q"], "A": ["x", "y", "z"]}, rows=more, measures={"E": "J"})
+    captions = {figure.name: figure.caption for figure in document(turned).figures}
+    assert "Bars: 95% confidence intervals." in captions["interaction E A B"]  # whichever factor came first
+    single = make_folder(factors={"A": ["x", "y"], "B": ["p", "q"]}, rows=rows[:4], measures={"E": "J", "Ok": ""})
+    captions = {figure.name: figure.caption for figure in document(single).figures}
+    assert "confidence" not in captions["interaction E A B"] + captions["distribution E by A / B"]
+
+
 def test_a_simulated_robot_is_said_at_the_head(two_tasks):
     made = document(two_tasks(manifest={"robot": "simulated:initial_charge=40"}))
     assert [badge.text for badge in made.badges] == ["simulated robot"]

@@ -15,12 +15,25 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from robot_runner.analysis.results import Results
+    from robot_runner.core.design.analysis_plan import AnalysisPlan
 
 
 def designed(
-    rows: Sequence[Sequence[Any]], names: Sequence[str], facts: Mapping[str, Any], measures: Sequence[str] = ("y",)
+    rows: Sequence[Sequence[Any]],
+    names: Sequence[str],
+    facts: Mapping[str, Any],
+    measures: Sequence[str] = ("y",),
+    plan: AnalysisPlan | None = None,
 ) -> Results:
-    """Return results with these rows: treatments in the order of the names, then the values of the measures."""
+    """Return results with these rows: treatments in the order of the names, then the values of the measures.
+
+    Args:
+        rows: one a run.
+        names: of the factors.
+        facts: what a design of its own says of its runs; empty for a full factorial.
+        measures: their names.
+        plan: what was fixed for the analysis.
+    """
     columns = list(zip(*rows, strict=True))
     frame: dict[str, Any] = {
         RUN_ID: pd.array([f"r_{place}" for place in range(1, len(rows) + 1)], dtype="str"),
@@ -35,7 +48,11 @@ def designed(
     roles = {RUN_ID: ColumnRole.PROGRESS, STATUS: ColumnRole.PROGRESS} | dict.fromkeys(names, ColumnRole.FACTOR)
     roles |= dict.fromkeys(measures, ColumnRole.MEASURE)
     described = {name: ColumnDescription(name=name, role=role, unit="") for name, role in roles.items()}
-    manifest = {"experiment_name": "published", "design": {"facts": dict(facts)}}
+    manifest = {
+        "experiment_name": "published",
+        "design": {"facts": dict(facts)} if facts else {},
+        "analysis": None if plan is None else plan.as_mapping(),
+    }
     return PlannedResults(Path(), manifest, described, table=pd.DataFrame(frame))
 
 

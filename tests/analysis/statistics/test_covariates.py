@@ -12,6 +12,7 @@ from benchmarks.null_designs import NullDesign
 from scipy import stats
 from tests.analysis.made_experiment import make_experiment
 from tests.analysis.statistics import reference_data as data
+from tests.analysis.statistics.designed_data import designed
 
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
@@ -19,7 +20,7 @@ from robot_runner.analysis.statistics.analysed_design import VALUE, MeasureData,
 from robot_runner.analysis.statistics.disclosed import Reason
 from robot_runner.analysis.statistics.robust_covariance import fit_robustly
 from robot_runner.analysis.statistics.tests import planned_model_of
-from robot_runner.core.design.analysis_plan import Estimand
+from robot_runner.core.design.analysis_plan import AnalysisPlan, Estimand
 from robot_runner.core.design.factor import Factor
 
 if TYPE_CHECKING:
@@ -329,3 +330,15 @@ def test_factorials_blocks_and_ranks_are_adjusted(tmp_path: Path, more: dict[str
     assert all(effect.p_value is not None and effect.check.p_value is not None for effect in measure.test.effects)
     assert len(measure.adjustment.means) == 5
     assert all((each.interval is None) is ("blocks" in more) for each in measure.adjustment.means)
+
+
+def test_sizes_by_rank_of_adjusted_values_have_no_interval() -> None:
+    # That of Feng and Cliff knows nothing of the slope: it holds in 78 to 97 %, by simulation.
+    random = np.random.default_rng(5)
+    rows = [(task, float(random.normal()), float(random.normal())) for task in "ab" for _ in range(6)]
+    plan = AnalysisPlan(measures=["y"], covariates=["x"])
+    found = analyse(designed(rows, ["Task"], {}, ["y", "x"], plan=plan)).measure("y")
+    delta = next(each for each in found.test.effects[0].effect_sizes if each.name == "Cliff's delta")
+    assert delta.interval is None
+    why = next(each.why for each in found.not_computed if each.what.startswith("interval of Cliff's delta"))
+    assert "slopes" in why

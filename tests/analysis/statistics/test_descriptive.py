@@ -144,3 +144,9 @@ def test_intervals_after_repeated_looks_take_runs_of_a_block_together():
     means = [np.mean([y for of, _, y in rows if of == f"b{block}"]) for block in range(1, 6)]
     assert (found.high - found.low) / 2 == pytest.approx(half_width_of(means, 0.99))
     assert (found.level, found.method) == (0.95, f"{METHOD}, runs of one block counting together")
+
+
+def test_values_that_are_all_equal_have_this_mean_and_no_spread():
+    rows = [(task, 3.7) for task in "ab" for _ in range(5)]  # whose sum is 37.00000000000001
+    overall = analyse(designed(rows, ["Task"], {})).measure("y").overall
+    assert (overall.mean, overall.sd, overall.mean_interval) == (3.7, 0.0, None)

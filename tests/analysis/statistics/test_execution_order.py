@@ -14,6 +14,7 @@ from robot_runner.analysis.recomputing.fact_finding import facts_of_study
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from robot_runner.analysis.statistics.outcome import MeasureStatistics
     from robot_runner.core.storage.layout import ExperimentFolder
 
 RUNS = 20
@@ -62,7 +63,22 @@ def test_the_order_of_the_journal_counts_where_runs_lack_time_stamps(tmp_path: P
 
 def test_seconds_since_the_first_run_are_not_known_where_the_clock_was_set_back(tmp_path: Path) -> None:
     found = analyse(load_results(made(tmp_path, PLAN).root)).measure("Energy")
-    assert [each for each in found.not_computed if "the clock was set back" in each.why]
+    assert [each for each in found.not_computed if "the clock was set" in each.why]
+
+
+def test_seconds_since_the_first_run_are_not_known_where_the_clock_was_set_forward(tmp_path: Path) -> None:
+    values = iter(float(place) for place in range(RUNS))
+    folder = make_experiment(
+        tmp_path / "made", values=lambda *_: {"Energy": next(values)}, repetitions=RUNS // 2, analysis=PLAN
+    )
+    assert not [each for each in of_energy(folder).not_computed if "the clock was set" in each.why]
+    with folder.journal.open("a", encoding="utf-8") as file:  # its stamps alone show nothing odd
+        file.write('{"kind":"clock_set","at":"2026-01-31T22:00:00.000Z","seconds":3600.0}\n')
+    assert [each for each in of_energy(folder).not_computed if "the clock was set" in each.why]
+
+
+def of_energy(folder: ExperimentFolder) -> MeasureStatistics:
+    return analyse(load_results(folder.root)).measure("Energy")
 
 
 def test_scripts_have_the_order_of_the_journal(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from robot_runner.analysis.statistics.cell_layout import layout_of
 from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.linear_model import fit_model
 from robot_runner.analysis.statistics.nested_factors import NestedFactors, conditions_of
-from robot_runner.core.design.factor import Factor, treatment_text
+from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.hypothesis import Hypothesis
 from robot_runner.core.design.run_table_model import RunTableModel
 
@@ -34,7 +34,7 @@ RESOLUTION = Factor("Resolution", ["720p", "1080p"], when={"Sensor": "camera"})
 
 def planned(*factors: Factor) -> pd.DataFrame:
     runs = RunTableModel(list(factors)).plan()
-    return pd.DataFrame([{name: treatment_text(each) for name, each in run.combination.items()} for run in runs])
+    return pd.DataFrame([{name: str(each) for name, each in run.combination.items()} for run in runs])
 
 
 def nested(*factors: Factor) -> NestedFactors:

@@ -221,7 +221,8 @@ def _sentences(effect: CombinedEffect, found: Combined, measure: str, unit: str,
         yield f"A further experiment may find the opposite: its effect is expected between {between}."
     p_value = found.common.p_value
     if p_value is not None and effect.is_significant is not None and (p_value < alpha) is not effect.is_significant:
-        verdict = f"{'is' if p_value < alpha else 'is not'} significant ({p_in_words(p_value)})"
+        before = "" if found.random.p_value == effect.adjusted_p_value else " before correction"
+        verdict = f"{'is' if p_value < alpha else 'is not'} significant{before} ({p_in_words(p_value)})"
         size = with_unit(found.common.estimate, unit)
         yield f"If all experiments estimated one and the same effect, it would be {size}, which {verdict}."
     if len(effect.experiments) < _FEW:

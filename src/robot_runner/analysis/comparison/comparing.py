@@ -50,7 +50,7 @@ from robot_runner.analysis.statistics.lost_runs import failures_in_words
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.robustness import doubtful_runs
 from robot_runner.analysis.statistics.tested import NotComputed
-from robot_runner.analysis.wording import listed, sentence
+from robot_runner.analysis.wording import listed, sentence, shown_level, shown_number
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.words import counted, has_true_zero
@@ -119,6 +119,7 @@ def compare(
             for name, each in zip(called, (ours, theirs), strict=True)
             if (why := failures_in_words(each))
         ),
+        *_note_on_chance(compared, alpha),
     ]
     return Comparison(
         Side(labels[0], ours.name, ours.folder, len(ours.done)),
@@ -151,6 +152,17 @@ def _notes_on_searches(called: tuple[str, ...], experiments: tuple[Results, ...]
         if searched := len(results.done) - len(results.confirming.done):
             runs = counted(searched, "run")
             yield f"Of {name}, runs that confirm what a search found are compared, and not the {runs} of it."
+
+
+def _note_on_chance(compared: Sequence[MeasureComparison], alpha: float) -> Iterator[str]:
+    """Yield what several measures do to the verdict of all of them together, where one of them differs."""
+    tested = sum(any(each.p_value is not None for each in measure.differences) for measure in compared)
+    if tested > 1 and Verdict.DIFFERENT in {measure.verdict for measure in compared}:
+        any_of_them, level = shown_number(_PERCENT * (1 - (1 - alpha) ** tested), 3), shown_level(alpha)
+        yield (
+            f"{tested} measures are compared, each by itself at a level of {level}: where none differs, one of them is "
+            f"found to differ in {any_of_them}% of comparisons; in fewer where they go together."
+        )
 
 
 def _notes_on_values(

@@ -241,7 +241,7 @@ def draw_timeline(spans: Sequence[AttemptSpan], *, order: Sequence[str]) -> Figu
     axes.plot(ends, [rows[span.run_id] for span in failed], linestyle="none", marker="x", markersize=4, color=INK)
     step = max(1, -(-len(rows) // _MOST_NAMED))
     axes.set_yticks(range(0, len(rows), step), [verbatim(run_id) for run_id in run_ids[::step]], fontsize=6)
-    axes.set_xlim(0, 1.05 * max((span.end for span in spans), default=1.0) / scale)
+    axes.set_xlim(0, 1.05 * (max((span.end for span in spans), default=0.0) or 1.0) / scale)
     axes.set_ylim(len(rows) - 0.4, -0.6)
     label_axes(axes, f"Time since the experiment began ({unit})", grid="x")
     if axes.get_legend_handles_labels()[0]:

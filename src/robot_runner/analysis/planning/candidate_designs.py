@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.design import CombinationDesign, Design, FullFactorial
-from robot_runner.core.design.factor import Factor, full_size, treatment_text
+from robot_runner.core.design.factor import Factor, full_size
 from robot_runner.core.errors import DesignError
 from robot_runner.core.inactive import INACTIVE
 from robot_runner.designs.covering import CoveringArray
@@ -137,7 +137,7 @@ def _in_blocks(model: RunTableModel, repetitions: int) -> RunTableModel:
 
 
 def _split_plot(model: RunTableModel, hard: tuple[str, ...], replicates: int) -> RunTableModel:
-    held = {tuple(treatment_text(run.combination[name]) for name in hard) for run in model.plan()}
+    held = {tuple(str(run.combination[name]) for name in hard) for run in model.plan()}
     plots = Factor(_PLOT, list(range(1, max(2, replicates) * len(held) + 1)))
     made = model.designed(SplitPlot(hard=list(hard), plot=_PLOT), repetitions=1, more=(plots,))
     made.randomize_runs_order(model.seed)

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+from scipy import stats
+
 from robot_runner.analysis.planning.assumed_values import AssumedMeasure
 from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, Design, design_of
 from robot_runner.core.errors import AnalysisError, did_you_mean
@@ -18,6 +20,8 @@ if TYPE_CHECKING:
     from robot_runner.analysis.planning.planned_study import Cell, Study
     from robot_runner.analysis.results import Results
 
+#: How surely a spread is to be no larger than what is planned for; and how much larger is not worth a note.
+_SURE, _HARDLY_MORE = 0.8, 1.1
 #: Of fewer runs a combination's own standard deviation is hardly known (by half and more); that of all takes its place.
 _ENOUGH = 5
 _BLOCK, _CELL = " block", " cell"
@@ -25,11 +29,36 @@ _BLOCK, _CELL = " block", " cell"
 
 @dataclass(frozen=True, slots=True)
 class Pilot:
-    """What a pilot tells of measures, by name; notes say what it does not tell, and what was done about that."""
+    """What a pilot tells of measures, by name; notes say what it does not tell, and what was done about that.
+
+    Attributes:
+        freedoms: the degrees of freedom by which the pilot knows how runs of a combination vary, by measure.
+    """
 
     name: str
     measures: dict[str, AssumedMeasure]
     notes: tuple[str, ...]
+    freedoms: dict[str, int]
+
+    def on_spreads(self, assumed: Sequence[AssumedMeasure]) -> Iterator[str]:
+        """Yield how much larger spreads may be than few runs say, of measures whose spreads are the pilot's.
+
+        Source: Browne, On the use of a pilot sample for sample size determination (Statistics in Medicine 14, 1995),
+        for the upper limit of a standard deviation in place of the deviation itself.
+        """
+        for each in assumed:
+            freedom, spreads = self.freedoms.get(each.name, 0), tuple(each.spreads.values())
+            if not freedom or each.spreads != self.measures[each.name].spreads:
+                continue
+            factor = math.sqrt(freedom / stats.chi2.ppf(1 - _SURE, freedom))
+            if factor > _HARDLY_MORE:
+                of_all = math.sqrt(math.fsum(spread**2 for spread in spreads) / len(spreads))
+                yield (
+                    f"The pilot tells the standard deviation of {each.name} by {counted(freedom, 'degree')} of freedom "
+                    f"only: in one of five such pilots the true one is {factor:.2f} times as large or more, and so "
+                    f"many repetitions find less than is asked for. --sd {each.name}={factor * of_all:.3g} plans for "
+                    "that (Browne 1995)."
+                )
 
 
 def pilot_values(study: Study, results: Results, measures: Sequence[str]) -> Pilot:
@@ -49,7 +78,9 @@ def pilot_values(study: Study, results: Results, measures: Sequence[str]) -> Pil
             raise AnalysisError(problem, where=where, fix=did_you_mean(name, results.measures))
     shared = _shared(study, design, where)
     found = {name: _measure(study, design, name, shared, where) for name in measures}
-    return Pilot(results.name, found, tuple(_notes(study, design, shared)))
+    told = {name: each for name, (each, _) in found.items()}
+    freedoms = {name: freedom for name, (_, freedom) in found.items()}
+    return Pilot(results.name, told, tuple(_notes(study, design, shared)), freedoms)
 
 
 def _shared(study: Study, design: Design, where: str) -> list[str]:
@@ -77,7 +108,8 @@ def _notes(study: Study, design: Design, shared: Sequence[str]) -> Iterator[str]
         yield "The pilot has no blocks: blocks are taken not to vary, unless --block-sd and --response-sd say how."
 
 
-def _measure(study: Study, design: Design, name: str, shared: Sequence[str], where: str) -> AssumedMeasure:
+def _measure(study: Study, design: Design, name: str, shared: Sequence[str], where: str) -> tuple[AssumedMeasure, int]:
+    """Return what a pilot tells of a measure, and the degrees of freedom of its spread."""
     data = design.data(name)
     if data is None:
         what = "no number" if design.answers(name) is None else "yes or no, of which no power is simulated,"
@@ -98,17 +130,18 @@ def _measure(study: Study, design: Design, name: str, shared: Sequence[str], whe
     residuals = frame[VALUE] - frame[_CELL].map(means)
     if data.is_extended:
         residuals -= residuals.groupby(frame[BATCH].astype(str)).transform("mean")
-    varying = _blocks(residuals, frame) if data.is_blocked else _Blocks(0.0, 0.0, residuals)
+    varying = _blocks(residuals, frame) if data.is_blocked else _Blocks(0.0, 0.0, residuals, freedom)
     squares = varying.left**2
     pooled = math.sqrt(float(squares.sum()) / freedom)
     own = squares.groupby(frame[_CELL]).agg(lambda each: math.sqrt(each.sum() / max(1, len(each) - 1)))
-    return AssumedMeasure(
+    told = AssumedMeasure(
         name,
         {cell: float(means[part]) for cell, part in wanted.items()},
         {cell: float(own[part]) if counts[part] >= _ENOUGH else pooled for cell, part in wanted.items()},
         varying.block_sd,
         varying.response_sd,
     )
+    return told, varying.freedom
 
 
 def _with_cells(frame: pd.DataFrame, shared: Sequence[str]) -> pd.DataFrame:
@@ -122,11 +155,16 @@ def _part(study: Study, cell: Cell, shared: Sequence[str]) -> Cell:
 
 
 class _Blocks(NamedTuple):
-    """How blocks vary and how their responses to treatments do, and the residuals that are left, on the old scale."""
+    """How blocks vary and how their responses to treatments do, and the residuals that are left, on the old scale.
+
+    Attributes:
+        freedom: the degrees of freedom of what is left.
+    """
 
     block_sd: float
     response_sd: float
     left: pd.Series
+    freedom: int
 
 
 def _blocks(residuals: pd.Series, frame: pd.DataFrame) -> _Blocks:
@@ -146,12 +184,13 @@ def _blocks(residuals: pd.Series, frame: pd.DataFrame) -> _Blocks:
     if total > len(sizes):
         left = residuals - within.transform("mean")
         chance = float((left**2).sum()) / (total - len(sizes))
-        response, scale = max(0.0, between - chance / each), math.sqrt((total - cells) / (total - len(sizes)))
+        own = total - len(sizes)
+        response, scale = max(0.0, between - chance / each), math.sqrt((total - cells) / own)
     elif freedom > 0:
         left = residuals - block.map(of_blocks)
-        chance, response, scale = between, 0.0, math.sqrt((total - cells) / freedom)
+        own, chance, response, scale = freedom, between, 0.0, math.sqrt((total - cells) / freedom)
     else:
-        return _Blocks(0.0, 0.0, residuals)
+        return _Blocks(0.0, 0.0, residuals, total - cells)
     noise = (response + chance / each) * blocks / len(sizes)
     spread = float(of_blocks.var(ddof=1)) if blocks > 1 else 0.0
-    return _Blocks(math.sqrt(max(0.0, spread - noise)), math.sqrt(response), left * scale)
+    return _Blocks(math.sqrt(max(0.0, spread - noise)), math.sqrt(response), left * scale, own)

@@ -18,7 +18,7 @@ from robot_runner.analysis.statistics.known_design import KnownDesign
 from robot_runner.analysis.statistics.nested_factors import IDLE, NestedFactors, conditions_of
 from robot_runner.core.design.columns import BATCH, REPETITION, RUN_ID, STATUS
 from robot_runner.core.design.design import CombinationDesign
-from robot_runner.core.design.factor import Factor, treatment_text
+from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.storage.cells import RunStatus
@@ -102,7 +102,7 @@ class Study:
         return cls(
             name,
             {factor.name: tuple(factor.texts) for factor in studied},
-            tuple(dict.fromkeys(tuple(map(treatment_text, each)) for each in found))
+            tuple(dict.fromkeys(tuple(map(str, each)) for each in found))
             if arranged is None
             else tuple(dict.fromkeys(run.cell for run in arranged(model.repetitions))),
             REPETITION if model.blocks == counted_by else model.blocks,
@@ -259,9 +259,9 @@ def _arranged(model: RunTableModel, studied: Sequence[str]) -> Callable[[int], t
     def listed(planned: RunTableModel) -> list[ArrangedRun]:
         return [
             ArrangedRun(
-                tuple(treatment_text(run.combination[name]) for name in studied),
+                tuple(str(run.combination[name]) for name in studied),
                 run.repetition,
-                {name: treatment_text(each) for name, each in run.combination.items() if name not in studied},
+                {name: str(each) for name, each in run.combination.items() if name not in studied},
             )
             for run in planned.plan()
             if not run.is_warm_up

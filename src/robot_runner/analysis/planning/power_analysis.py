@@ -226,7 +226,9 @@ def _refuse_unknown(measures: Sequence[str], base: Mapping[str, AssumedMeasure],
 
 
 def _notes(study: Study, measures: Sequence[str], pilot: Pilot | None, found: Sequence[ScenarioPower]) -> Iterator[str]:
-    yield from pilot.notes if pilot is not None else ()
+    if pilot is not None:
+        yield from pilot.notes
+        yield from dict.fromkeys(note for each in found for note in pilot.on_spreads(each.scenario.measures))
     if study.plan is None:
         yield "The config has no analysis plan: each measure's effects are a family at 5 %, corrected after Holm."
     if len(measures) > 1:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -19,12 +19,13 @@ from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Par
 from robot_runner.analysis.report.material import JOINT, Material, origin_in_words
 from robot_runner.analysis.report.mission_figures import mission_parts, stills_part, trajectory_part
 from robot_runner.analysis.statistics.nested_factors import IDLE
-from robot_runner.analysis.wording import RHO, difference_unit, shown_number, with_unit
+from robot_runner.analysis.wording import RHO, difference_unit, shown_level, shown_number, with_unit
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.outcome import Description, Drift, MeasureStatistics
+    from robot_runner.analysis.statistics.tested import Interval
 
 _MOST_COMBINATIONS = 16
 _MOST_LINES = 8
@@ -97,9 +98,11 @@ def _proportions(_: Material, measure: MeasureStatistics, factors: tuple[str, ..
     groups = [each for each in (of.overall, *of.by_treatment, *of.by_combination) if tuple(each.treatments) == factors]
     by = f" by {JOINT.join(factors)}" if factors else ""
     described = "; ".join(f"{each.label}: {each.count} of {each.n}" for each in groups[:8])
+    level = _level(each.interval for each in groups)
+    bars = f", with their {level} confidence intervals" if level else ""
     return FigureBlock(
         f"distribution {measure.name}{by}",
-        f"{measure.name}{by}: how many runs say yes, with the confidence interval.{origin_in_words(measure.origin)}",
+        f"{measure.name}{by}: how many runs say yes{bars}.{origin_in_words(measure.origin)}",
         f"Proportions of {measure.name}{by}. {described}.",
         partial(
             draw_proportions,
@@ -117,12 +120,12 @@ def _distribution(material: Material, measure: MeasureStatistics, factors: tuple
     described = "; ".join(
         f"{group.label}: mean {group.mean:.4g}, n = {group.size}" for group in groups[:8] if group.size
     )
+    level = _level(each.mean_interval for each in _descriptions(measure, factors))
+    means = f"diamond and bar: mean and its {level} confidence interval." if level else "diamond: mean."
     return FigureBlock(
         f"distribution {measure.name}{by}",
         f"{material.results.label(measure.name)}{by}. Each point is a run; box: quartiles and median, whiskers: "
-        "Tukey's; diamond and bar: mean and its confidence interval."
-        + (" Named runs are outliers." if outliers else "")
-        + origin_in_words(measure.origin),
+        f"Tukey's; {means}" + (" Named runs are outliers." if outliers else "") + origin_in_words(measure.origin),
         f"Distribution of {measure.name}{by}. {described}.",
         partial(
             draw_distribution,
@@ -138,12 +141,19 @@ def _descriptions(measure: MeasureStatistics, factors: tuple[str, ...]) -> tuple
     several = (*measure.by_treatment, *measure.by_combination)
     if not factors:
         return (measure.overall,) if measure.overall is not None else ()
-    return tuple(group for group in several if tuple(group.treatments) == factors)
+    return tuple(group for group in several if set(group.treatments) == set(factors))
+
+
+def _level(intervals: Iterable[Interval | None]) -> str:
+    """Return the level of the intervals that a figure shows, as in `95%`; empty where it shows none."""
+    return " or ".join(dict.fromkeys(shown_level(each.level) for each in intervals if each is not None))
 
 
 def _groups(material: Material, measure: MeasureStatistics, factors: tuple[str, ...]) -> list[Group]:
     labels = material.labels_by(factors)
-    described = {JOINT.join(each.treatments.values()): each for each in _descriptions(measure, factors)}
+    described = {
+        JOINT.join(each.treatments[name] for name in factors): each for each in _descriptions(measure, factors)
+    }
     runs = material.described(measure)
     within = material.statistics.design.within
     order = [label for label in material.order_by(factors) if label != IDLE or not within.keys() >= {*factors}]
@@ -199,10 +209,12 @@ def _interaction(material: Material, measure: MeasureStatistics, along: str, acr
     lines = {second: members for second, members in by_second.items() if members}
     effects = measure.test.effects if measure.test is not None else ()
     within = "".join(f" within {each.within}" for each in effects if each.within and {*each.factors} == {along, across})
+    level = _level(each.mean_interval for each in _descriptions(measure, (along, across)))
+    bars = f" Bars: {level} confidence intervals." if level else ""
     return FigureBlock(
         f"interaction {measure.name} {along} {across}",
         f"Mean {material.results.label(measure.name)} of each combination of {along} and {across}{within}. Lines that "
-        f"are not parallel hint at an interaction.{origin_in_words(measure.origin)}",
+        f"are not parallel hint at an interaction.{bars}{origin_in_words(measure.origin)}",
         f"Interaction of {along} and {across} on {measure.name}.",
         partial(
             draw_interaction,

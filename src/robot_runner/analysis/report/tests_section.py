@@ -207,11 +207,13 @@ def _effect_table(name: str, caption: str, test: MeasureTest, alpha: float) -> T
         field(f"At {ALPHA} = {alpha:g}", lambda effect: Cell(effect.is_significant, words[effect.is_significant])),
     )
     note = f"Computed with {test.library}."
-    if test.estimand == PROPORTION:
-        shown = (each for each in fields if each.column.name not in {"Effect size", f"p of {checked}"})
-        return build_table(name, caption, test.effects, tuple(shown), note)
-    note += f" The last p-value is of a check: the same test of {checked}."
-    return build_table(name, caption, test.effects, fields, note)
+    hidden = {"Effect size"} if test.estimand == PROPORTION else set()
+    if any(effect.check for effect in test.effects):
+        note += f" The last p-value is of a check: the test of {checked}."
+    else:
+        hidden.add(f"p of {checked}")
+    shown = (each for each in fields if each.column.name not in hidden)
+    return build_table(name, caption, test.effects, tuple(shown), note)
 
 
 def _shown_statistic(effect: Effect) -> str:
@@ -242,7 +244,7 @@ def _pair_table(measure: MeasureStatistics, label: str, post_hoc: PostHoc) -> Ta
         *map(_size_fields, sizes),
         p_value("p", "p_value"),
         p_value("Adjusted p", "adjusted_p_value", "is_significant"),
-        p_value(f"p of {'means' if post_hoc.quantity.endswith('ranks') else 'ranks'}", "check_p_value"),
+        p_value(check := f"p of {'means' if post_hoc.quantity.endswith('ranks') else 'ranks'}", "check_p_value"),
     ]
     name, caption = (
         f"pairs {measure.name} {' '.join(post_hoc.factors)}",
@@ -252,8 +254,7 @@ def _pair_table(measure: MeasureStatistics, label: str, post_hoc: PostHoc) -> Ta
         f"{post_hoc.method}; {_about_brackets(post_hoc)} Adjusted after "
         f"{correction_in_words(post_hoc.correction)}, and no smaller than the p-value of the effect."
     )
-    table = build_table(name, f"{label}: {caption}.", post_hoc.comparisons, fields, note)
-    return table.without_blank("p of ranks") if post_hoc.quantity == QUANTITY else table
+    return build_table(name, f"{label}: {caption}.", post_hoc.comparisons, fields, note).without_blank(check)
 
 
 def _about_brackets(post_hoc: PostHoc) -> str:

@@ -87,7 +87,14 @@ class CellMeans:
         statistic: Statistic = Statistic.COMBINED,
         draws: int = DRAWS,
     ) -> CellMeans:
-        """Estimate the means of all combinations from the values of all runs."""
+        """Estimate the means of all combinations from the values of all runs.
+
+        Of ranks both statistics together are the ANOVA-type one alone (Brunner, Dette and Munk 1997): the ranks of a
+        small group may hardly vary by chance, and Welch-James then finds differences where there are none, by
+        simulation in 9 % (twelve groups of four runs) to 18 % (sixty) at 5 %.
+        """
+        if estimand is Estimand.RANK and statistic is Statistic.COMBINED:
+            statistic = Statistic.ANOVA_TYPE
         found = layout.moments(values, estimand)
         largest = np.max(np.abs(found.means), axis=(-2, -1))[..., None, None, None]
         errors = np.where(np.abs(found.errors) <= (_ROUNDING * largest) ** 2, 0.0, found.errors)
@@ -102,11 +109,9 @@ class CellMeans:
             return TestMethod.BLOCKS if count > 1 or several or self.layout.between else TestMethod.PAIRED_T
         if count == 1 and not several:
             return TestMethod.WELCH_T
-        if self.statistic is Statistic.COMBINED and any(len(each.between) > 1 for each in self.layout.effects):
-            return TestMethod.COMBINED
-        if count > 1:
-            return TestMethod.WELCH_JAMES
-        return TestMethod.ANOVA_TYPE if self.statistic is Statistic.ANOVA_TYPE else TestMethod.WELCH_ANOVA
+        if any(len(each.between) > 1 for each in self.layout.effects) and self.statistic is not Statistic.WELCH_JAMES:
+            return TestMethod.COMBINED if self.statistic is Statistic.COMBINED else TestMethod.ANOVA_TYPE
+        return TestMethod.WELCH_JAMES if count > 1 else TestMethod.WELCH_ANOVA
 
     @property
     def has_variation(self) -> bool:

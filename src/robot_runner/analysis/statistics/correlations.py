@@ -196,4 +196,4 @@ def _warning(measure: str, unit: str, found: tuple[float, float, float], is_conf
     head = f"{measure} {'rises' if rho > 0 else 'falls'} over the {order}{amount} ({figures})"
     if is_confounded:
         return f"{head}, and treatments are unevenly spread over that order: the drift may pass for an effect."
-    return f"{head}: something that changes with time, such as the battery or the room, adds to it."
+    return f"{head}: something that changes with time, such as the battery or the room, may add to it."

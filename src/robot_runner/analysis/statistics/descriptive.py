@@ -86,12 +86,13 @@ def describe(group: Group, *, level_of_looks: float | None = None) -> Descriptio
         )
         return Description(treatments=group.treatments, n=0, missing=group.missing, **nothing)
     first, median, third = (float(each) for each in np.quantile(values, [0.25, 0.5, 0.75]))
+    is_flat = np.ptp(values) == 0  # a sum of equal values may be rounded, and then their mean and their spread are
     return Description(
         treatments=group.treatments,
         n=len(values),
         missing=group.missing,
-        mean=float(np.mean(values)),
-        sd=float(np.std(values, ddof=1)) if len(values) >= _LEAST_FOR_SPREAD else None,
+        mean=float(median if is_flat else np.mean(values)),
+        sd=(0.0 if is_flat else float(np.std(values, ddof=1))) if len(values) >= _LEAST_FOR_SPREAD else None,
         median=median,
         first_quartile=first,
         third_quartile=third,

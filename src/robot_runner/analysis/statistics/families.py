@@ -234,7 +234,10 @@ def _statistic(name: str, of: Effect | TestPart) -> str:
 
 
 def _difference(measure: MeasureStatistics, test: MeasureTest, pairs: Sequence[Comparison]) -> str:
-    """Return which treatments differ most and by how much, as the pairs have it."""
+    """Return which treatments differ most and by how much, as the pairs have it.
+
+    Where spreads differ, a larger difference may be one that is not shown.
+    """
     distinct = [pair for pair in pairs if pair.is_significant]
     if not distinct:
         return ", though no two treatments differ by themselves after correction" if pairs else ""
@@ -243,9 +246,9 @@ def _difference(measure: MeasureStatistics, test: MeasureTest, pairs: Sequence[C
         return f": values of {pair.first} rank {_more(pair)} than those of {pair.second}"
     amount = with_unit(abs(pair.difference), difference_unit(measure.unit))
     estimate = f"adjusted {test.estimand}" if test.method is TestMethod.COVARIANCE else test.estimand
-    if len(pairs) > 1:
-        return f": the largest difference of {estimate}s is {amount}, of {pair.first} and {pair.second}"
-    return f": the {estimate} of {pair.first} is {_more(pair)} than that of {pair.second} by {amount}"
+    is_largest = all(abs(each.difference) <= abs(pair.difference) for each in pairs)
+    rank = f", the largest difference{'' if is_largest else ' that is significant'}" if len(pairs) > 1 else ""
+    return f": the {estimate} of {pair.first} is {_more(pair)} than that of {pair.second} by {amount}{rank}"
 
 
 def _more(pair: Comparison) -> str:
@@ -261,9 +264,9 @@ def _beside(effect: Effect, *, is_corrected: bool) -> str:
     if effect.p_value is not None and check.p_value > effect.p_value:
         if not effect.is_significant:  # after correction neither shows anything
             return ""
-        return f" The same test of {check.of} does not show it ({p_value}): it hangs on how large some values are."
+        return f" The test of {check.of} does not show it ({p_value}): it may hang on how large some values are."
     before = " before correction" if is_corrected else ""
-    return f" The same test of {check.of} does show one ({p_value}{before}): the treatments may differ in other ways."
+    return f" The test of {check.of} does show one ({p_value}{before}): the treatments may differ in other ways."
 
 
 # Hypotheses.

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from scipy import stats
@@ -52,7 +53,7 @@ _MARGINAL = " of unweighted marginal means"
 _PAIRED = {
     TestMethod.WELCH_T: "Welch's t-test",
     TestMethod.WELCH_ANOVA: "Welch's t-tests",
-    TestMethod.ANOVA_TYPE: "Welch's t-tests",
+    TestMethod.ANOVA_TYPE: f"Welch's t-tests{_MARGINAL}",
     TestMethod.WELCH_JAMES: f"Welch's t-tests{_MARGINAL}",
     TestMethod.COMBINED: f"Welch's t-tests{_MARGINAL}",
     TestMethod.PAIRED_T: "paired t-test",
@@ -82,8 +83,9 @@ def compare_pairs(
             what = f"pairwise comparisons of {' x '.join(factors)}"
             missing.append(NotComputed(what, f"{len(groups)} groups make {pairs:,} pairs: compare chosen ones."))
             continue
+        ranked = _RankSizes.among(data, model, factors, choices)
         with quiet():
-            every = [_comparison(data, model, beside, pair, choices) for pair in chosen]
+            every = [_comparison(model, beside, pair, choices, ranked) for pair in chosen]
         after = iter(adjusted([each.p_value for each in every if each.p_value is not None], choices.correction))
         compared = tuple(
             each if each.p_value is None else _with_adjusted(each, next(after), choices.alpha) for each in every
@@ -92,6 +94,10 @@ def compare_pairs(
         quantity, within = _QUANTITIES[choices.estimand], data.within(factors)
         found.append(PostHoc(factors, method, choices.correction, quantity, compared, within))
     return tuple(found), tuple(missing)
+
+
+#: Of adjusted values the intervals of runs by themselves and of blocks hold in 78 to 97 % by simulation.
+_OF_ADJUSTED = "it would know nothing of the slopes that values are adjusted with, which are estimated, too."
 
 
 def missing_intervals(test: MeasureTest, post_hoc: Sequence[PostHoc]) -> Iterator[NotComputed]:
@@ -109,6 +115,7 @@ def missing_intervals(test: MeasureTest, post_hoc: Sequence[PostHoc]) -> Iterato
             missing.setdefault(size.name, []).append(what)
     for name, several in missing.items():
         why = _WHY_MISSING.get(name, "the noncentral distribution cannot be inverted with floating-point numbers.")
+        why = _OF_ADJUSTED if test.method is TestMethod.COVARIANCE and name in _WHY_MISSING else why
         yield NotComputed(f"interval of {name} of {listed(several)}", why)
 
 
@@ -202,11 +209,7 @@ def _with_adjusted(pair: Comparison, adjusted_p_value: float, alpha: float) -> C
 
 
 def _comparison(
-    data: MeasureData,
-    model: AnyModel,
-    beside: AnyModel | NotComputed,
-    pair: tuple[Mapping[str, str], Mapping[str, str]],
-    choices: Choices,
+    model: AnyModel, beside: AnyModel | NotComputed, pair: tuple[Group, Group], choices: Choices, ranked: _RankSizes
 ) -> Comparison:
     weights = [(pair[0], 1.0), (pair[1], -1.0)]
     found = model.difference(weights)
@@ -229,7 +232,9 @@ def _comparison(
         adjusted_p_value=None,
         is_significant=None,
         check_p_value=check,
-        effect_sizes=tuple(_sizes(data, model, pair, (estimate, error, freedom), choices)) if is_known else (),
+        effect_sizes=(*_standardised(model, (estimate, error, freedom), choices), *ranked.of_pair(pair))
+        if is_known
+        else (),
     )
 
 
@@ -238,34 +243,74 @@ def _p_value(found: Contrast) -> float | None:
     return p_value if math.isfinite(p_value) and float(found.error) > 0 else None
 
 
-def _sizes(
-    data: MeasureData,
-    model: AnyModel,
-    pair: tuple[Mapping[str, str], Mapping[str, str]],
-    found: tuple[float, float, float],
-    choices: Choices,
-) -> Iterator[EffectSize]:
-    """Yield how much a difference is: in standard deviations, and by how often the one value is the larger."""
+def _standardised(model: AnyModel, found: tuple[float, float, float], choices: Choices) -> Iterator[EffectSize]:
+    """Yield how much a difference is in standard deviations; nothing where ranks are compared."""
     if choices.estimand is not Estimand.RANK:
         name = "robust d" if choices.estimand is Estimand.TRIMMED_MEAN else "Cohen's d"
         size = cohens_d(*found, float(model.spread), level=1 - choices.alpha, name=name)
         if size is not None:
             yield size
-    if not data.known.is_plain:  # most combinations of the others are not there, or runs lie in blocks of several kinds
-        return
-    data = model.adjusted_data(data) if isinstance(model, AdjustedMeans) else data
-    if data.is_blocked:
-        differences = None if isinstance(model, FittedModel) else _within_blocks(data, pair)
-        size = None if differences is None else paired_rank_biserial(differences, 1 - choices.alpha)
-        yield from () if size is None else (size,)
-        return
-    delta = cliffs_delta(list(_strata(data, pair)), 1 - choices.alpha)
-    if delta is not None:
-        yield delta
-        yield vargha_delaney(delta)
 
 
-def _within_blocks(data: MeasureData, pair: tuple[Mapping[str, str], Mapping[str, str]]) -> Floats | None:
+@dataclass(frozen=True, slots=True)
+class _RankSizes:
+    """By how often the one value is the larger, of any pair of treatments of the same factors.
+
+    Attributes:
+        data: the runs; None where nothing is told: most combinations of the other factors are not there, or runs lie in
+            blocks of several kinds.
+        values: of the runs of each treatment, or combination of several, for each combination of the other factors, in
+            each batch by itself; empty where blocks are compared within.
+        level: of the intervals.
+        is_adjusted: whether the values are adjusted for covariates.
+    """
+
+    data: MeasureData | None
+    values: Mapping[tuple[str, ...], Mapping[tuple[str, ...], Floats]]
+    level: float
+    is_adjusted: bool
+
+    @classmethod
+    def among(cls, data: MeasureData, model: AnyModel, factors: Sequence[str], choices: Choices) -> Self:
+        """Look once for what all pairs of treatments of these factors are told from.
+
+        Runs of all treatments of what is nested within are put together.
+        """
+        found: defaultdict[tuple[str, ...], dict[tuple[str, ...], Floats]] = defaultdict(dict)
+        is_adjusted = isinstance(model, AdjustedMeans)
+        if not data.known.is_plain or (data.is_blocked and isinstance(model, FittedModel)):
+            return cls(None, found, 1 - choices.alpha, is_adjusted)
+        ranked = model.adjusted_data(data) if isinstance(model, AdjustedMeans) else data
+        if not data.is_blocked:
+            compared = {*factors, *ranked.others(tuple(factors))}
+            names = [name for name in ranked.factors if name in compared]
+            # Those that have runs: all combinations of many factors are too many to be looked at.
+            for group in ranked.groups((*names, BATCH) if data.is_extended else names):
+                others = tuple(text for name, text in group.treatments.items() if name not in factors)
+                found[tuple(group.treatments[name] for name in factors)][others] = group.values
+        return cls(ranked, found, 1 - choices.alpha, is_adjusted)
+
+    def of_pair(self, pair: tuple[Group, Group]) -> Iterator[EffectSize]:
+        """Yield by how often the one value is the larger: within blocks where there are any."""
+        sizes = self._sizes(pair)
+        yield from (replace(each, interval=None) for each in sizes) if self.is_adjusted else sizes
+
+    def _sizes(self, pair: tuple[Group, Group]) -> Iterator[EffectSize]:
+        if self.data is None:
+            return
+        if self.data.is_blocked:
+            differences = _within_blocks(self.data, pair)
+            size = None if differences is None else paired_rank_biserial(differences, self.level)
+            yield from () if size is None else (size,)
+            return
+        first, second = (self.values.get(tuple(treatments.values()), {}) for treatments in pair)
+        delta = cliffs_delta([(own, second[others]) for others, own in first.items() if others in second], self.level)
+        if delta is not None:
+            yield delta
+            yield vargha_delaney(delta)
+
+
+def _within_blocks(data: MeasureData, pair: tuple[Group, Group]) -> Floats | None:
     """Return the difference in each block that has both; None where none does."""
     means = []
     for treatments in pair:
@@ -273,19 +318,3 @@ def _within_blocks(data: MeasureData, pair: tuple[Mapping[str, str], Mapping[str
         means.append(data.frame[VALUE][rows].groupby(data.blocks[rows]).mean())
     differences = (means[0] - means[1]).dropna().to_numpy(dtype=np.float64)
     return differences if len(differences) else None
-
-
-def _strata(data: MeasureData, pair: tuple[Mapping[str, str], Mapping[str, str]]) -> Iterator[tuple[Floats, Floats]]:
-    """Yield the values of both, for each combination of the other factors, in each batch by itself.
-
-    Runs of all treatments of what is nested within are put together.
-    """
-    named = data.others(tuple(pair[0]))
-    compared = [name for name in data.factors if name in pair[0] or name in named]
-    factors = (*compared, BATCH) if data.is_extended else tuple(compared)
-    groups = data.groups(factors)  # those that have runs: all combinations of many factors are too many to be looked at
-    by_treatments = {tuple(group.treatments.values()): group.values for group in groups}
-    for group in groups:
-        other = by_treatments.get(tuple((group.treatments | dict(pair[1])).values()))
-        if other is not None and pair[0].items() <= group.treatments.items():
-            yield group.values, other

@@ -165,7 +165,7 @@ class QuantilePairs:
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """The same test of the ranks of all values, or of their means where ranks are tested: does a conclusion hang on it?
+    """The test of the ranks of all values, or of their means where ranks are tested: does a conclusion hang on it?
 
     Attributes:
         of: `ranks` or `means`.
