@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+import errno
 import json
 import re
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -76,6 +78,36 @@ def test_output_for_which_a_disk_has_no_room_is_no_fault_of_ours(
         assert guarded(lambda: 0 * sys.stdout.write("a line\n")) == 2
     said = capsys.readouterr().err
     assert said.startswith("error: the output cannot be written: No space left on device\n")
+
+
+def test_a_current_folder_that_was_removed_is_no_fault_of_ours(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert guarded(lambda: len(str(Path.cwd()))) == 2
+    said = capsys.readouterr().err
+    assert said == "error: the current folder was removed or renamed\n  fix: Go to one that is there: cd FOLDER.\n"
+
+
+def test_what_the_system_refuses_of_a_file_is_no_fault_of_ours(capsys: pytest.CaptureFixture[str]) -> None:
+    refused = PermissionError(errno.EACCES, "Permission denied", "/lab/study/manifest.json")
+    assert guarded(raising(refused)) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: /lab/study/manifest.json: the file cannot be opened: Permission denied\n  fix: ")
+    assert guarded(raising(PermissionError("nobody may"))) == 70
+
+
+def test_that_no_folder_takes_temporary_files_is_no_fault_of_ours(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", None)
+    monkeypatch.setattr("tempfile._candidate_tempdir_list", lambda: ["/proc"])
+    assert guarded(lambda: len(tempfile.gettempdir())) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: no folder takes temporary files: No usable temporary directory found in ['/proc']\n")
+    assert "TMPDIR" in said
 
 
 def test_a_fault_is_said_even_where_nothing_can_be_kept(

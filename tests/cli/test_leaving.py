@@ -38,3 +38,10 @@ def test_a_program_that_nothing_keeps_ends_without_a_word() -> None:
     words = [sys.executable, "-P", "-c", program]
     ended = subprocess.run(words, capture_output=True, text=True, timeout=50, check=True)
     assert ended.stderr == ""
+
+
+def test_where_no_thread_can_be_started_the_exit_code_is_that_of_the_program() -> None:
+    refused = 'threading.Thread.start = lambda self: (_ for _ in ()).throw(RuntimeError("can\'t start new thread"))'
+    words = [sys.executable, "-P", "-c", PROGRAM.format(left=refused, code=3)]  # as `ulimit -u` has it
+    ended = subprocess.run(words, capture_output=True, text=True, timeout=50, check=False)
+    assert (ended.returncode, ended.stderr) == (3, "")

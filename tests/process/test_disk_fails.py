@@ -96,6 +96,37 @@ def test_a_folder_that_is_deleted_under_the_experiment_is_an_error_that_names_it
     assert experiment.nobody_is_left()
 
 
+@pytest.mark.long
+def test_a_folder_that_is_moved_under_the_experiment_ends_it_and_nothing_is_lost(start: Start) -> None:
+    first = start(
+        """
+        def launch_mission(self, context):
+            print("on the way in", context.run_id)
+            there = Path(__file__).parent / "moved"
+            if context.run_id == "r_2" and not (Path(__file__).parent / "was_moved").exists():
+                (Path(__file__).parent / "was_moved").touch()
+                context.experiment_folder.rename(there)
+            context.run_folder.mkdir(parents=True, exist_ok=True)
+            (context.run_folder / "own.csv").write_text(context.run_id)
+        def populate_run_data(self, context): return {"Energy": 1.5}
+        """
+    )
+    assert first.end() == 1
+    moved = first.config.parent / "moved"
+    assert "the experiment was moved or renamed while it was executed" in first.output
+    assert f"its journal is {moved / 'journal.jsonl'}" in first.output
+    shutil.copytree(first.folder, moved, dirs_exist_ok=True)  # what has come to lie there since
+    shutil.rmtree(first.folder)
+    moved.rename(first.folder)
+    again = start(config=first.config)
+    assert again.end() == 0, again.output
+    assert again.statuses == ["Done"] * 4
+    kept = again.folder / "earlier_attempts" / "r_2" / "1"
+    for folder, run in ((again.folder / "runs" / "r_1", "r_1"), (kept, "r_2"), (again.folder / "runs" / "r_2", "r_2")):
+        assert (folder / "own.csv").read_text() == run
+        assert (folder / "log.txt").read_text() == f"on the way in {run}\n"
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody who may not write")
 def test_a_folder_that_may_not_be_written_is_refused_before_anything_is_executed(write_config: Write) -> None:
     config = write_config("results_output_path = Path('/proc/nowhere')")

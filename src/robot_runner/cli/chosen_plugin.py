@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import PluginError, did_you_mean
 from robot_runner.core.late_annotations import signature_of
-from robot_runner.core.plugin import Plugin, installed_plugins, refused_name
+from robot_runner.core.plugin import Plugin, installed_plugins, load_plugin, refused_name
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def plugin_class(chosen: str) -> type[Plugin]:
     if chosen not in known:
         fix = f"{did_you_mean(chosen, known)} `robot-runner plugins` describes them."
         raise PluginError(f"no plugin named {chosen!r} is installed", where="try", fix=fix)
-    return known[chosen].load()
+    return load_plugin(known[chosen])
 
 
 def _imported_module(name: str) -> ModuleType:

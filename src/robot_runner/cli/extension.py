@@ -122,9 +122,9 @@ class _Extending:
         self._experiment = experiment
         self._request = request
         self._folder = experiment.folder
-        lost = restored_manifest(experiment)
-        self._manifest = lost.manifest if lost else kept_manifest(experiment)
-        self._findings = [lost.finding] if lost else []
+        restored = restored_manifest(experiment)
+        self._manifest = restored[0] if restored else kept_manifest(experiment)
+        self._findings = [restored[1]] if restored else []
         self._design: Mapping[str, Any] = self._manifest["design"]
         self._config = as_configured(experiment.model)
 

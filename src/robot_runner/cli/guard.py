@@ -16,6 +16,8 @@ REFUSED = 2
 #: Our own fault, as in sysexits.h (EX_SOFTWARE).
 FAULT = 70
 INTERRUPTED = 130
+#: What the system refuses of a file or folder, mostly another user's: to look whether it is there may be refused, too.
+_REFUSALS = frozenset({errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG, errno.EMFILE, errno.ENFILE})
 #: As a shell shows the death by SIGPIPE.
 BROKEN_PIPE = 141
 
@@ -84,12 +86,19 @@ def _kept(text: str) -> str:
 
 
 def _explained(error: Exception, *, show_traceback: bool) -> int:
+    from pathlib import Path  # noqa: PLC0415 - as above
+
     from robot_runner.core.errors import RobotRunnerError, StorageError  # noqa: PLC0415 - as above
+    from robot_runner.core.storage.system_refusals import storage_error  # noqa: PLC0415 - as above
 
     if isinstance(error, OSError) and error.errno in {errno.ENOSPC, errno.EDQUOT}:  # mostly of `> file`
         let_go_of(sys.stdout)
         problem = f"the output cannot be written: {error.strerror}"
         error = StorageError(problem, fix="Make room on the disk, or send the output elsewhere.")
+    if isinstance(error, FileNotFoundError) and not error.filename and (refusal := _missing_folder(error)):
+        error = StorageError(refusal[0], fix=refusal[1])
+    if isinstance(error, OSError) and error.errno in _REFUSALS and isinstance(error.filename, str):
+        error = storage_error(Path(error.filename), "opened", error)
     if not isinstance(error, RobotRunnerError):
         show_fault(error, show_traceback=show_traceback)
         return FAULT
@@ -101,6 +110,20 @@ def _explained(error: Exception, *, show_traceback: bool) -> int:
 
         traceback.print_exception(error)
     return REFUSED
+
+
+def _missing_folder(error: FileNotFoundError) -> tuple[str, str] | None:
+    """Return problem and fix where a folder is missing that any program needs."""
+    import os  # noqa: PLC0415 - as above
+
+    if (error.strerror or "").startswith("No usable temporary directory"):
+        fix = "Make room in one of them, or have TMPDIR be a folder that can be written."
+        return f"no folder takes temporary files: {error.strerror}", fix
+    try:
+        os.getcwd()  # noqa: PTH109 - as above
+    except FileNotFoundError:
+        return "the current folder was removed or renamed", "Go to one that is there: cd FOLDER."
+    return None
 
 
 def _replace_closed_streams() -> None:

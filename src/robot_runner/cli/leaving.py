@@ -29,7 +29,8 @@ def leave_in_time(code: int, tell_after: float = TELL_AFTER, end_after: float = 
         end_after: how long what keeps it may take after that was told, s.
     """
     # A daemon lives until Python has waited for everything else.
-    threading.Thread(target=_watch, args=(code, tell_after, end_after), name="leaving", daemon=True).start()
+    with suppress(RuntimeError):  # no thread can be started, by the limits of this user: then it ends as Python does
+        threading.Thread(target=_watch, args=(code, tell_after, end_after), name="leaving", daemon=True).start()
 
 
 def _watch(code: int, tell_after: float, end_after: float) -> None:

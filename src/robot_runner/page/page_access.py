@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import hmac
 import ipaddress
-import os
 import re
 import secrets
 import socket
@@ -13,10 +12,10 @@ import time
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping
 from enum import IntEnum
-from pathlib import Path
 
 from robot_runner.core.storage.guarded_files import MissingFileError, read_text, remove, replace
 from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.user_folders import user_folder
 
 
 class Role(IntEnum):
@@ -61,7 +60,7 @@ class Keys:
         Raises:
             StorageError: the secret cannot be kept.
         """
-        path = _state_folder() / "page-secret"
+        path = user_folder("XDG_STATE_HOME") / "page-secret"
         try:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         except OSError as error:
@@ -106,11 +105,6 @@ class Keys:
 
 def _is_same(one: str, other: str) -> bool:
     return hmac.compare_digest(one.encode("utf-8", "replace"), other.encode())
-
-
-def _state_folder() -> Path:
-    base = Path(os.environ.get("XDG_STATE_HOME", ""))
-    return (base if base.is_absolute() else Path.home() / ".local" / "state") / "robot-runner"
 
 
 # Where a request comes from.

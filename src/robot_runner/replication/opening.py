@@ -157,7 +157,7 @@ def _refuse_other(package: OpenPackage, target: Path) -> None:
 def _refuse_without_room(package: OpenPackage, folder: Path) -> None:
     needed, free = sum(package.sizes.values()), shutil.disk_usage(folder).free
     if needed + _SPARE > free:
-        problem = f"the package would take {needed:,} bytes, and {free:,} are free"
+        problem = f"{needed:,} bytes are needed for the package, {_SPARE:,} for what comes after, and {free:,} are free"
         raise PackageError(problem, where=str(folder), fix="Make room, or name a folder on another disk with --to.")
 
 

@@ -23,6 +23,7 @@ from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.storage.table_columns import ColumnDescription, TableLayout
 from robot_runner.core.storage.table_schema import read_schema
+from robot_runner.core.storage.user_folders import home_folder
 from robot_runner.core.words import listed
 from robot_runner.replication.about import About
 from robot_runner.replication.citation_files import missing_text
@@ -113,7 +114,7 @@ def pack(
             run_folders={f"{runs_folder}{each}/": each for each in run_ids},
             chosen=chosen,
             environment=recorded,
-            redactor=Redactor.knowing(secrets, home=Path.home(), replaces_doubtful=asked.doubtful == "replace"),
+            redactor=Redactor.knowing(secrets, home=home_folder(), replaces_doubtful=asked.doubtful == "replace"),
             archive=archive,
             progress=progress,
         )

@@ -17,6 +17,7 @@ from typing import IO, Any
 
 from robot_runner.core.errors import PluginError, StorageError, did_you_mean
 from robot_runner.core.links.ssh_command import gist, remedy, ssh_command
+from robot_runner.core.storage.user_folders import user_folder
 from robot_runner.core.words import listed, one_line
 from robot_runner.subjects.orphans import end_orphans, mark_of
 from robot_runner.subjects.remote_supervision import BOOTSTRAP, LEASE
@@ -334,11 +335,7 @@ def user_cache() -> Path:
     Raises:
         StorageError: the user has no home folder.
     """
-    home = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    try:
-        return Path(home).expanduser() / "robot-runner"
-    except RuntimeError as error:
-        raise StorageError("the user has no home folder", where=home, fix=_NAME_A_FOLDER) from error
+    return user_folder("XDG_CACHE_HOME")
 
 
 @contextmanager

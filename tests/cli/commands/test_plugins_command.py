@@ -7,15 +7,14 @@ import pytest
 
 from robot_runner.cli.commands import plugins
 from robot_runner.core.entry_points import EntryPoint
-from robot_runner.core.plugin import InstalledPlugin, installed_plugins
+from robot_runner.core.plugin import installed_plugins
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-def _installed(name: str, value: str) -> InstalledPlugin:
-    point = EntryPoint(name, "robot_runner.profilers", value, lambda: ("stranger", "2.1"))
-    return InstalledPlugin("profilers", point)
+def _installed(name: str, value: str) -> EntryPoint:
+    return EntryPoint(name, "robot_runner.profilers", value, lambda: ("stranger", "2.1"))
 
 
 def test_every_built_in_plugin_is_listed_with_all_there_is_to_know(robot_runner: Callable) -> None:
@@ -72,19 +71,11 @@ def test_a_broken_plugin_is_a_finding_and_hides_no_other(
 def test_a_plugin_that_cannot_be_looked_at_is_a_finding_too(
     robot_runner: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Meter:
-        @property
-        def measures(self) -> None:
-            raise AssertionError
+    def load(_: EntryPoint) -> type:
+        raise RuntimeError("a licence is missing")
 
-    class Installed:
-        name, kind, package, version = "Meter", "profilers", "stranger", "2.1"
-
-        @staticmethod
-        def load() -> type:
-            raise RuntimeError("a licence is missing")
-
-    monkeypatch.setattr(plugins, "installed_plugins", lambda: (Installed(),))
+    monkeypatch.setattr(plugins, "installed_plugins", lambda: (_installed("Meter", "meters:Meter"),))
+    monkeypatch.setattr(plugins, "load_plugin", load)
     answer = robot_runner("plugins")
     assert answer.code == 0
     assert "the plugin cannot be described: RuntimeError: a licence is missing" in answer.out

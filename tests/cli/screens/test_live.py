@@ -10,10 +10,8 @@ import pytest
 
 from robot_runner.cli.screens import live
 from robot_runner.cli.screens.live import LiveScreen
-from robot_runner.core.design.precise_estimates import Judgement, Known
-from robot_runner.core.design.precision import Precision
 from robot_runner.core.execution.durations import TimeLeft
-from robot_runner.core.execution.notices import GatePassed, GateWaiting, PrecisionJudged, RunRecord, WaitingForUser
+from robot_runner.core.execution.notices import GatePassed, GateWaiting, NextDecided, RunRecord, WaitingForUser
 
 if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
@@ -202,11 +200,10 @@ def test_each_place_that_waits_at_a_gate_is_shown(shown: Shown, notices: Any) ->
 
 
 def test_a_repetition_that_is_added_is_told_with_why_and_counted(shown: Shown, notices: Any) -> None:
-    rule = Precision("Energy", half_width="2 %", at_most=30)
-    known = (Known(of="Video", n=5, mean=100.0, half_width=3.0, wanted=2.0),)
+    told = "after 5 repetitions, Energy: ± 3 % for Video, ± 2 % is wanted (0 of 1 mean precise): once more, 2 runs"
     with shown.screen:
         shown.take(notices.started(), notices.begun(1), notices.done(1, seconds=10))
-        shown.take(PrecisionJudged(5, [Judgement(rule, 0.99, 5, known)], 6, 2), notices.begun(2))
+        shown.take(NextDecided(told, 6, 2), notices.begun(2))
         text = "\n".join(shown.lines)
     assert "after 5 repetitions, Energy: ± 3 % for Video, ± 2 % is wanted (0 of 1 mean precise): once more, 2" in text
     assert "1 of 6 done" in text

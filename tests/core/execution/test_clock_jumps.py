@@ -2,9 +2,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import pytest
+
+from robot_runner.core.execution.experiment_status import read_status
 
 Execute = Callable[..., Any]
 
@@ -53,6 +56,41 @@ def test_a_clock_that_was_set_during_a_run_is_told_and_makes_no_value_doubtful(e
     problem = "this machine's clock was set by -3,600.0 s: stamps before and after do not fit together"
     assert told(executed) == [("r_1, clocks", problem)]
     assert doubts(executed) == {}
+
+
+#: The clock is set in the orchestrator, before the second run.
+SET_BEFORE = """
+def before_run(self, context):
+    import time
+    if context.run_number == 2:
+        self.real = time.clock_gettime
+        time.clock_gettime = lambda clock: self.real(clock) + 3600.0 * (clock == time.CLOCK_REALTIME)
+
+def populate_run_data(self, context):
+    return {"Energy": 7.5}
+
+def after_experiment(self):
+    import time
+    time.clock_gettime = self.real
+"""
+
+
+def clock_settings(executed: Any) -> list[tuple[str, float]]:
+    """Return by how much the clock was set, with the attempt's record that follows."""
+    lines = (executed.folder / "journal.jsonl").read_text(encoding="utf-8").splitlines()
+    kept = [each for each in map(json.loads, lines) if each["kind"] in {"clock_set", "attempt_finished"}]
+    return [(after["run"], each["seconds"]) for each, after in pairwise(kept) if each["kind"] == "clock_set"]
+
+
+def test_the_journal_tells_by_how_much_a_clock_was_set_and_a_setting_is_told_once(execute: Execute) -> None:
+    executed = execute(SET_BEFORE)
+    ((run, seconds),) = clock_settings(executed)
+    assert run == "r_2"
+    assert abs(seconds - 3600.0) < 1.0
+    problem = "this machine's clock was set by +3,600.0 s: stamps before and after do not fit together"
+    assert told(executed) == [("r_2, clocks", problem)]
+    status = read_status(executed.folder)
+    assert [each.problem for each in status.findings] == [problem]
 
 
 @pytest.mark.long

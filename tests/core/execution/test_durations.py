@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -39,6 +40,25 @@ def learn(durations: Durations, runs: list[tuple[Mapping[str, Any], float]], *, 
         durations.end(now, "done", is_last=True)
         now += pause
     return now
+
+
+@pytest.mark.parametrize("seconds", [-3600.0, 31_536_000.0])
+def test_a_clock_that_was_set_in_a_run_or_a_pause_lengthens_nothing(seconds: float) -> None:
+    durations, run = Durations(), {"run": "r_1", "combination": VIDEO}
+    began = datetime(2026, 1, 31, 12, tzinfo=UTC)
+
+    def take(kind: str, after: float, **fields: Any) -> None:
+        durations.take_record({"kind": kind, "at": (began + timedelta(seconds=after)).isoformat(), **fields})
+
+    ended = {"status": "done", "is_last": True}
+    take("attempt_started", 0.0, **run)
+    take("clock_set", seconds + 10.0, seconds=seconds)
+    take("attempt_finished", seconds + 10.0, **run, **ended)
+    take("clock_set", 2 * seconds + 12.0, seconds=seconds)
+    take("attempt_started", 2 * seconds + 12.0, **run)
+    take("attempt_finished", 2 * seconds + 22.0, **run, **ended)
+    assert durations.of_run(VIDEO) == 10.0
+    assert durations.pause == 2.0
 
 
 class Said(System):

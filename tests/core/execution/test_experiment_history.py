@@ -21,6 +21,14 @@ def test_a_person_is_waited_for_however_many_runs_end_elsewhere_meanwhile() -> N
     assert history.waiting_for is None
 
 
+def test_a_session_took_as_long_however_the_clock_was_set_meanwhile() -> None:
+    history = ExperimentHistory()
+    history.take({"kind": "experiment_started", "at": "2026-01-31T12:00:00.000Z"})
+    history.take({"kind": "clock_set", "at": "2026-01-31T11:00:02.000Z", "seconds": -3600.0})
+    history.take({"kind": "experiment_finished", "at": "2026-01-31T11:00:05.000Z"})
+    assert [session.seconds for session in history.sessions] == [5.0]
+
+
 def test_each_gate_that_is_awaited_is_known_until_it_opens() -> None:
     gate = {"kind": "gate", "condition": "it is cool", "seen": "52", "seconds": 1.0, "at": "2026-01-31T12:00:01.000Z"}
     history = ExperimentHistory()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import itertools
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -109,3 +110,15 @@ def test_what_may_go_on_elsewhere_is_known_by_the_mark_that_was_left_for_it(tmp_
 def test_a_mark_that_says_nothing_sensible_is_waited_for_as_long_as_usual(tmp_path: Path, content: bytes) -> None:
     (tmp_path / ".probe-0123456789abcdef").write_bytes(content)
     assert runs_elsewhere(ExperimentFolder(tmp_path)) == [RunsElsewhere("another machine", 60.0)]
+
+
+def test_what_is_left_of_a_run_is_found_in_a_folder_whose_name_is_no_text(tmp_path: Path) -> None:
+    folder = ExperimentFolder(tmp_path / os.fsdecode(b"B\xfcro"))  # as an old disk has it
+    folder.root.mkdir()
+    program = "import time; print(flush=True); time.sleep(60)"
+    environment = {"ROBOT_RUNNER_RUN_OF": str(folder.root)}
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, env=environment) as left:
+        assert left.stdout is not None
+        left.stdout.readline()
+        assert left_over(folder) == [left.pid]
+        left.kill()

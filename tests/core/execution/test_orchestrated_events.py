@@ -11,10 +11,12 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.core.execution.conftest import execute_in
 from tests.long_cases import long_but
 
 from robot_runner.core.errors import ExecutionError
-from robot_runner.core.execution.orchestrator_events import EventDeadline
+from robot_runner.core.execution.orchestrator_events import DeadlinePassed, EventDeadline
+from robot_runner.core.storage import journal
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -60,6 +62,24 @@ def test_the_time_of_a_continue_that_publishes_nothing_is_in_the_journal_as_well
     table.unlink()
     assert execute(body, table=TWO_RUNS, run_process="in_process").finished.done_count == 2
     assert table.read_text(encoding="utf-8") == written
+
+
+@pytest.mark.parametrize(("publishes", "more"), [("pass", 0), ("context.publish('Energy', 4.5)", 1)])
+def test_what_continue_publishes_is_flushed_to_the_disk_and_its_time_alone_with_the_next_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, publishes: str, more: int
+) -> None:
+    flushed: list[int] = []
+    monkeypatch.setattr(journal, "fsync_file", flushed.append)
+
+    def count(name: str, body: str) -> int:
+        flushed.clear()
+        folder = tmp_path / name
+        folder.mkdir()
+        execute_in(folder, f"def before_experiment(self): return True\n{body}", table=TWO_RUNS)
+        return len(flushed)
+
+    continued = f"operation_type = OperationType.SEMI\ndef continue_experiment(self, context):\n    {publishes}\n"
+    assert count("asked", f"{continued}    return True\n") == count("not_asked", "") + more
 
 
 def test_what_continue_publishes_by_a_wrong_name_ends_the_experiment_and_is_kept(execute: Execute) -> None:
@@ -280,6 +300,15 @@ def test_a_watcher_that_fails_does_not_go_on_as_the_experiment(monkeypatch: pyte
     finally:
         if os.getpid() != process:
             os.kill(process, signal.SIGKILL)
+
+
+def test_a_deadline_passes_also_where_its_signal_was_blocked_when_the_program_began() -> None:
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM})
+    try:
+        with pytest.raises(DeadlinePassed), EventDeadline("an event", 0.01, 1.0):
+            time.sleep(60.0)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def test_an_error_whose_text_ends_the_program_fails_its_run_and_no_more(execute: Execute) -> None:

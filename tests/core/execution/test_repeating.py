@@ -19,7 +19,7 @@ from robot_runner.core.design.asking import Decision, Told
 from robot_runner.core.design.growing import Additions
 from robot_runner.core.execution import progress_manager, recovered_table
 from robot_runner.core.execution.experiment_status import read_status
-from robot_runner.core.execution.notices import PrecisionJudged
+from robot_runner.core.execution.notices import NextDecided
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.processes import forked
 from robot_runner.core.execution.recovery import Resumption
@@ -114,13 +114,13 @@ def test_all_combinations_are_repeated_until_all_means_are_precise(execute: Exec
         assert {row["Task"] for row in rows if row["Repetition"] == str(repetition)} == {"Video", "Network"}
     assert {row["Task"] for row in rows[6::2]} == {"Video", "Network"}, "the order is randomised within repetitions"
     assert "batch" not in rows[0], "what is added by the rule is planned, and no batch"
-    notices = [notice for notice in executed.notices if isinstance(notice, PrecisionJudged)]
+    notices = [notice for notice in executed.notices if isinstance(notice, NextDecided)]
     assert [notice.added for notice in notices] == [2] * len(added) + [0]
     assert [notice.run_count for notice in notices][-1] == len(rows)
-    assert all(judgement.is_precise for judgement in notices[-1].judgements)
-    precise = [all(judgement.is_precise for judgement in notice.judgements) for notice in notices]
+    judged = [*added, *executed.journal("judged")]
+    precise = [all(each["is_precise"] for each in record["precision"]) for record in judged]
     assert precise == [False] * (len(precise) - 4) + [True] * 4, "it has to remain precise for three more repetitions"
-    assert "(2 of 2 means precise, 3 of 4 looks in a row): once more, 2 runs" in notices[-2].in_words()
+    assert "(2 of 2 means precise, 3 of 4 looks in a row): once more, 2 runs" in notices[-2].told
     manifest = read_manifest(executed.folder / "manifest.json")
     assert manifest["repeat_until"]["least"] == 3
     assert manifest["design"]["repetitions"] == len(rows) // 2
@@ -128,7 +128,7 @@ def test_all_combinations_are_repeated_until_all_means_are_precise(execute: Exec
     assert status.repeated.endswith("at least 3, at most 12 repetitions")
     assert "(2 of 2 means precise)" in status.precision[0]
     _, again = resume(executed.config)
-    assert [notice.added for notice in again.notices if isinstance(notice, PrecisionJudged)] == [0]
+    assert [notice.added for notice in again.notices if isinstance(notice, NextDecided)] == [0]
     assert planned(rows_of(executed.config)) == planned(rows)
 
 
@@ -254,7 +254,7 @@ def test_a_part_of_the_runs_is_not_repeated_and_a_redone_run_is_judged_anew(exec
     count = len(rows_of(config))
     assert count > 6
     _, observer = resume(config, redo=("r_1",))
-    assert any(isinstance(notice, PrecisionJudged) for notice in observer.notices)
+    assert any(isinstance(notice, NextDecided) for notice in observer.notices)
 
 
 @pytest.mark.long

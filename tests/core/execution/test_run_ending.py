@@ -555,3 +555,15 @@ def test_processes_of_the_experiment_itself_live_on_where_those_of_callbacks_end
     with stop_signals_handled(lambda _number, _frame: None):
         assert ended(forked) == 7  # a keeper, or who stops a robot: Ctrl-C reaches all of a terminal's processes
         assert ended(os.fork) == (1 if number == signal.SIGINT else -number)
+
+
+def test_a_stop_signal_that_was_blocked_when_the_program_began_is_heard() -> None:
+    taken: list[int] = []
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})  # as who starts us may have it
+    try:
+        with stop_signals_handled(lambda number, _frame: taken.append(number)):
+            os.kill(os.getpid(), signal.SIGTERM)
+            assert taken == [signal.SIGTERM]
+        assert signal.SIGTERM in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

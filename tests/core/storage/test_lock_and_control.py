@@ -6,7 +6,7 @@ import os
 import resource
 import subprocess
 import sys
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -18,9 +18,6 @@ from robot_runner.core.storage.lock import (
     send_continue,
     take_request,
 )
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def in_another_process(ask: object) -> str:
@@ -108,6 +105,23 @@ def test_a_lock_that_was_removed_is_taken_anew_unless_somebody_else_has_been_the
         with pytest.raises(ExecutionError, match="and another process has executed it since"):
             lock.look_after(journal)
     assert refusal(path) == "taken"
+
+
+@pytest.mark.parametrize("moved", ["study", "study/journal.jsonl"])
+def test_an_experiment_that_is_moved_while_it_is_executed_does_not_go_on_in_two_places(
+    tmp_path: Path, moved: str
+) -> None:
+    folder = tmp_path / "study"
+    folder.mkdir()
+    with ExperimentLock(folder / ".lock") as lock, Journal(folder / "journal.jsonl") as journal:
+        there = (tmp_path / moved).rename(tmp_path / "moved")
+        folder.mkdir(exist_ok=True)  # as what a run keeps has it made again
+        with pytest.raises(ExecutionError, match="moved or renamed") as caught:
+            lock.look_after(journal)
+        journal.append("paused", flush=True)  # what is told until then is kept where it is
+    assert caught.value.where == str(folder)
+    assert f"its journal is {there}" in caught.value.problem or not Path("/proc/self/fd").exists()
+    assert '"paused"' in (there / "journal.jsonl" if there.is_dir() else there).read_text(encoding="utf-8")
 
 
 def test_who_executes_an_experiment_whose_lock_was_removed_is_told(tmp_path: Path) -> None:

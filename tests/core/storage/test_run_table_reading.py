@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -9,8 +10,9 @@ import pytest
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import StorageError
+from robot_runner.core.storage import run_table_reading
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.run_table_reading import LARGEST, read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows, table_text, write_run_table
 from robot_runner.core.storage.table_columns import FactorColumn, TableLayout
 
@@ -323,6 +325,26 @@ def test_a_long_cell_is_read_whole(tmp_path: Path) -> None:
     text = "x" * 200_000
     rows = read(tmp_path, f"Task,Speed,Energy\nVideo,1,{text}\n")
     assert rows.row(0)["Energy"] == text
+
+
+def test_a_first_line_longer_than_any_cell_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    longest = csv.field_size_limit(100_000)
+    monkeypatch.setattr(run_table_reading, "_LONGEST_CELL", 100_000)
+    try:
+        findings = findings_of(tmp_path, "x" * 200_000)
+    finally:
+        csv.field_size_limit(longest)
+    assert findings[0].startswith("run_table.csv, line 1: a cell is not quoted rightly from here on (field larger than")
+
+
+def test_a_table_of_a_million_runs_with_every_stamp_may_be_read() -> None:
+    model = RunTableModel([Factor("Load", range(990_000, 991_000))], data_columns=["CPU", "Energy"])
+    rows = RunTableRows.of_plan(model.plan(), TableLayout.of_model(model, ["CPU", "Energy"]))
+    stamps = dict.fromkeys(rows.layout.stamps, "2026-01-31T10:00:00.250Z")
+    for number in range(1, len(rows) + 1):
+        measures = {"CPU": 100 / 3, "Energy": 900 / 7}
+        rows.record(f"r_{number}", status=RunStatus.DONE, stamps=stamps, measures=measures)
+    assert sum(map(len, table_text(rows))) * 1000 < LARGEST
 
 
 def test_a_table_edited_by_hand_can_be_recorded_in(tmp_path: Path) -> None:

@@ -65,6 +65,12 @@ def test_a_new_file_has_the_permissions_that_the_user_asks_for(tmp_path: Path) -
     assert stat.S_IMODE((tmp_path / "table.csv").stat().st_mode) == 0o640
 
 
+def test_the_name_of_a_file_that_is_no_text_can_be_written(tmp_path: Path) -> None:
+    path, name = tmp_path / "verdict.json", os.fsdecode(b"B\xfcro")
+    write_beside_and_rename(path, lambda file: file.write(f'"{name}"'))
+    assert path.read_text(encoding="utf-8") == '"B\\udcfcro"'  # as JSON has it, too
+
+
 def test_a_symbolic_link_stays_and_its_target_is_replaced(tmp_path: Path) -> None:
     target = tmp_path / "elsewhere" / "table.csv"
     target.parent.mkdir()
@@ -81,6 +87,8 @@ def test_a_symbolic_link_stays_and_its_target_is_replaced(tmp_path: Path) -> Non
         (errno.ENOSPC, "Make room on the disk, then try again."),
         (errno.EACCES, "Mend the permissions of the file and its folder."),
         (errno.EROFS, "Choose a folder on a file system that can be written."),
+        (errno.EFBIG, "Raise the limit of a file's size (ulimit -f), or choose a file system for larger files."),
+        (errno.EMFILE, "Raise the limit of open files (ulimit -n)."),
         (errno.EIO, "Mend what the system names, then try again."),
     ],
 )
@@ -155,6 +163,19 @@ def test_a_disk_with_room_and_without_inodes_is_told_as_that(tmp_path: Path, mon
         found = SimpleNamespace(f_files=100, f_favail=free, f_bavail=1000)
         monkeypatch.setattr(os, "statvfs", lambda _, found=found: found)
         assert expected in storage_error(tmp_path / "table.csv", "written", full).fix
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file away")
+def test_what_another_user_keeps_from_us_is_told_with_the_user(tmp_path: Path) -> None:
+    path = tmp_path / "manifest.json"
+    path.touch()
+    os.chown(path, 54321, 54321)
+    error = storage_error(path, "read", PermissionError(errno.EACCES, "Permission denied"))
+    assert error.fix == "It is user 54321's: have it given to you (sudo chown), or shared with you (chmod)."
+    made = storage_error(path / "in it", "made", PermissionError(errno.EACCES, "Permission denied"))
+    assert "user 54321" in made.fix  # of what is not there, the folder tells
+    os.chown(path, os.geteuid(), -1)
+    assert storage_error(path, "read", PermissionError(errno.EACCES, "Permission denied")).fix.startswith("Mend")
 
 
 def test_an_error_without_a_number_is_said_as_it_is() -> None:

@@ -391,6 +391,34 @@ def test_the_command_does_not_put_back_what_an_experiment_uses(copy: ComputerCop
     assert setting(copy) == AS_ASKED
 
 
+@pytest.mark.parametrize("home", ["/etc/passwd", "/proc/self/exe/nowhere"])
+def test_where_there_is_no_folder_of_state_nothing_was_left_and_no_experiment_is_refused(
+    monkeypatch: pytest.MonkeyPatch, home: str
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", home)
+    assert check_left_behind("study.py", None, []) == []  # type: ignore[arg-type]
+
+    def refuse(_: Path) -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "expanduser", refuse)
+    assert check_left_behind("study.py", None, []) == []  # type: ignore[arg-type]
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody who may not enter")
+def test_a_folder_of_state_that_may_not_be_entered_refuses_no_experiment(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    path = state_file()
+    path.parent.mkdir(mode=0o700)
+    os.seteuid(NOBODY)
+    try:
+        assert check_left_behind("study.py", None, []) == []  # type: ignore[arg-type]
+    finally:
+        os.seteuid(0)
+
+
 def test_an_experiment_without_tune_is_told_of_a_machine_that_was_left_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -23,6 +23,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import groupby
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.text import Text
 
@@ -34,8 +35,11 @@ from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.late_annotations import signature_of
 from robot_runner.core.links.connect import link_findings
 from robot_runner.core.links.kinds import installed_links
-from robot_runner.core.plugin import Circumstances, InstalledPlugin, installed_plugins
+from robot_runner.core.plugin import Circumstances, installed_plugins, load_plugin
 from robot_runner.core.words import enumerated, one_line
+
+if TYPE_CHECKING:
+    from robot_runner.core.entry_points import EntryPoint
 
 #: It can be used; it is not here, or has to be told something; it is here and cannot be used.
 READY, ABSENT, BROKEN = "ready", "absent", "broken"
@@ -256,9 +260,9 @@ def _link(link: str) -> tuple[str, str, str]:
     return READY, "", ""
 
 
-def _meter(installed: InstalledPlugin) -> tuple[str, str, str]:
+def _meter(installed: EntryPoint) -> tuple[str, str, str]:
     try:
-        kind = installed.load()
+        kind = load_plugin(installed)
     except RobotRunnerError as error:
         return BROKEN, error.problem, error.fix
     parameters = signature_of(kind).parameters

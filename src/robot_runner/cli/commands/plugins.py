@@ -20,9 +20,10 @@ from robot_runner.cli.findings import as_json, print_findings
 from robot_runner.cli.parser import Parser, add_json
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.late_annotations import signature_of
-from robot_runner.core.plugin import GROUPS, InstalledPlugin, Plugin, installed_plugins
+from robot_runner.core.plugin import GROUPS, Plugin, installed_plugins, load_plugin
 
 if TYPE_CHECKING:
+    from robot_runner.core.entry_points import EntryPoint
     from robot_runner.core.events.measure import Measure
 
 
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 class _Described:
     """A plugin that could be imported, or the finding that says why not."""
 
-    installed: InstalledPlugin
+    installed: EntryPoint
     summary: str = ""
     measures: Sequence[Measure] = ()
     needs: str = ""
@@ -53,9 +54,9 @@ def execute(arguments: Namespace) -> int:
     return 0
 
 
-def _described(installed: InstalledPlugin) -> _Described:
+def _described(installed: EntryPoint) -> _Described:
     try:
-        plugin = installed.load()
+        plugin = load_plugin(installed)
         return _Described(
             installed,
             summary=(inspect.getdoc(plugin) or "").partition("\n\n")[0].replace("\n", " "),
@@ -144,7 +145,7 @@ def _plugin_as_json(plugin: _Described) -> dict[str, Any]:
         "name": installed.name,
         "package": installed.package,
         "version": installed.version,
-        "class": installed.entry_point.value,
+        "class": installed.value,
         "summary": plugin.summary,
         "measures": [
             {"name": measure.name, "unit": measure.unit, "description": measure.description}

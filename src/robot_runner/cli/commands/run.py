@@ -104,7 +104,7 @@ def under_given_names(findings: Sequence[Finding], arguments: Namespace) -> tupl
     """Return findings about what such an option set under the option's name: the config is not where to mend it."""
 
     def named(finding: Finding) -> Finding:
-        name = finding.where.rpartition(".")[2]
+        name = finding.where.removeprefix("--set ").partition("=")[0].rpartition(".")[2]
         is_given = name in _SHORTCUTS and getattr(arguments, name) is not None
         return replace(finding, where=f"--{name} {getattr(arguments, name)}") if is_given else finding
 

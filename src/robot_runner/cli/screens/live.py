@@ -45,7 +45,6 @@ from robot_runner.core.execution.notices import (
     NextDecided,
     Notice,
     Paused,
-    PrecisionJudged,
     PreparationStarted,
     ProbeStarted,
     QuestionAsked,
@@ -162,9 +161,9 @@ class LiveScreen:
                 self.refresh()
             case AttemptFinished():
                 self._take_end(notice)
-            case PrecisionJudged() | NextDecided():
+            case NextDecided():
                 self._print_finished()
-                self._print_lines([Text(f"  {notice.in_words()}")])
+                self._print_lines([Text(f"  {notice.told}")])
             case FindingsNoticed(findings):
                 self._print_finished()
                 print_findings(self._console, findings)

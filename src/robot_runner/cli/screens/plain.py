@@ -28,7 +28,6 @@ from robot_runner.core.execution.notices import (
     NextDecided,
     Notice,
     Paused,
-    PrecisionJudged,
     PreparationStarted,
     ProbeStarted,
     QuestionAsked,
@@ -216,8 +215,8 @@ class PlainScreen:
                 self._print(f"{_named(task)} starts{f': {treatments}' if treatments else ''}")
             case AttemptFinished(task, outcome, is_last):
                 self._print(f"{_named(task)} {self._ended(outcome, is_last=is_last)}")
-            case PrecisionJudged() | NextDecided():
-                self._print(notice.in_words())
+            case NextDecided():
+                self._print(notice.told)
             case FindingsNoticed(findings):
                 print_findings(self._console, findings)
             case InterruptionNoticed(run_id):

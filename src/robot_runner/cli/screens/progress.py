@@ -17,7 +17,6 @@ from robot_runner.core.execution.notices import (
     NextDecided,
     Notice,
     Paused,
-    PrecisionJudged,
     RunRecord,
     UserHasContinued,
     WaitingForUser,
@@ -127,7 +126,7 @@ class Progress:
             case AttemptFinished():
                 self._take_end(notice)
                 self._take_left(notice.left)
-            case PrecisionJudged() | NextDecided():
+            case NextDecided():
                 self.run_count = notice.run_count
             case WaitingForUser() | Paused() | UserHasContinued():
                 self.is_waiting = not isinstance(notice, UserHasContinued)

@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.config.parameters import Parameters, RunProcess
+from robot_runner.core.config.parameters import RunProcess
 from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents, methods_of
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.execution.executor import begin_run
@@ -57,14 +57,13 @@ def executed_aside(
         events: the events at which their callbacks are called.
         changed: static parameters that differ from the experiment's.
     """
-    parameters = {
-        **vars(experiment.parameters),
-        "phases": (),
-        "run_deadline_in_s": None,
-        "event_deadline_in_s": deadline_s,
-        "run_process": RunProcess.FORK,  # always: what is left open or broken must not stay in this process
+    parameters = experiment.parameters.but(
+        phases=(),
+        run_deadline_in_s=None,
+        event_deadline_in_s=deadline_s,
+        run_process=RunProcess.FORK,  # always: what is left open or broken must not stay in this process
         **changed,
-    }
+    )
     manager = EventManager()
     for profiler in profilers:
         for event, callback in methods_of(profiler):
@@ -74,7 +73,7 @@ def executed_aside(
     with TemporaryDirectory(prefix="robot-runner-", ignore_cleanup_errors=True) as folder:
         aside = replace(
             experiment,
-            parameters=Parameters(**parameters),
+            parameters=parameters,
             plugins=tuple(profilers),
             events=manager,
             folder=ExperimentFolder(Path(folder)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import closing
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.events.measure import ROBOT, ROBOTS_OWNER, Origin
 from robot_runner.core.execution.between_runs import BetweenRuns
+from robot_runner.core.execution.clock_jumps import NotedSettings
 from robot_runner.core.execution.failures import failure_fields
 from robot_runner.core.execution.gates import Gates, Passage
 from robot_runner.core.execution.notices import (
@@ -45,6 +46,7 @@ class Attempts:
         self._operator = Operator(ongoing)
         self._between_runs = BetweenRuns(ongoing, self._operator)
         self._gates = Gates(ongoing)
+        self._clock = NotedSettings(self._progress.note)
         self._lost: Counter[str] = Counter()
         self._left: dict[str, int] = {}
 
@@ -77,6 +79,7 @@ class Attempts:
             passage = Passage() if ongoing.is_ending else (yield from self._gates.pass_before(run, place.experiment))
             if ongoing.is_ending or self._is_stopped_by(passage.stop, run):
                 return outcome
+            self._find(self._clock.look(run.run_id))
             task = replace(self._progress.begin(run, name, place.slot), attempts_left=attempts_left)
             ongoing.notify(AttemptStarted(task, self._progress.time_left))
             outcome = yield from self._attempt(task, place, passage)
@@ -98,11 +101,16 @@ class Attempts:
                 self._left[task.run_id] = left
         is_to_do = task.run_id in self._left
         is_last = is_last or (task.attempts_left == 0 and not is_to_do)
+        self._find(self._clock.look(task.run_id, outcome.findings))
         noticed = self._progress.record_outcome(task, outcome, is_last=is_last)
         self._ongoing.notify(AttemptFinished(task, outcome, is_last, self._progress.time_left))
         if noticed:
             self._ongoing.notify(FindingsNoticed(noticed))
         return is_last or is_to_do
+
+    def _find(self, findings: Iterable[Finding]) -> None:
+        for each in findings:
+            self._progress.find(each)
 
     def is_to_do_elsewhere(self, run: PendingRun) -> bool:
         """Whether the last attempt at a run was lost with its place, and another one is to be made."""

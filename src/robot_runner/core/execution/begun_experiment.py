@@ -62,9 +62,9 @@ def begun_manifest(experiment: Experiment, *, accept_changes: bool) -> tuple[dic
 
 
 def _found(experiment: Experiment, *, accept_changes: bool) -> tuple[dict[str, Any], tuple[Finding, ...]]:
-    lost = restored_manifest(experiment)
-    if lost is not None:
-        return lost.manifest, (lost.finding,)
+    if (restored := restored_manifest(experiment)) is not None:
+        manifest, finding = restored
+        return manifest, (finding,)
     if not experiment.folder.manifest.exists():
         return manifest_of(experiment), ()
     manifest = kept_manifest(experiment)

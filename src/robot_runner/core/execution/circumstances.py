@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -169,18 +168,11 @@ def change_findings(experiment: Experiment, manifest: Mapping[str, Any]) -> tupl
     return (Finding.warning(str(experiment.folder.manifest), problem, fix),)
 
 
-@dataclass(frozen=True, slots=True)
-class RestoredManifest:
-    """A manifest that was made again, since the folder had lost it, and the finding that says so."""
+def restored_manifest(experiment: Experiment) -> tuple[dict[str, Any], Finding] | None:
+    """Return a manifest made from the journal where the folder's is missing or damaged, and the finding that says so.
 
-    manifest: dict[str, Any]
-    finding: Finding
-
-
-def restored_manifest(experiment: Experiment) -> RestoredManifest | None:
-    """Return a manifest made from the journal where the folder's is missing or damaged; None where there is no need.
-
-    The seed is that of the journal, so that the plan is the same as before. A damaged file is kept beside.
+    None where there is no need. The seed is that of the journal, so that the plan is the same as before. A damaged file
+    is kept beside.
 
     Raises:
         StorageError: the manifest is of a newer format, or the journal cannot be read.
@@ -214,7 +206,7 @@ def restored_manifest(experiment: Experiment) -> RestoredManifest | None:
         manifest["table_deviations"] = deviations
         manifest["design"]["is_reordered"] = any(not each["run"] for each in deviations)
     told = f"{problem}: it is made anew, with the seed of the journal; of earlier executions it tells nothing"
-    return RestoredManifest(manifest, Finding.warning(str(folder.manifest), told))
+    return manifest, Finding.warning(str(folder.manifest), told)
 
 
 def keep_config(experiment: Experiment, manifest: dict[str, Any]) -> None:

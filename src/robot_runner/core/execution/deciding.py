@@ -26,10 +26,10 @@ from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.growing import Begun, GrownDesign
 from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder
-from robot_runner.core.design.precise_estimates import JudgedPrecision, UntilPrecise
+from robot_runner.core.design.precise_estimates import UntilPrecise
 from robot_runner.core.design.precision import LEAST_REPETITIONS, Precision
 from robot_runner.core.errors import Finding
-from robot_runner.core.execution.notices import NextDecided, PrecisionJudged
+from robot_runner.core.execution.notices import NextDecided
 from robot_runner.core.execution.task import seed_of_run
 from robot_runner.core.inactive import INACTIVE
 from robot_runner.core.storage.cells import RunStatus
@@ -112,7 +112,7 @@ class Deciding:
         """Return what may follow the runs of this table, in words; empty where nothing does."""
         return what_follows(self._asks, list(rows.planned))
 
-    def decide(self, progress: Bookkeeper, table: RecoveredTable) -> PrecisionJudged | NextDecided | None:
+    def decide(self, progress: Bookkeeper, table: RecoveredTable) -> NextDecided | None:
         """Have runs added where some follow, and else take down why not.
 
         Returns:
@@ -127,16 +127,13 @@ class Deciding:
             return None
         decision = self._asks.ask(list(self._told(self._asks.measures, table)))
         if not decision.runs:
-            facts = decision.facts
-            if isinstance(decision, JudgedPrecision):
-                facts = {"repetition": decision.repetitions, **facts}
-            progress.note("judged", **facts)
+            progress.note("judged", **decision.facts)
             for finding in decision.warnings(self._where):
                 progress.find(finding)
-            return _notice(decision, len(table.rows), 0)
+            return NextDecided(decision.in_words, len(table.rows))
         growth = self._grown(table.rows, decision)
         progress.grow(growth)
-        return _notice(decision, len(growth.rows), len(growth.places))
+        return NextDecided(decision.in_words, len(growth.rows), len(growth.places))
 
     def _told(self, measures: Sequence[str], table: RecoveredTable) -> Iterator[Told]:
         rows = table.rows
@@ -201,9 +198,3 @@ def _with_used(factor: Factor, rows: RunTableRows, decision: Decision) -> Factor
     used = {str(each[factor.name]): each[factor.name] for each in combinations}
     found = {**used, **dict(zip(factor.texts, factor.treatments, strict=True))}.values()
     return factor.with_treatments(sorted(found, key=lambda each: math.inf if each is INACTIVE else each))
-
-
-def _notice(decision: Decision, run_count: int, added: int) -> PrecisionJudged | NextDecided:
-    if isinstance(decision, JudgedPrecision):
-        return PrecisionJudged(decision.repetitions, decision.judgements, run_count, added)
-    return NextDecided(decision.in_words, run_count, added)

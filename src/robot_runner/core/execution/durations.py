@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from robot_runner.core.plugin import Plugin
 
 
+#: The records that tell of durations.
+_TELLING = ("experiment_started", "attempt_started", "attempt_finished", "clock_set")
 #: A pause that is longer says nothing of the others, s: nobody was there, for a meal or a night.
 _LEFT_ALONE = 3600.0
 #: As many of the last pauses are remembered.
@@ -147,6 +149,7 @@ class Durations:
         self._pauses: deque[float] = deque(maxlen=_PAUSES)
         self._current: dict[str, tuple[CombinationKey, float, str]] = {}
         self._ended: dict[str, float] = {}
+        self._clock_set = 0.0
         self.places = 1
         self._has_begun = False
         self._left: Counter[CombinationKey] = Counter()
@@ -161,7 +164,7 @@ class Durations:
         Raises:
             StorageError: it cannot be read.
         """
-        for record in last_records(journal, kinds=("experiment_started", "attempt_started", "attempt_finished")):
+        for record in last_records(journal, kinds=_TELLING):
             self.take_record(record)
         self.break_off()
 
@@ -170,12 +173,14 @@ class Durations:
         match record["kind"]:
             case "experiment_started":
                 self.break_off()
+            case "clock_set":
+                self._clock_set += record["seconds"]
             case "attempt_started":
-                at = _seconds(record["at"])
+                at = _seconds(record["at"]) - self._clock_set
                 self.begin(record.get("combination") or {}, at, record["run"], record.get("place", ""))
             case "attempt_finished" if not record.get("is_amended"):  # which only adds what was published later
                 is_last = record.get("is_last", True)
-                self.end(_seconds(record["at"]), record["status"], is_last=is_last, run=record["run"])
+                self.end(_seconds(record["at"]) - self._clock_set, record["status"], is_last=is_last, run=record["run"])
 
     def plan(self, combinations: Iterable[Mapping[str, Any]], *, follows: str = "") -> None:
         """Take down which runs are to come, and whether more may follow, until the experiment is precise."""

@@ -48,9 +48,7 @@ class LocalPlace:
         self.name = f"slot {slot}" if robot is None else robot[0]
         self.slot = slot
         self.is_aside = False
-        own = (
-            experiment.parameters if robot is None else Parameters(**{**vars(experiment.parameters), "robot": robot[1]})
-        )
+        own = experiment.parameters if robot is None else experiment.parameters.but(robot=robot[1])
         self._own = frozenset() if robot is None or is_simulated(robot[1]) else frozenset((f"robot:{robot[1]}",))
         self.experiment = replace(experiment, folder=experiment.folder.at_slot(slot), parameters=own)
         load_before_forks(self.experiment)

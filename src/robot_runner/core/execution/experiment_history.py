@@ -41,17 +41,19 @@ class Session:
         ended_at: when it ended, or, where it was killed or goes on, when something was last recorded of it (UTC).
         is_whole: whether it came to its end.
         selection: the runs that were chosen for it, by option.
+        clock_set: by how much the clock was set meanwhile, s.
     """
 
     started_at: str
     ended_at: str
     is_whole: bool = False
     selection: Mapping[str, Sequence[str]] = field(default_factory=lambda: MappingProxyType({}))
+    clock_set: float = 0.0
 
     @property
     def seconds(self) -> float:
         """How long it took, in seconds."""
-        return max(0.0, (_moment(self.ended_at) - _moment(self.started_at)).total_seconds())
+        return max(0.0, (_moment(self.ended_at) - _moment(self.started_at)).total_seconds() - self.clock_set)
 
 
 def _moment(stamp: str) -> datetime:
@@ -204,6 +206,11 @@ class ExperimentHistory:
         self.is_paused = False
         self._in_flight.clear()
         self.sessions.append(Session(record["at"], record["at"], selection=record.get("selection", {})))
+
+    def _take_clock_set(self, record: Mapping[str, Any]) -> None:
+        if self.sessions:
+            clock_set = self.sessions[-1].clock_set + record["seconds"]
+            self.sessions[-1] = replace(self.sessions[-1], clock_set=clock_set)
 
     def _take_experiment_finished(self, record: Mapping[str, Any]) -> None:
         self.finished_at = record["at"]

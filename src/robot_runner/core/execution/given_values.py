@@ -30,6 +30,7 @@ from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.events.condition import Condition
 from robot_runner.core.secret_names import REDACTED, is_secret_name, without_environment_secrets
+from robot_runner.core.storage.user_folders import home_folder
 from robot_runner.core.treatments import Bindable, Treatment, given_to
 from robot_runner.core.vain_parameters import CONFIG_MODULE
 
@@ -135,7 +136,7 @@ class _Words:
 
     def __init__(self, beside: Path) -> None:
         own = dict.fromkeys([str(beside), str(beside.resolve())], ".")
-        folders = own | {sys.prefix: "(python)", str(Path.home()): "~"}
+        folders = own | {sys.prefix: "(python)"} | ({str(home): "~"} if (home := home_folder()) else {})
         self._folders = {folder: short for folder, short in folders.items() if folder != "/"}
         now = datetime.now(UTC)
         moments = [each - ago for each in (now, now.astimezone()) for ago in (timedelta(), timedelta(minutes=1))]

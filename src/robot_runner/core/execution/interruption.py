@@ -73,12 +73,17 @@ def _of_this_process(handler: Callable[[int, FrameType | None], None]) -> Callab
 
 @contextmanager
 def stop_signals_handled(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """While this lasts, a handler takes the signals that ask a program to stop."""
+    """While this lasts, a handler takes the signals that ask a program to stop, also where they were blocked.
+
+    Who starts us may have blocked them for itself, and a process inherits that: nobody could stop the robot then.
+    """
     taken = _of_this_process(handler)
     earlier = {number: signal.signal(number, taken) for number in stop_signals_to_handle()}
+    mask = signal.pthread_sigmask(signal.SIG_UNBLOCK, earlier)
     try:
         yield
     finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         for number, before in earlier.items():
             signal.signal(number, before)
 

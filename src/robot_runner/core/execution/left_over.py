@@ -104,7 +104,7 @@ def _mark(folder: ExperimentFolder) -> str:
 
 def left_over(folder: ExperimentFolder) -> list[int]:
     """Return the processes that runs at a slot left alive, but for those that may outlive them (Linux)."""
-    name = f"{_VARIABLE}={_mark(folder)}".encode()
+    name = os.fsencode(f"{_VARIABLE}={_mark(folder)}")  # as the system has it, whatever a folder is called
     alive = folder.alive.resolve()
     spared = outliving(folder.outliving)
     own = set(ancestors(os.getpid()))

@@ -7,11 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from robot_runner.core.words import counted
-
 if TYPE_CHECKING:
     from robot_runner.core.config.operator_steps import Question
-    from robot_runner.core.design.precise_estimates import Judgement
     from robot_runner.core.errors import Finding
     from robot_runner.core.execution.durations import TimeLeft
     from robot_runner.core.execution.task import RunOutcome, RunTask
@@ -89,29 +86,6 @@ class FindingsNoticed:
 
 
 @dataclass(frozen=True, slots=True)
-class PrecisionJudged:
-    """All runs are done that were planned, and it was looked at how precise the experiment is.
-
-    Attributes:
-        repetitions: how often each combination was executed.
-        judgements: what is known, for each rule of `repeat_until`.
-        run_count: all runs of the table, with those that were added.
-        added: how many runs were added, as it is not precise yet; 0 where it ends.
-    """
-
-    repetitions: int
-    judgements: Sequence[Judgement]
-    run_count: int
-    added: int = 0
-
-    def in_words(self) -> str:
-        """Return what is known, and what follows."""
-        known = "; ".join(judgement.in_words() for judgement in self.judgements)
-        follows = f"once more, {counted(self.added, 'run')}" if self.added else "repeated no further"
-        return f"after {counted(self.repetitions, 'repetition')}, {known}: {follows}"
-
-
-@dataclass(frozen=True, slots=True)
 class NextDecided:
     """All runs are done that were planned, and it was decided from their results what follows.
 
@@ -124,10 +98,6 @@ class NextDecided:
     told: str
     run_count: int
     added: int = 0
-
-    def in_words(self) -> str:
-        """Return what was decided and why."""
-        return self.told
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,7 +251,6 @@ Notice = (
     | RunRecord
     | AttemptFinished
     | FindingsNoticed
-    | PrecisionJudged
     | NextDecided
     | WaitingForUser
     | HostRestarts

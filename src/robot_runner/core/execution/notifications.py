@@ -27,7 +27,6 @@ from robot_runner.core.execution.notices import (
     GateWaiting,
     NextDecided,
     Notice,
-    PrecisionJudged,
     WaitingForUser,
 )
 from robot_runner.core.execution.task import AttemptStatus
@@ -103,7 +102,7 @@ class Notifications:
         match notice:
             case ExperimentStarted():
                 self._run_count, self._done = notice.run_count, notice.done_count
-            case PrecisionJudged() | NextDecided():
+            case NextDecided():
                 self._run_count = notice.run_count
             case AttemptFinished(task, outcome, is_last=True) if outcome.status is not AttemptStatus.INTERRUPTED:
                 has_failed = outcome.status is AttemptStatus.FAILED

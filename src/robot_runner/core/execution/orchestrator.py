@@ -143,6 +143,7 @@ class _Orchestrator:
         patience = Patience(interruption, self._refresh, observer.refresh_interval, self._tend)
         self._notifications = Notifications(experiment, progress.note)
         self._started = time.monotonic()
+        self._stop_request = experiment.folder.stop
         self._places = places_of(experiment, claims, progress.combinations_left)
         has_one_place = len(self._places.all) == 1
         is_alone = has_one_place and self._parameters.cluster is None  # nothing to keep apart, and here is everything
@@ -262,11 +263,10 @@ class _Orchestrator:
 
     def _tend(self) -> float:
         """Do what is due while something is awaited; returns in how many seconds it is again."""
-        stop = self._experiment.folder.stop
-        if is_requested(stop) and not self._interruption.is_requested:
+        if is_requested(self._stop_request) and not self._interruption.is_requested:
             self._interruption.request()  # first: whatever becomes of the record, the robot is to stop
             self._progress.note("stop_requested", flush=True)
-            forget_requests(stop)
+            forget_requests(self._stop_request)
         due = self._progress.tend_table()
         return _LISTEN if due is None else min(due, _LISTEN)
 

@@ -79,6 +79,7 @@ class EventDeadline:
         self._watcher = self._watch()
         self._earlier = signal.signal(signal.SIGALRM, self._take_signal)
         self._is_armed = True
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGALRM})  # blocked, perhaps, by who started us
         signal.setitimer(signal.ITIMER_REAL, min(_LONGEST, self._seconds), min(_LONGEST, self._grace))
         return self
 

@@ -8,7 +8,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.events.manager import RUN_EVENTS, EventManager, RobotRunnerEvents
 from robot_runner.core.execution.aside import execute_aside
@@ -23,6 +22,7 @@ from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.events.measure import MeasureColumn, PublishedMeasure
 
 
@@ -170,7 +170,7 @@ def probe_profilers(experiment: Experiment, task: RunTask, interruption: Interru
     robots = experiment.parameters.robots
     for name, link in robots.items() or [("", experiment.parameters.robot)]:
         if not interruption.is_requested:
-            own = Parameters(**{**vars(experiment.parameters), "robot": link})
+            own = experiment.parameters.but(robot=link)
             beside = _probed_beside(replace(experiment, parameters=own), task, interruption)
             seen += [replace(each, robot=name) for each in beside]
     return Probe(time.monotonic() - started, probe_window_of(probed_profilers(experiment)), tuple(seen))

@@ -31,7 +31,7 @@ from robot_runner.core.storage.manifest import write_manifest
 if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.errors import Finding
-    from robot_runner.core.execution.notices import NextDecided, PrecisionJudged
+    from robot_runner.core.execution.notices import NextDecided
     from robot_runner.core.execution.probe import Probe
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
@@ -217,7 +217,7 @@ class ProgressManager:
         """Yield the runs to execute from this one on: those to do, those that failed, those asked for again."""
         return (PendingRun(self._rows.run_id(place), place) for place in self._selected[first:])
 
-    def decide(self) -> PrecisionJudged | NextDecided | None:
+    def decide(self) -> NextDecided | None:
         """Add the runs that follow from the results, where some do; they are in the journal when this returns.
 
         Returns:
@@ -303,6 +303,7 @@ class ProgressManager:
         Returns:
             what it shows about the runs that follow.
         """
+        self._findings += self._lock.look_after(self._journal)  # of what lies in two places now, nothing is done
         if task.slot:
             keep_log(self._folder.at_slot(task.slot), task.run_id)
             self._findings += large_log(self._folder.log(task.run_id))
@@ -323,14 +324,15 @@ class ProgressManager:
         missing = missing_measures(self._experiment, task, outcome)
         no_more = set(missing_measures(self._experiment, task, before)).difference(missing)
         self._findings = [each for each in self._findings if each not in no_more] + list(found)
-        # The later end of an attempt takes the place of the earlier.
-        self._keep_outcome(task, outcome, {"is_last": True, "is_amended": True})
+        # The later end of an attempt takes the place of the earlier. A stamp alone can wait for what is flushed next.
+        is_lasting = later.measures != before.measures or bool(found)
+        self._keep_outcome(task, outcome, {"is_last": True, "is_amended": True}, flush=is_lasting)
 
-    def _keep_outcome(self, task: RunTask, outcome: RunOutcome, facts: dict[str, Any]) -> None:
+    def _keep_outcome(self, task: RunTask, outcome: RunOutcome, facts: dict[str, Any], *, flush: bool = True) -> None:
         self._last_outcomes[task.place] = outcome
         self._journal.append(
             "attempt_finished",
-            flush=True,
+            flush=flush,
             run=task.run_id,
             attempt=task.attempt,
             **facts,

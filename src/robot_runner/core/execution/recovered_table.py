@@ -33,7 +33,7 @@ _RUN = re.compile(rb'\{"kind":"[^"]*","at":"[^"\\]*","run":"([^"\\]*)"')
 _SESSION = b'{"kind":"experiment_started"'
 _STARTED = b'{"kind":"attempt_started"'
 #: How the line begins that tells of an attempt's end.
-FINISHED = b'{"kind":"attempt_finished"'
+ATTEMPT_FINISHED = b'{"kind":"attempt_finished"'
 _TABLE_WRITTEN = b'{"kind":"table_written"'
 _EXCLUSION = tuple(f'{{"kind":"{kind}"'.encode() for kind in EXCLUSION_KINDS)
 _FINDING = b'{"kind":"finding"'
@@ -205,15 +205,12 @@ class RecoveredTable:
 
     def take_outcome(self, run_id: str, outcome: RunOutcome) -> bool:
         """Bring the row of a run up to date with how its attempt ended; returns whether a type or origin is new."""
-        for measure in outcome.measures.values():
-            self.origins[measure.name].add(measure.origin.value)
+        self.take_record({"run": run_id, **outcome.fields()})
         for finding in outcome.findings:
             self.doubts[finding.where.partition(", ")[2]].add(f"{run_id}: {finding.problem}")
-        self._take_reasons(run_id, {name: measure.doubts for name, measure in outcome.measures.items()})
-        values = {name: measure.value for name, measure in outcome.measures.items()}
-        self._record(run_id, outcome.status.value, outcome.stamps, values)
-        kinds: set[tuple[str, Any]] = {(name, type(value)) for name, value in values.items() if value is not None}
-        kinds |= {(measure.name, measure.origin) for measure in outcome.measures.values()}
+        measures = outcome.measures.values()
+        kinds: set[tuple[str, Any]] = {(each.name, type(each.value)) for each in measures if each.value is not None}
+        kinds |= {(each.name, each.origin) for each in measures}
         has_new = not kinds <= self._kinds
         self._kinds |= kinds
         return has_new
@@ -228,16 +225,11 @@ class RecoveredTable:
         """Remember where the measures of an attempt came from and what makes them doubtful, as the journal says."""
         for name, measure in record["measures"].items():
             self.origins[name].add(measure["origin"])
-        told = {name: tuple(measure.get("doubts", ())) for name, measure in record["measures"].items()}
-        self._take_reasons(record["run"], told)
-
-    def _take_reasons(self, run_id: str, doubts: Mapping[str, tuple[str, ...]]) -> None:
-        """Remember what makes the values of a run doubtful or missing; what was said of an earlier attempt is over."""
         for by_run in self.reasons.values():
-            by_run.pop(run_id, None)
-        for name, reasons in doubts.items():
-            if reasons:
-                self.reasons[name][run_id] = reasons
+            by_run.pop(record["run"], None)  # what was said of an earlier attempt is over
+        for name, measure in record["measures"].items():
+            if doubts := measure.get("doubts"):
+                self.reasons[name][record["run"]] = tuple(doubts)
 
     def keep_deviations(self, journal: Journal, manifest: dict[str, Any]) -> None:
         """Record what was changed by hand: in the journal, and for readers of the manifest."""

@@ -21,7 +21,7 @@ from robot_runner.core.events.measure import CONFIG_OWNER, Origin
 from robot_runner.core.events.measure_broker import MeasureBroker
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.events.window import MissionTimes
-from robot_runner.core.execution.clock_jumps import ClockJumps
+from robot_runner.core.execution.clock_jumps import CLOCKS, ClockJumps, told_setting
 from robot_runner.core.execution.interruption import InterruptGate, RunEnding
 from robot_runner.core.execution.random_states import seed_random_numbers
 from robot_runner.core.execution.systems_state import Care, SystemsState
@@ -107,10 +107,6 @@ def run_contexts(
         return made[owner]
 
     return context_for
-
-
-#: The owner of what is found of this machine's clocks.
-_CLOCKS = "clocks"
 
 
 class _Run:
@@ -203,13 +199,11 @@ class _Run:
         if (seconds := jumps.suspended) and not is_simulated(self._experiment.parameters.robot):
             problem = f"this machine was suspended for {seconds:,.1f} s in the mission: window and samples lack that"
             fix = "Keep it awake (systemd-inhibit), and execute the run again."
-            self._context_for(CONFIG_OWNER).broker.doubt_run(_CLOCKS, problem, fix)
+            self._context_for(CONFIG_OWNER).broker.doubt_run(CLOCKS, problem, fix)
 
     def _look_at_stamps(self, jumps: ClockJumps) -> None:
         if seconds := jumps.was_set:
-            problem = f"this machine's clock was set by {seconds:+,.1f} s: stamps before and after do not fit together"
-            fix = "Set it before the experiment, and keep it so (chrony, systemd-timesyncd)."
-            self._context_for(CONFIG_OWNER).broker.warn(_CLOCKS, problem, fix)
+            self._context_for(CONFIG_OWNER).broker.warn(CLOCKS, *told_setting(seconds))
 
     @contextmanager
     def _between(self, opening: RobotRunnerEvents) -> Iterator[None]:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.design.columns import EXCLUDED, STATUS
 from robot_runner.core.errors import Finding, Severity, StorageError
 from robot_runner.core.execution.recovered_table import (
-    FINISHED,
+    ATTEMPT_FINISHED,
     Deviation,
     RecoveredTable,
     TableHistory,
@@ -286,7 +286,7 @@ class _Recovery:
         ends: dict[str, bytes] = {}
         changed: dict[tuple[str, str], str] = {}
         for line in journal_lines(self._journal, kinds={"attempt_finished", "deviation"}):
-            if line.startswith(FINISHED):
+            if line.startswith(ATTEMPT_FINISHED):
                 run_id = run_of(self._journal, line)
                 ends[run_id] = line
                 for key in [key for key in changed if key[0] == run_id] if changed else ():

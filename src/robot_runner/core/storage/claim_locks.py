@@ -23,6 +23,7 @@ from robot_runner.core.storage.guarded_files import open_descriptor
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.lock_files import sign, signature_of, try_lock
 from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.user_folders import user_folder
 
 #: How often a file is tried that nobody holds and somebody merely looks at, and how long to wait between, s.
 _TRIES, _BETWEEN = 50, 0.01
@@ -38,11 +39,7 @@ def state_folder(name: str) -> Path:
     Raises:
         StorageError: the user has no home folder, as in some containers.
     """
-    home = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
-    try:
-        return Path(home).expanduser() / "robot-runner" / name / (quote(socket.gethostname(), safe="") or "host")
-    except RuntimeError as error:
-        raise StorageError("the user has no home folder", where=home, fix=_NAME_A_FOLDER) from error
+    return user_folder("XDG_STATE_HOME") / name / (quote(socket.gethostname(), safe="") or "host")
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,8 +20,7 @@ def done_runs(journal: Path) -> set[str]:
     Raises:
         StorageError: the journal cannot be read.
     """
-    last = {record["run"]: record["status"] for record in read_journal(journal, kinds={"attempt_finished"})}
-    return {run_id for run_id, status in last.items() if status == "done"}
+    return {run_id for run_id, status in _last_ends(journal).items() if status == "done"}
 
 
 def ended_runs(journal: Path) -> set[str]:
@@ -30,8 +29,11 @@ def ended_runs(journal: Path) -> set[str]:
     Raises:
         StorageError: the journal cannot be read.
     """
-    last = {record["run"]: record["status"] for record in read_journal(journal, kinds={"attempt_finished"})}
-    return {run_id for run_id, status in last.items() if status != "interrupted"}
+    return {run_id for run_id, status in _last_ends(journal).items() if status != "interrupted"}
+
+
+def _last_ends(journal: Path) -> dict[str, str]:
+    return {record["run"]: record["status"] for record in read_journal(journal, kinds={"attempt_finished"})}
 
 
 #: In the manifest's design: the runs that were done before the first execution, in a table of the user's own.

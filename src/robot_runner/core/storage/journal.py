@@ -112,6 +112,16 @@ class Journal:
         is_there = is_at(self._descriptor, self._path) or not self._path.exists()
         return is_there and os.fstat(self._descriptor).st_size == self._end
 
+    @property
+    def moved_to(self) -> str:
+        """Where the file is now, if somebody has moved or renamed it or its folder since; empty if nobody has."""
+        if self._path.exists() or os.fstat(self._descriptor).st_nlink == 0:
+            return ""
+        try:
+            return os.readlink(f"/proc/self/fd/{self._descriptor}")  # noqa: PTH115 - a text
+        except OSError:  # not Linux
+            return "elsewhere"
+
     def close(self) -> None:
         """Flush to disk and close; closing twice does nothing.
 

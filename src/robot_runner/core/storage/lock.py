@@ -66,16 +66,24 @@ class ExperimentLock:
     def look_after(self, journal: Journal) -> list[Finding]:
         """Check that the locked file is still the one that others see, and take the lock again if it is not.
 
-        Somebody may have removed it, by hand or by `git clean`, and so let a second orchestrator in. Asked before each
-        run, it finds that out at the latest when the run is over that was executed meanwhile.
+        Somebody may have removed it, by hand or by `git clean`, and so let a second orchestrator in; or have moved the
+        folder, so that the journal is there and what runs write is here. Asked before and after each run, it finds that
+        out at the latest when the run is over that was executed meanwhile.
 
         Returns:
             what there is to tell.
 
         Raises:
-            ExecutionError: another process executes the experiment, or has since the file was removed.
+            ExecutionError: another process executes the experiment, or has since the file was removed; or the folder
+                was moved.
             StorageError: it cannot be locked.
         """
+        if there := journal.moved_to:
+            raise ExecutionError(
+                f"the experiment was moved or renamed while it was executed: its journal is {there}",
+                where=str(self._path.parent),
+                fix="Move it back, with what has come to lie here since, and start the experiment again: it resumes.",
+            )
         if is_at(self._descriptor, self._path):
             return []
         where, problem = str(self._path.parent), f"{self._path.name} was removed while the experiment was executed"

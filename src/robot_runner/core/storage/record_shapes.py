@@ -98,6 +98,10 @@ class _Clock(_OfRun):
     uncertainty: NotRequired[float | None]
 
 
+class _ClockSet(_Dated):
+    seconds: float
+
+
 class _Gate(_OfRun):
     state: str
     condition: str
@@ -251,6 +255,7 @@ RECORDS: dict[str, Any] = {
     "attempt_started": _AttemptStarted,
     "bound": _Bound,
     "clock": _Clock,
+    "clock_set": _ClockSet,
     "decided": _Decided,
     "deviation": _Deviation,
     "event": _Event,

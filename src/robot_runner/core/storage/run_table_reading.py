@@ -7,6 +7,7 @@ import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain, islice, repeat
 from operator import is_
 from pathlib import Path
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 # The first line of a run table's file: which heading belongs to which column, in any order.
 
 _DELIMITERS = (",", ";", "\t")
+_HEADINGS_ENOUGH = 1 << 16  # characters that tell a delimiter; less than the `csv` module's limit for a cell
 
 # As in the paper's Fig. 3, as people write them, and as the earlier tools did.
 _PROGRESS = {
@@ -77,7 +79,7 @@ def delimiter_of(first_line: str, layout: TableLayout) -> str:
     known = {layout.spelling.heading(name).casefold() for name in layout.columns} | set(_PROGRESS)
 
     def recognised(delimiter: str) -> int:
-        cells = next(csv.reader([first_line], delimiter=delimiter), [])
+        cells = next(csv.reader([first_line[:_HEADINGS_ENOUGH]], delimiter=delimiter), [])
         return sum(cell.strip().casefold() in known for cell in cells)
 
     return max(_DELIMITERS, key=recognised)
@@ -121,8 +123,8 @@ def _names(trimmed: Sequence[str], layout: TableLayout) -> list[str]:
 
 _ROWS_AT_ONCE = 500  # what fits into a processor's cache; ten times as many take twice as long
 _NO_DEFAULTS: Mapping[str, Any] = MappingProxyType({})
-#: More than a million runs, bytes; a file of that size without a line's end is still read within half a gigabyte.
-_LARGEST = 256_000_000
+#: More than a million runs of two measures and every stamp, bytes; read within a gigabyte even without a line's end.
+LARGEST = 300_000_000
 _LONGEST_CELL = 1 << 27  # the module's own limit of 128 KiB is less than what we write
 
 
@@ -146,7 +148,8 @@ def read_run_table(path: Path, layout: TableLayout, planned: Sequence[PlannedRun
     """
     findings = TableFindings(path)
     with _opened(path) as file, garbage_collection_paused():
-        delimiter = delimiter_of(next((line for line in file if line.strip()), ""), layout)
+        starts = iter(partial(file.readline, _HEADINGS_ENOUGH), "")
+        delimiter = delimiter_of(next((start for start in starts if start.strip()), ""), layout)
         file.seek(0)
         return _Reading(layout, findings, planned, decimal_comma=delimiter == ";").read(file, delimiter)
 
@@ -343,7 +346,7 @@ def _sharing_empty(rows: list[tuple[Any, ...]]) -> Iterable[tuple[Any, ...]]:
 def _opened(path: Path) -> Iterator[TextIO]:
     csv.field_size_limit(max(csv.field_size_limit(), _LONGEST_CELL))
     try:
-        with io.TextIOWrapper(open_to_read(path, limit=_LARGEST), encoding="utf-8-sig", newline="") as file:
+        with io.TextIOWrapper(open_to_read(path, limit=LARGEST), encoding="utf-8-sig", newline="") as file:
             yield file
     except UnicodeDecodeError as error:
         fix = "Save it as CSV with the character set UTF-8."

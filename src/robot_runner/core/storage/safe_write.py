@@ -17,7 +17,8 @@ _RIGHTS = 0o666
 def write_beside_and_rename(path: Path, write: Callable[[TextIO], object], root: Path | None = None) -> None:
     """Write a text file (UTF-8) beside `path`, flush it to the disk, and rename it over `path`.
 
-    Where anything fails, what stood at `path` is intact and nothing is left beside it.
+    Where anything fails, what stood at `path` is intact and nothing is left beside it. Names of files that are no text
+    have their bytes written as escapes.
 
     Args:
         path: the file to make or to replace; its folder exists.
@@ -31,6 +32,6 @@ def write_beside_and_rename(path: Path, write: Callable[[TextIO], object], root:
     # Not by `resolve`, which fails on a loop of links before it can be named.
     target, mode = (path, 0) if root else (Path(os.path.realpath(path)), _RIGHTS)
     with open_to_write(target, root, mode=mode) as file:
-        text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+        text = io.TextIOWrapper(file, encoding="utf-8", errors="backslashreplace", newline="")
         write(text)
         text.detach()  # flushes, and leaves the file open

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from robot_runner.core.errors import StorageError
@@ -20,8 +20,9 @@ _FIXES = {
     errno.ENOTDIR: "Mend the path: a part of it is a file.",
     errno.EISDIR: "Move the folder of that name out of the way.",
     errno.ENAMETOOLONG: "Choose a shorter name.",
+    errno.EFBIG: "Raise the limit of a file's size (ulimit -f), or choose a file system for larger files.",
+    errno.EMFILE: "Raise the limit of open files (ulimit -n).",
 }
-
 
 #: Of file systems that have no way to flush something: FUSE, networks, the pseudo-files of some containers.
 _CANNOT_FLUSH = frozenset({errno.EINVAL, errno.ENOTSUP, errno.ENOSYS})
@@ -59,6 +60,8 @@ def storage_error(path: Path, action: str, error: OSError) -> StorageError:
     fix = _FIXES.get(error.errno or 0, "Mend what the system names, then try again.")
     if error.errno == errno.ENOSPC and _lacks_inodes(path.parent):
         fix = "Remove files, however small: the disk has room, and no inodes (df -i). Then try again."
+    if error.errno in {errno.EACCES, errno.EPERM} and (other := _other_owner(path)):
+        fix = f"It is {other}'s: have it given to you (sudo chown), or shared with you (chmod)."
     kind = "folder" if action == "made" or os.path.isdir(path) else "file"  # noqa: PTH112  # it raises nothing for a name that is too long
     return StorageError(f"the {kind} cannot be {action}: {reason}", where=str(path), fix=fix)
 
@@ -79,3 +82,21 @@ def _lacks_inodes(folder: Path) -> bool:
     except OSError:
         return False
     return found.f_files > 0 and found.f_favail == 0 and found.f_bavail > 0
+
+
+def _other_owner(path: Path) -> str:
+    """Return whose a file is, or the folder that is to hold it, where it is not ours: after `sudo`, mostly."""
+    for each in (path, path.parent):
+        with suppress(OSError):
+            owner = each.lstat().st_uid
+            return "" if owner == os.geteuid() else _name_of(owner)
+    return ""
+
+
+def _name_of(user: int) -> str:
+    import pwd  # noqa: PLC0415 - of errors alone
+
+    try:
+        return pwd.getpwuid(user).pw_name
+    except KeyError:  # in a container, or of a computer that is not reached
+        return f"user {user}"

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from robot_runner.core.errors import Finding, PluginError, did_you_mean
+from robot_runner.core.errors import Finding, PluginError, StorageError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.plugin import Circumstances, Plugin, System
 from robot_runner.meters.machine.tuning import Machine, Wishes
@@ -30,7 +30,10 @@ _PATIENCE = 5.0
 def check_left_behind(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> list[Finding]:
     """Return that this machine is still set up by somebody who was killed, or by hand; a check of each experiment."""
     del where, parameters
-    return [] if any(isinstance(plugin, Tune) for plugin in plugins) else Machine().left_behind("this machine")
+    try:
+        return [] if any(isinstance(plugin, Tune) for plugin in plugins) else Machine().left_behind("this machine")
+    except StorageError:  # without a home folder there is none in which anything could have been kept
+        return []
 
 
 class Tune(System):

@@ -13,12 +13,16 @@ from pathlib import Path
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.storage.safe_write import write_beside_and_rename
+from robot_runner.core.storage.user_folders import user_folder
 
 
 def state_file() -> Path:
-    """Return where it is kept what a machine was like before: in the user's folder of state (XDG_STATE_HOME)."""
-    home = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
-    return Path(home).expanduser() / "robot-runner" / "tuned.json"
+    """Return where it is kept what a machine was like before: in the user's folder of state (XDG_STATE_HOME).
+
+    Raises:
+        StorageError: the user has no home folder.
+    """
+    return user_folder("XDG_STATE_HOME") / "tuned.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,9 +78,11 @@ class Kept:
                 others=tuple(map(int, found["others"])),
                 everything=tuple(map(int, found["everything"])),
             )
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             return None
         except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+            if isinstance(error, PermissionError) and not os.access(path.parent, os.X_OK, effective_ids=True):
+                return None  # a folder that this user cannot enter holds nothing that was kept for him
             problem = f"what this machine was like before cannot be read: {error}"
             fix = "Look at the file, set the machine up by hand, and remove the file."
             raise PluginError(problem, where=str(path), fix=fix) from error
