@@ -9,7 +9,7 @@ import pytest
 
 from robot_runner.core.secret_names import (
     REDACTED,
-    hidden_setting,
+    hidden_settings,
     is_same_setting,
     is_secret_name,
     secrets_of_environment,
@@ -46,13 +46,14 @@ def test_this_name_tells_of_something_else(name):
 
 
 def test_a_secret_setting_is_known_again_and_not_kept():
-    kept, again = (hidden_setting("db_password", "swordfish") for _ in range(2))
+    settings = {"db_password": "swordfish", "robot": "simulated"}
+    kept, again = (hidden_settings(settings)["db_password"] for _ in range(2))
     assert "swordfish" not in kept
     assert kept != again  # salted: who has two manifests does not see that the passwords are the same
     assert is_same_setting(kept, "swordfish")
     assert not is_same_setting(kept, "sword")
     assert not is_same_setting(kept, None)
-    assert hidden_setting("robot", "simulated") == "simulated"
+    assert hidden_settings(settings)["robot"] == "simulated"
     assert is_same_setting("simulated", "simulated")
     assert shown_settings({"db_password": kept, "robot": "simulated"}) == {
         "db_password": REDACTED,

@@ -65,6 +65,7 @@ OTHERS: dict[str, str] = {
             "core/config/registered_config.py: _digest",
             "core/config/local_modules.py: _digest",
             "core/config/source.py: _read",
+            "measuring/own_scripts.py: text_of",
         ),
         "a temporary folder of this process": (
             "cli/commands/demo.py: _rows",

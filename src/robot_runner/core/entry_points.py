@@ -60,6 +60,11 @@ class EntryPoint:
         return self.value.partition(":")[0].strip()
 
     @property
+    def kind(self) -> str:
+        """Its group without what all of ours begin with: `links`, `profilers` and so on."""
+        return self.group.removeprefix(_PREFIX)
+
+    @property
     def is_own(self) -> bool:
         """Whether Robot Runner itself brings it."""
         return self.value.startswith(_PREFIX)
@@ -67,8 +72,7 @@ class EntryPoint:
     @property
     def where(self) -> str:
         """What it is and which package brings it, for errors."""
-        kind = self.group.removeprefix(_PREFIX).removesuffix("s")
-        return f"{kind} {self.name} ({self.value}, of {self.package} {self.version})"
+        return f"{self.kind.removesuffix('s')} {self.name} ({self.value}, of {self.package} {self.version})"
 
     def load(self) -> Any:
         """Import what it names.
@@ -88,9 +92,8 @@ class EntryPoint:
         """Return the error that this entry point cannot be used; `problem` goes on after its kind."""
         from robot_runner.core.errors import PluginError  # noqa: PLC0415 - for a quick --help
 
-        kind = self.group.removeprefix(_PREFIX).removesuffix("s")
         fix = f"Install or repair the package {self.package}."
-        return PluginError(f"the {kind} {problem}", where=self.where, fix=fix)
+        return PluginError(f"the {self.kind.removesuffix('s')} {problem}", where=self.where, fix=fix)
 
 
 #: What each entry of `sys.path` announces: the packages, by the name that makes them one, with their entry points.

@@ -166,10 +166,12 @@ def nearest(name: str, candidates: Iterable[str]) -> str | None:
     return by_folded[match[0]] if match else None
 
 
-def did_you_mean(name: str, candidates: Iterable[str]) -> str:
-    """Return a fix that names the nearest candidate, or lists them all where none comes near."""
+def did_you_mean(name: str, candidates: Iterable[str], otherwise: str | None = None) -> str:
+    """Return a fix that names the nearest candidate; where none comes near, `otherwise`, or a list of them all."""
     known = list(candidates)
     near = nearest(name, known)
     if near is not None:
         return f"Did you mean {near!r}?"
+    if otherwise is not None:
+        return otherwise
     return "Choose one of: " + ", ".join(map(repr, known)) + "." if known else ""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from robot_runner.core.entry_points import EntryPoint, entry_points
+from robot_runner.core.entry_points import EntryPoint, entry_points, named_entry_point
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin
@@ -237,71 +237,36 @@ def usual_origin(plugin: Plugin | None, *, is_simulated: bool) -> Origin:
     return Origin.SIMULATED if is_simulated and is_of_robot else Origin.MEASURED
 
 
-@dataclass(frozen=True, slots=True)
-class InstalledPlugin:
-    """A plugin as its package's entry point announces it; nothing is imported before `load`.
-
-    Attributes:
-        kind: `systems` or `profilers`.
-    """
-
-    kind: str
-    entry_point: EntryPoint
-
-    @property
-    def name(self) -> str:
-        """The entry point's name, such as `Ina219`."""
-        return self.entry_point.name
-
-    @property
-    def package(self) -> str:
-        """The distribution that brings it."""
-        return self.entry_point.package
-
-    @property
-    def version(self) -> str:
-        """The version of that distribution."""
-        return self.entry_point.version
-
-    def load(self) -> type[Plugin]:
-        """Import the plugin's class.
-
-        Raises:
-            PluginError: the import fails, or what it finds is no plugin of its kind.
-        """
-        found = self.entry_point.load()
-        expected = GROUPS[self.kind]
-        if not (isinstance(found, type) and issubclass(found, expected)):
-            raise PluginError(
-                f"{found!r} is no {expected.__name__}",
-                where=self.entry_point.where,
-                fix=f"Derive it from robot_runner.plugins.{expected.__name__}.",
-            )
-        return found
-
-
-def installed_plugins(kind: str | None = None) -> tuple[InstalledPlugin, ...]:
-    """Return what is installed, our own first, sorted by kind and name; `kind` keeps it to `systems` or `profilers`."""
-    return tuple(
-        InstalledPlugin(each, point) for each in (GROUPS if kind is None else (kind,)) for point in entry_points(each)
-    )
-
-
-def find_plugin(kind: str, name: str) -> InstalledPlugin:
-    """Return the installed plugin of this kind and name.
+def load_plugin(point: EntryPoint) -> type[Plugin]:
+    """Import the class of an installed plugin.
 
     Raises:
-        PluginError: none has this name; the nearest is named.
+        PluginError: the import fails, or what it finds is no plugin of its kind.
     """
-    known = installed_plugins(kind)
-    for plugin in known:
-        if plugin.name == name:
-            return plugin
-    raise PluginError(
-        f"no plugin named {name!r} is installed",
-        where=f"plugins.{kind}.{name}",
-        fix=did_you_mean(name, [plugin.name for plugin in known]),
-    )
+    found: Any = point.load()
+    expected = GROUPS[point.kind]
+    if not (isinstance(found, type) and issubclass(found, expected)):
+        fix = f"Derive it from robot_runner.plugins.{expected.__name__}."
+        raise PluginError(f"{found!r} is no {expected.__name__}", where=point.where, fix=fix)
+    return found
+
+
+def installed_plugins(kind: str | None = None) -> tuple[EntryPoint, ...]:
+    """Return what is installed, our own first, sorted by kind and name; `kind` keeps it to `systems` or `profilers`."""
+    return tuple(point for each in (GROUPS if kind is None else (kind,)) for point in entry_points(each))
+
+
+def find_plugin(kind: str, name: str) -> type[Plugin]:
+    """Return the class of the installed plugin of this kind and name.
+
+    Raises:
+        PluginError: none has this name; the nearest is named. Or it cannot be used.
+    """
+    point = named_entry_point(kind, name)
+    if point is None:
+        fix = did_you_mean(name, [each.name for each in installed_plugins(kind)])
+        raise PluginError(f"no plugin named {name!r} is installed", where=f"plugins.{kind}.{name}", fix=fix)
+    return load_plugin(point)
 
 
 def described_circumstances() -> dict[str, Any]:

@@ -101,26 +101,20 @@ _PATH = re.compile(r"[/~.][\w/.~@+-]*")
 _FOLDERS = frozenset({"PWD", "OLDPWD"})
 
 
-def secrets_of_environment(environment: Mapping[str, str] | None = None) -> tuple[str, ...]:
-    """Return the values of variables with names such as `LAB_TOKEN`, the longest first; of this process's, if left out.
+def secrets_of_environment() -> tuple[str, ...]:
+    """Return the values of variables with names such as `LAB_TOKEN`, the longest first.
 
     Texts of less than six characters, numbers of less than eight digits and paths are passed over: to replace them
     wherever they stand would damage what is no secret.
     """
-    if environment is None:
-        names = _names_in_process(len(os.environ), int(time.monotonic()))
-        return _secrets_among(tuple(os.environ.get(name, "") for name in names))
-    return _secrets_among(tuple(environment[name] for name in environment if _may_hold_secret(name)))
+    names = _names_in_process(len(os.environ), int(time.monotonic()))
+    return _secrets_among(tuple(os.environ.get(name, "") for name in names))
 
 
 @lru_cache(maxsize=1)
 def _names_in_process(_count: int, _second: int) -> tuple[str, ...]:
     # Looked for again once a variable came or went, and every second: a line of a log must not cost that.
-    return tuple(filter(_may_hold_secret, os.environ))
-
-
-def _may_hold_secret(name: str) -> bool:
-    return name not in _FOLDERS and is_secret_name(name)
+    return tuple(name for name in os.environ if name not in _FOLDERS and is_secret_name(name))
 
 
 @lru_cache(maxsize=8)
@@ -197,16 +191,13 @@ _HIDDEN = re.compile(rf"{REDACTED} scrypt:([0-9a-f]{{32}}):([0-9a-f]{{64}})")
 _SCRYPT = {"n": 1 << 14, "r": 8, "p": 1, "dklen": 32}
 
 
-def hidden_setting(name: str, text: str) -> str:
-    """Return a setting as it is kept: one with a secret's name as a salted digest, by which it is known again."""
-    if not is_secret_name(name) or not text or REDACTED in text:
-        return text
-    return _digest(text, secrets.token_hex(16))
-
-
 def hidden_settings(settings: Mapping[str, str]) -> dict[str, str]:
-    """Return settings as they are kept; see `hidden_setting`."""
-    return {name: hidden_setting(name, text) for name, text in settings.items()}
+    """Return settings as they are kept: one with a secret's name as a salted digest, by which it is known again."""
+    hidden = dict(settings)
+    for name, text in settings.items():
+        if is_secret_name(name) and text and REDACTED not in text:
+            hidden[name] = _digest(text, secrets.token_hex(16))
+    return hidden
 
 
 def is_same_setting(kept: str | None, given: str | None) -> bool:

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import reserved_names
-from robot_runner.core.design.factor import Factor, treatment_text
+from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.listed_runs import ListedRun, ListedRunTableModel
 from robot_runner.core.design.planned_runs import RunOrder
 from robot_runner.core.errors import ConfigError, did_you_mean
@@ -83,7 +83,7 @@ def shown_treatments(values: Iterable[Any], warn: Callable[[Any, str], None]) ->
     for value in values:
         if any(_is_same(value, known) for known, _ in shown):
             continue
-        text = treatment_text(value)
+        text = str(value)
         fit = _fit_text(value, text, texts)
         texts.add(fit)
         if fit == text:

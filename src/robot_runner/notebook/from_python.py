@@ -21,7 +21,6 @@ from robot_runner.core.execution.notices import (
     NextDecided,
     Notice,
     Observer,
-    PrecisionJudged,
     SilentObserver,
 )
 from robot_runner.core.execution.orchestrator import execute_experiment
@@ -275,8 +274,8 @@ class _Teller(SilentObserver):
         match notice:
             case ExperimentStarted():
                 self._say(f"{notice.experiment_name}: {notice.run_count} runs, {notice.done_count} of them done before")
-            case PrecisionJudged() | NextDecided():
-                self._say(notice.in_words())
+            case NextDecided():
+                self._say(notice.told)
             case AttemptStarted(task):
                 treatments = ", ".join(f"{name}={value}" for name, value in task.combination.items())
                 self._say(f"run {task.run_number} of {task.run_count} ({task.run_id}) starts: {treatments}")

@@ -117,6 +117,17 @@ WRONG_VALUES = [
 ]
 
 
+def test_a_journal_that_cannot_be_read_keeps_no_factor_from_being_known(write_config: Write, tmp_path: Path) -> None:
+    steps = "operator_steps = [OperatorStep('lay the floor', when_changes='Task')]"
+    path = write_config(f"results_output_path = {str(tmp_path)!r}\n{steps}")
+    experiment = prepare(path).experiment
+    assert experiment is not None
+    experiment.folder.journal.mkdir(parents=True)
+    problems = [finding.problem for finding in findings_of(path)]
+    assert problems
+    assert not any("no factor" in problem for problem in problems), problems
+
+
 @pytest.mark.parametrize(("name", "value"), WRONG_VALUES)
 def test_a_malformed_parameter_is_refused_with_its_value_and_what_it_must_be(
     write_config: Write, name: str, value: str

@@ -50,6 +50,7 @@ def context_of(robot, resources, folder=Path()):
         owner="test",
         times=None,
         broker=None,
+        hosts=None,
     )
 
 

@@ -99,7 +99,7 @@ class Claims:
         """Yield the real robots, each with the graph that it is on and the namespaces that plugins name there."""
         graph = "".join(f" {name}={os.environ[name]}" for name in _GRAPHS if os.environ.get(name))
         namespaces = sorted({str(getattr(plugin, "namespace", "")).strip("/") for plugin in self._plugins} - {""})
-        for link in self._parameters.robots.values() or filter(None, (self._parameters.robot,)):
+        for link in self._parameters.links:
             if not is_simulated(link):
                 yield from (f"robot:{link}{f'/{name}' if name else ''}{graph}" for name in namespaces or [""])
 

@@ -177,9 +177,8 @@ def named_inputs(
     A config may have a method `input_files`, too, for what its callbacks read.
     """
     found: dict[InputFile, None] = {}
-    robots = parameters.robots.values() if parameters.robots else filter(None, [parameters.robot])
     asked: list[tuple[str, Callable[[], Iterable[InputFile]]]] = [
-        *((robot, partial(robot_input_files, robot)) for robot in robots),
+        *((robot, partial(robot_input_files, robot)) for robot in parameters.links),
         *((f"plugin {plugin.name}", partial(_of_plugin, plugin, model)) for plugin in plugins),
     ]
     if callable(own := getattr(config, "input_files", None)):

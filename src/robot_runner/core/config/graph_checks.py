@@ -34,12 +34,11 @@ class GraphCheck:
         model: RunTableModel | None,
         events: EventManager,
     ) -> None:
-        robots = parameters.robots.values() if parameters.robots else filter(None, [parameters.robot])
         self._starters = list(_starters(parameters, plugins, events))
         self._looks = {}
         self._places = {"robot", *(f"plugin {plugin.name}" for plugin in plugins)}
         self._failed: list[Finding] = []
-        for robot in dict.fromkeys(robots):
+        for robot in dict.fromkeys(parameters.links):
             if any(finding.is_error for finding in link_findings(robot)):
                 continue  # which is found already
             needs = _needs(plugins, model, robot, self._failed)

@@ -21,7 +21,7 @@ from robot_runner.core.config.local_modules import local_modules_among
 from robot_runner.core.config.parameter_kinds import FLAG, Kind, choice
 from robot_runner.core.config.parameters import PARAMETERS
 from robot_runner.core.config.source import ConfigSource, activating_imports, read_source
-from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, did_you_mean, nearest
+from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, did_you_mean
 from robot_runner.core.events.manager import RequestedSubscription, recorded_subscriptions
 from robot_runner.core.late_annotations import signature_of
 from robot_runner.core.secret_names import shown_settings
@@ -250,8 +250,7 @@ def _fix_of(error: BaseException) -> str:
     if isinstance(error, AttributeError) and is_waiting(error.obj):
         return "A plugin with a bound parameter is built once the run table is made: read its attributes in callbacks."
     if isinstance(error, AttributeError) and error.name and error.obj is not None:
-        near = nearest(error.name, dir(error.obj))
-        return f"Did you mean {near!r}?" if near else ""
+        return did_you_mean(error.name, dir(error.obj), "")
     return ""
 
 

@@ -18,6 +18,9 @@ ANSWER_TYPES: dict[str, type] = {"text": str, "number": float, "whole number": i
 _TYPE_NAMES = {kind: name for name, kind in ANSWER_TYPES.items()}
 _YES, _NO = frozenset({"y", "yes", "true", "1"}), frozenset({"n", "no", "false", "0"})
 
+#: What of a question is plain data as it is.
+_PLAIN = ("unit", "low", "high", "note", "optional", "text")
+
 #: Before which runs a step is done: a function of the treatments, or the treatments that it is done for, by factor.
 StepCondition = Callable[[Mapping[str, Any]], bool] | Mapping[str, Any]
 
@@ -138,23 +141,14 @@ class Question:
 
     def as_mapping(self) -> dict[str, Any]:
         """Return the question as plain data: the journal keeps it, so that any terminal knows what is asked."""
-        facts = {name: getattr(self, name) for name in ("unit", "low", "high", "note", "optional", "text")}
+        facts = {name: getattr(self, name) for name in _PLAIN}
         return {"name": self.name, "type": _TYPE_NAMES[self.kind], "choices": list(self.choices), **facts}
 
     @classmethod
     def from_mapping(cls, facts: Mapping[str, Any]) -> Question:
         """Return the question that `as_mapping` made plain data of."""
-        return cls(
-            str(facts["name"]),
-            ANSWER_TYPES[facts["type"]],
-            unit=facts["unit"],
-            low=facts["low"],
-            high=facts["high"],
-            choices=facts["choices"],
-            note=facts["note"],
-            optional=facts["optional"],
-            text=facts["text"],
-        )
+        plain = {name: facts[name] for name in ("choices", *_PLAIN)}
+        return cls(str(facts["name"]), ANSWER_TYPES[facts["type"]], **plain)
 
 
 def _shown(choice: Any) -> str:

@@ -13,33 +13,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
+from robot_runner.core.config import parameter_kinds as kinds
 from robot_runner.core.config.gate_parameters import Gate, Guard
-from robot_runner.core.config.parameter_kinds import (
-    AUTHORS,
-    CLAIMS,
-    CLUSTER,
-    FLAG,
-    HOSTS,
-    LICENCE,
-    LINK,
-    NAME,
-    NOTIFY,
-    OPERATOR_STEPS,
-    PATH,
-    PHASES,
-    PLAN,
-    REPEAT_UNTIL,
-    ROS_DISTRIBUTION,
-    ROS_GENERATION,
-    SECONDS,
-    SMOKE,
-    TEXT,
-    WORKERS,
-    Kind,
-    choice,
-    instances,
-    whole,
-)
 from robot_runner.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -106,14 +81,14 @@ class Parameter:
     type_name: str
     default: Any
     description: str
-    kind: Kind
+    kind: kinds.Kind
 
 
 #: All static parameters by name, in the order of their declarations.
 PARAMETERS: dict[str, Parameter] = {}
 
 
-def _declare(description: str, kind: Kind, default: Any = REQUIRED) -> Any:
+def _declare(description: str, kind: kinds.Kind, default: Any = REQUIRED) -> Any:
     return Parameter("", kind.type_name, default, description, kind)
 
 
@@ -133,174 +108,176 @@ def _declared(cls: type[StaticParameters]) -> type[StaticParameters]:
 class StaticParameters:
     """What can be set in a config, beside what the experiment does and measures."""
 
-    experiment_name: str = _declare("Names the experiment and its folder.", NAME)
+    experiment_name: str = _declare("Names the experiment and its folder.", kinds.NAME)
     results_output_path: Path | str = _declare(
         "The folder in which the experiment's folder is made; `~` is the home folder, and a relative path begins "
         "where the config file is.",
-        PATH,
+        kinds.PATH,
         Path("experiments"),
     )
     operation_type: OperationType = _declare(
         "AUTO starts each run by itself; SEMI waits before each run, the first one of a session included, until the "
         "user says to go on.",
-        choice(OperationType),
+        kinds.choice(OperationType),
         OperationType.AUTO,
     )
     operator_steps: Sequence[OperatorStep] = _declare(
-        "What a person does before a run, and what they are asked: `OperatorStep(...)`.", OPERATOR_STEPS, ()
+        "What a person does before a run, and what they are asked: `OperatorStep(...)`.", kinds.OPERATOR_STEPS, ()
     )
     time_between_runs_in_ms: int = _declare(
-        "How long the robot rests between two runs, in milliseconds.", whole(0, " of milliseconds"), 0
+        "How long the robot rests between two runs, in milliseconds.", kinds.whole(0, " of milliseconds"), 0
     )
     robot: str | Robots | None = _declare(
         'How the robot is reached: "simulated" is the embedded TurtleBot3, which is never chosen silently; real ones '
         'by ros1, ros2, dds, rosbridge://host:9090 or auto, one of a graph by its namespace: "ros2://alice". '
         "`Robots(...)` names several, of which each run takes a free one.",
-        LINK.or_none(),
+        kinds.LINK.or_none(),
         None,
     )
     hosts: Mapping[str, Host | str] = _declare(
         "The computers that take part, by name: an address as for ssh, `local` for this machine, or "
         "`Host(address=..., fetch=[...], reboot=...)`; `context.host(name)` executes commands there.",
-        HOSTS,
+        kinds.HOSTS,
         {},
     )
     required_ros_version: Any = _declare(
         "The ROS generation that the experiment needs: 1, 2, `any`, or None for none at all.",
-        replace(ROS_GENERATION, type_name="int | None"),
+        replace(kinds.ROS_GENERATION, type_name="int | None"),
         None,
     )
     required_ros_distro: Any = _declare(
         'The ROS distribution that the experiment needs, such as "noetic"; `any` or None where it does not matter.',
-        replace(ROS_DISTRIBUTION, type_name="str | None"),
+        replace(kinds.ROS_DISTRIBUTION, type_name="str | None"),
         None,
     )
     phases: Sequence[str] = _declare(
-        "The phases of the mission for which measures are published, too, each as `<measure>.<phase>`.", PHASES, ()
+        "The phases of the mission for which measures are published, too, each as `<measure>.<phase>`.",
+        kinds.PHASES,
+        (),
     )
     on_failure: FailurePolicy = _declare(
         "What follows a run that failed: CONTINUE with the next one, or STOP the experiment.",
-        choice(FailurePolicy),
+        kinds.choice(FailurePolicy),
         FailurePolicy.CONTINUE,
     )
-    attempts: int = _declare("How often a run is tried before it counts as failed.", whole(1, ""), 1)
+    attempts: int = _declare("How often a run is tried before it counts as failed.", kinds.whole(1, ""), 1)
     on_bad_value: BadValuePolicy = _declare(
         "What follows a value of the run table that is missing, or beyond its measure's `low` or `high`: KEEP it with "
         "the reason, TRY_AGAIN while there are attempts left, or FAIL the attempt.",
-        choice(BadValuePolicy),
+        kinds.choice(BadValuePolicy),
         BadValuePolicy.KEEP,
     )
     quality_columns: bool = _declare(
         "Whether each measure has a column `<measure>.quality` in the run table: good, doubtful or missing, and why.",
-        FLAG,
+        kinds.FLAG,
         default=False,
     )
     probe: bool = _declare(
         "Whether each profiler is tried for a moment before the first run, so that one that is silent is found before "
         "the robot moves.",
-        FLAG,
+        kinds.FLAG,
         default=True,
     )
     run_deadline_in_s: float | None = _declare(
-        "How long a run may take, in seconds of real time; None for no limit.", SECONDS.or_none(), None
+        "How long a run may take, in seconds of real time; None for no limit.", kinds.SECONDS.or_none(), None
     )
     event_deadline_in_s: float | None = _declare(
         "How long one event may take, in seconds of real time; None for no limit. It holds for the events of the "
         "orchestrator, too.",
-        SECONDS.or_none(),
+        kinds.SECONDS.or_none(),
         None,
     )
     grace_in_s: float = _declare(
         "How long a run that is told to end may take to stop its robot and close its profilers before it is killed, "
         "in seconds.",
-        SECONDS,
+        kinds.SECONDS,
         10.0,
     )
     run_process: RunProcess = _declare(
         "Where a run is executed: in a process that is forked (FORK), in a fresh interpreter (SPAWN), or in the "
         "orchestrator itself (IN_PROCESS).",
-        choice(RunProcess),
+        kinds.choice(RunProcess),
         RunProcess.FORK,
     )
     workers: int | str = _declare(
         'How many runs this machine executes at the same time: a number, or "auto" for as many as it has cores. Runs '
         "that claim the same thing never overlap.",
-        WORKERS,
+        kinds.WORKERS,
         1,
     )
     claims: Sequence[str] | None = _declare(
         "What the config's own callbacks need for themselves in a run, such as `serial:/dev/ttyUSB0`; an empty list "
         "where runs may go on side by side. None is this whole machine (`host:localhost`), and nothing where the robot "
         "is simulated.",
-        CLAIMS.or_none(),
+        kinds.CLAIMS.or_none(),
         None,
     )
     cluster: str | None = _declare(
         "The scheduler of the Dask cluster whose workers execute the runs, such as tcp://scheduler:8786; None executes "
         "them on this machine.",
-        CLUSTER.or_none(),
+        kinds.CLUSTER.or_none(),
         None,
     )
     attempts_if_lost: int = _declare(
         "How often a run is tried again, beside `attempts`, as the machine that executed it was lost, which is not the "
         "run's fault; beyond that, or with 0, such an attempt is one of `attempts`.",
-        whole(0, ""),
+        kinds.whole(0, ""),
         3,
     )
     gates: Sequence[Gate] = _declare(
         "What must hold before each attempt at a run: conditions that are awaited, one after another.",
-        instances(Gate, "a list of Gate(...), such as [Gate(temperature_below(50), timeout_s=600)]"),
+        kinds.instances(Gate, "a list of Gate(...), such as [Gate(temperature_below(50), timeout_s=600)]"),
         (),
     )
     guards: Sequence[Guard] = _declare(
         "What must not come true while a run is measured: conditions that are watched.",
-        instances(Guard, "a list of Guard(...), such as [Guard(battery_below(15), GuardAction.STOP)]"),
+        kinds.instances(Guard, "a list of Guard(...), such as [Guard(battery_below(15), GuardAction.STOP)]"),
         (),
     )
     smoke: Mapping[str, Any] = _declare(
         "What `robot-runner smoke` sets to be quick: static parameters and attributes of the config by name, and "
         "parameters of a plugin as `<plugin>.<parameter>`.",
-        SMOKE,
+        kinds.SMOKE,
         {},
     )
     watch_machines: bool = _declare(
         "Whether the computers that profilers measure are watched for what else goes on there: load by others, swap, "
         "throttling.",
-        FLAG,
+        kinds.FLAG,
         default=True,
     )
     notify: Notify | None = _declare(
-        "Who is told how the experiment goes on, and of what: `Notify(...)`.", NOTIFY.or_none(), None
+        "Who is told how the experiment goes on, and of what: `Notify(...)`.", kinds.NOTIFY.or_none(), None
     )
     analysis: AnalysisPlan | None = _declare(
         "What is fixed for the analysis before the experiment: measures, level of significance, hypotheses.",
-        PLAN.or_none(),
+        kinds.PLAN.or_none(),
         None,
     )
     registration: Path | str | None = _declare(
         "The file that `robot-runner preregister` writes, and that the report cites; a relative path begins where the "
         "config file is. None is `<config>.registration.json` beside it, where there is one.",
-        PATH.or_none(),
+        kinds.PATH.or_none(),
         None,
     )
     repeat_until: Precision | Sequence[Precision] = _declare(
         "How precisely measures are to be known: all combinations are executed once more until they are, `repetitions` "
         "times at least: `Precision(...)`, or a list of them.",
-        REPEAT_UNTIL,
+        kinds.REPEAT_UNTIL,
         (),
     )
     authors: Sequence[Author | str] = _declare(
         "Who made the experiment: names, or `Author(name, orcid=..., affiliation=..., affiliation_url=...)`.",
-        AUTHORS,
+        kinds.AUTHORS,
         (),
     )
     licence: str | None = _declare(
         'Under which terms others may use the results: an SPDX identifier such as "CC-BY-4.0", or a URL.',
-        LICENCE.or_none(),
+        kinds.LICENCE.or_none(),
         None,
     )
     citation: str | None = _declare(
-        "What to cite when the results are used: a DOI, a URL or a sentence.", TEXT.or_none(), None
+        "What to cite when the results are used: a DOI, a URL or a sentence.", kinds.TEXT.or_none(), None
     )
 
 
@@ -328,6 +305,15 @@ class Parameters(StaticParameters):
 
     def __init__(self, **values: Any) -> None:
         vars(self).update(values)
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """How the robots are reached: all that take turns, or the only one; nothing where there is none."""
+        return tuple(self.robots.values()) or ((self.robot,) if self.robot is not None else ())
+
+    def but(self, **changed: Any) -> Parameters:
+        """Return the same with some of them changed."""
+        return Parameters(**{**vars(self), **changed})
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
         raise AttributeError(f"{name} is fixed, and cannot become {value!r}")

@@ -13,7 +13,6 @@ from types import CodeType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from robot_runner.core.config.loader import LoadedConfig, place_in
-from robot_runner.core.design.factor import treatment_text
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.entry_points import EntryPoint, entry_points
 from robot_runner.core.errors import Finding, RobotRunnerError, did_you_mean
@@ -277,7 +276,7 @@ def _some_of(model: RunTableModel, factors: Mapping[str, str]) -> Iterator[Any]:
 
 
 def _key(combination: Mapping[str, Any], factors: Iterable[str]) -> tuple[tuple[type, str], ...]:
-    return tuple((type(combination[name]), treatment_text(combination[name])) for name in sorted(factors))
+    return tuple((type(combination[name]), str(combination[name])) for name in sorted(factors))
 
 
 def _distinct(combinations: Iterable[Mapping[str, Any]], factors: Iterable[str]) -> Iterator[Mapping[str, Any]]:
@@ -305,7 +304,7 @@ def _with_each(
     count = 0
     for combination in _distinct(combinations, factors):
         count += 1
-        treatments = ", ".join(f"{name} = {treatment_text(combination[name])}" for name in factors)
+        treatments = ", ".join(f"{name} = {combination[name]!s}" for name in factors)
         for finding in dict.fromkeys(look(combination)):
             found[finding].append(treatments)
     return [finding if len(under) == count > 1 else _under(finding, under) for finding, under in found.items()]

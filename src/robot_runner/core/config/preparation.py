@@ -37,7 +37,6 @@ from robot_runner.core.config.loader import LoadedConfig
 from robot_runner.core.config.notify import check_notify
 from robot_runner.core.config.operator_checks import check_operator_steps
 from robot_runner.core.config.operator_steps import operator_measures
-from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.config.plugin_checks import check_plugins, companions, gather_plugins
 from robot_runner.core.config.registered_config import check_registration, registered
 from robot_runner.core.config.treatment_makers import maker_findings
@@ -59,6 +58,7 @@ from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
+    from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.design.warm_up import WarmUp
     from robot_runner.core.plugin import Plugin
@@ -88,7 +88,7 @@ def check_robot(loaded: LoadedConfig, parameters: Parameters, plugins: Sequence[
         return []  # nothing was found, which is a finding already
 
     def announced(link: str | None) -> list[Finding]:
-        return announced_checks(loaded.where, Parameters(**{**vars(parameters), "robot": link}), plugins)
+        return announced_checks(loaded.where, parameters.but(robot=link), plugins)
 
     found = _of_each(parameters.robots, announced) if parameters.robots else announced(parameters.robot)
     return [*_link_findings(parameters), *found]
@@ -201,11 +201,14 @@ def _grown(
         return model
     try:
         return grown_model(model, experiment_folder(parameters, loaded))
-    except (ConfigError, DesignError, StorageError) as error:
+    except (ConfigError, DesignError) as error:
+        findings += error.findings
+        return None
+    except StorageError as error:  # what was added cannot be read: the rest of the config is looked at all the same
         findings += error.findings
     except (OSError, RuntimeError):  # found by the check of the path
-        return model
-    return None
+        pass
+    return model
 
 
 def _with_all_factors(model: RunTableModel | None) -> RunTableModel | None:

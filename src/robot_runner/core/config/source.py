@@ -206,7 +206,7 @@ class _StandInLoader(Loader):
         """Put the plugin's class into its module, and remember that it was asked for."""
         if not self._name:
             return
-        plugin = find_plugin(self._kind, self._name).load()
+        plugin = find_plugin(self._kind, self._name)
         setattr(module, self._name, plugin)
         if plugin not in self._activated:
             self._activated.append(plugin)

@@ -50,7 +50,7 @@ class Statistic(Enum):
 
     WELCH_JAMES weighs differences by how well they are known (Welch 1951, Johansen 1980); ANOVA_TYPE does not, and
     finds more where few runs have equal spreads (Brunner, Dette and Munk 1997). COMBINED is a mean of both p-values,
-    and hardly finds less than the better one.
+    and hardly finds less than the better one; of ranks it is ANOVA_TYPE.
     """
 
     COMBINED = "combined"
@@ -68,6 +68,10 @@ class Family(Enum):
     PRIMARY = "primary"
     MEASURE = "measure"
     HYPOTHESES = "hypotheses"
+
+
+#: The choices that are members of an enumeration; each has the name of its class, in small letters.
+_CHOICES: tuple[type[Enum], ...] = (Correction, Family, Estimand, Statistic, Doubtful)
 
 
 @dataclass(frozen=True, slots=True, init=False)
@@ -234,20 +238,14 @@ class AnalysisPlan:
             problem = f"there is no choice {unknown[0]!r}"
             raise DesignError(problem, where="analysis", fix=did_you_mean(unknown[0], keys))
         try:
-            return cls(
-                plain.get("measures", ()),
-                secondary=plain.get("secondary", ()),
-                alpha=plain.get("alpha", _DEFAULT_ALPHA),
-                correction=Correction(plain.get("correction", Correction.HOLM.value)),
-                family=Family(plain.get("family", Family.PRIMARY.value)),
-                estimand=Estimand(plain.get("estimand", Estimand.MEAN.value)),
-                statistic=Statistic(plain.get("statistic", Statistic.COMBINED.value)),
-                blocks=plain.get("blocks"),
-                hypotheses=[Hypothesis(**each) for each in plain.get("hypotheses", ())],
-                outliers=None if plain.get("outliers") is None else Outliers(**plain["outliers"]),
-                doubtful=Doubtful(plain.get("doubtful", Doubtful.KEEP.value)),
-                covariates=plain.get("covariates", ()),
-            )
+            given: dict[str, Any] = {**plain}
+            for kind in _CHOICES:
+                if (name := kind.__name__.lower()) in given:
+                    given[name] = kind(given[name])
+            given["hypotheses"] = [Hypothesis(**each) for each in given.get("hypotheses", ())]
+            if given.get("outliers") is not None:
+                given["outliers"] = Outliers(**given["outliers"])
+            return cls(**given)
         except (TypeError, ValueError) as error:
             raise DesignError(f"the text is no analysis plan: {error}", where="analysis", fix="Mend it.") from error
 
@@ -255,7 +253,7 @@ class AnalysisPlan:
 def _choice_findings(alpha: object, choices: Mapping[str, object], blocks: object) -> Iterator[Finding]:
     if not isinstance(alpha, int | float) or not 0 < alpha < 0.5:  # noqa: PLR2004 - 1 - 2 alpha is a level of confidence
         yield Finding.error("analysis", f"alpha is {alpha!r}", "Give a number between 0 and 0.5, such as 0.05.")
-    for kind in (Correction, Family, Estimand, Statistic, Doubtful):
+    for kind in _CHOICES:
         given = choices[kind.__name__.lower()]
         if not isinstance(given, kind):
             names = ", ".join(f"{kind.__name__}.{each.name}" for each in kind)

@@ -8,7 +8,7 @@ from itertools import count
 from typing import Any, Final, Protocol, Self, runtime_checkable
 
 from robot_runner.core.design.columns import numbered_run_id
-from robot_runner.core.design.factor import Combination, Factor, factor_places, full_factorial, treatment_text
+from robot_runner.core.design.factor import Combination, Factor, factor_places, full_factorial
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import DesignError, Finding
 
@@ -173,7 +173,7 @@ def grown_choice(
 
 
 def _by_texts(combinations: Iterable[Combination]) -> dict[tuple[str, ...], Combination]:
-    return {tuple(treatment_text(each[name]) for name in sorted(each)): each for each in combinations}
+    return {tuple(str(each[name]) for name in sorted(each)): each for each in combinations}
 
 
 def _does_not_grow(design: CombinationDesign | Design) -> DesignError:

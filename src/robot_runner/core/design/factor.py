@@ -16,17 +16,10 @@ from robot_runner.core.design.revision import Revision, is_revision_name
 from robot_runner.core.errors import DesignError, Finding, nearest
 from robot_runner.core.inactive import INACTIVE
 
-# What a treatment looks like in the run table, and what keeps a value from being one.
+# What keeps a value from being a treatment. In the run table each is written as its `str()`, which of a float is exact:
+# Python writes the shortest text that gives the same number back.
 
 _ADDRESS = re.compile(r" at 0x[0-9A-Fa-f]+")
-
-
-def treatment_text(treatment: Any) -> str:
-    """Return how a treatment is written in the run table: its `str()`.
-
-    For a float that is exact (Python writes the shortest text that gives the same number back).
-    """
-    return str(treatment)
 
 
 def treatments_are_equal(one: Any, other: Any) -> bool:
@@ -61,7 +54,7 @@ def treatment_findings(where: str, treatments: Sequence[Any]) -> Iterator[Findin
 def _text_or_finding(where: str, treatment: Any) -> str | Finding:
     kind = type(treatment).__name__
     try:
-        text = treatment_text(treatment)
+        text = str(treatment)
     except Exception as error:  # noqa: BLE001 - a user's __str__ may raise anything
         problem = f"a treatment of type {kind} has no text: its str() raised {type(error).__name__}: {error}"
         return Finding.error(where, problem, "Mend the __str__ of its class.")
@@ -165,7 +158,7 @@ class Factor:
         findings = [*name_findings(name, kind="factor"), *unlisted, *treatment_findings(where, listed)]
         findings += [*_unit_findings(where, unit, span), *wrong]
         DesignError.refuse(findings)
-        texts = tuple(map(treatment_text, listed))
+        texts = tuple(map(str, listed))
         positions = {text: place for place, text in enumerate(texts)}
         given = (name, listed, texts, span, span.unit if span else unit, conditions, positions)
         for attribute, value in zip(self.__slots__, given, strict=True):
@@ -209,7 +202,7 @@ class Factor:
 
         The same type and text come first, then equality, where exactly one treatment is equal. True is never 1.
         """
-        place = self.position_of_text(treatment_text(value))
+        place = self.position_of_text(str(value))
         if place is not None and type(self.treatments[place]) is type(value):
             return place
         equal = [place for place, treatment in enumerate(self.treatments) if treatments_are_equal(treatment, value)]
@@ -232,7 +225,7 @@ class Factor:
 
     def suggestion(self, value: Any) -> str:
         """Return a fix for a value that is no treatment: the nearest one, or a list of all."""
-        near = nearest(treatment_text(value), self.texts) if len(self.texts) <= _COMPARED else None
+        near = nearest(str(value), self.texts) if len(self.texts) <= _COMPARED else None
         if near is not None:
             return f"Did you mean {self.treatments[self._positions[near]]!r}?"
         shown = ", ".join(map(repr, self.treatments[:_SHOWN]))

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.design.asking import decides_order
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.design_findings import MAX_RUNS
-from robot_runner.core.design.factor import Combination, Factor, treatment_text
+from robot_runner.core.design.factor import Combination, Factor
 from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 from robot_runner.core.inactive import INACTIVE
@@ -180,7 +180,7 @@ class _Growing:
     def _written(self, name: str, texts: Sequence[str]) -> tuple[str, ...]:
         """Return how treatments that were asked for are written in the run table: `1` as 1.0 among floats."""
         like = self._own.get(name) or self._there[name]
-        return tuple(dict.fromkeys(treatment_text(typed(like, text)) for text in texts))
+        return tuple(dict.fromkeys(str(typed(like, text)) for text in texts))
 
     def _factor(self, name: str, chosen: Sequence[str]) -> Factor:
         """Return a factor with its treatments so far, those that the config adds, and those that were chosen."""
@@ -264,7 +264,7 @@ def _text_findings(where: str, text: str, there: Factor, like: Factor) -> Iterat
     written = text
     if there.position_of_text(text) is None:
         try:
-            written = treatment_text(typed(like, text))
+            written = str(typed(like, text))
         except DesignError as error:
             yield Finding.error(where, error.problem, error.fix)
             return

@@ -246,19 +246,6 @@ def _known(rule: Precision, level: float, of: str, values: Sequence[float], whol
 # What follows from it: another repetition, or the end.
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class JudgedPrecision(Decision):
-    """What was decided, with what it was decided on.
-
-    Attributes:
-        repetitions: how often each combination is planned by now.
-        judgements: what is known, for each rule.
-    """
-
-    repetitions: int
-    judgements: tuple[Judgement, ...]
-
-
 class UntilPrecise:
     """Asks for one repetition after another until all rules are content, or give up.
 
@@ -278,21 +265,22 @@ class UntilPrecise:
         """Return whether there may be a repetition more."""
         return _repetitions(runs) < self._looks[1]
 
-    def ask(self, told: Sequence[Told]) -> JudgedPrecision:
+    def ask(self, told: Sequence[Told]) -> Decision:
         """Return the next repetition of all combinations, or why there is none."""
         runs = [each.run for each in told]
         now = _repetitions(runs)
         judged = tuple(judge(rule, self._looks, now, _observed(told, rule.measure)) for rule in self._rules)
         wanted = list(self._next(runs, now + 1)) if any(each.needs_more for each in judged) else []
-        return JudgedPrecision(
+        known = "; ".join(each.in_words() for each in judged)
+        follows = f"once more, {counted(len(wanted), 'run')}" if wanted else "repeated no further"
+        return Decision(
             name=f"repetition {now + 1}",
-            in_words="; ".join(each.in_words() for each in judged),
+            in_words=f"after {counted(now, 'repetition')}, {known}: {follows}",
             runs=wanted,
             kind=REPEATED,
-            facts={"precision": list(map(_facts, judged))},
+            # A record that adds runs has the repetition that they are.
+            facts={**({} if wanted else {"repetition": now}), "precision": list(map(_facts, judged))},
             findings=() if wanted else tuple(chain.from_iterable(map(_ending_findings, judged))),
-            repetitions=now,
-            judgements=judged,
         )
 
     def _next(self, runs: Sequence[PlannedRun], repetitions: int) -> Iterator[tuple[Combination, int]]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from robot_runner.core.design.columns import REPETITION
-from robot_runner.core.errors import ExecutionError, Finding, did_you_mean, nearest
+from robot_runner.core.errors import ExecutionError, Finding, did_you_mean
 
 if TYPE_CHECKING:
     from robot_runner.core.design.planned_runs import PlannedRun
@@ -128,10 +128,10 @@ class RunChooser:
             yield REPETITION, str(run.repetition)
 
     def _fix_of_id(self, word: str) -> str:
-        near = nearest(word, list(self._places)[:_MOST_KNOWN])
         some = next(iter(self._runs), None)
         example = f"{some.run_id} or {next(iter(some.combination), 'Factor')}=..." if some else "r_1"
-        return f"Did you mean {near!r}?" if near else f"Name runs by ids or treatments, such as {example}"
+        otherwise = f"Name runs by ids or treatments, such as {example}"
+        return did_you_mean(word, list(self._places)[:_MOST_KNOWN], otherwise)
 
     def _note(self, where: str, problem: str, fix: str) -> None:
         self.findings.append(Finding.error(where, problem, fix))

@@ -9,11 +9,11 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NoReturn, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from robot_runner.core.errors import Finding, LinkError, PluginError
+from robot_runner.core.errors import PluginError
 from robot_runner.core.events.early_end import Ending, EndingInPlace
-from robot_runner.core.events.measure import MeasureValue, Origin, PublishedMeasure
+from robot_runner.core.events.measure import MeasureValue, Origin
 from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
 from robot_runner.core.storage.guarded_files import make_experiment_folder, make_folder
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -22,6 +22,7 @@ from robot_runner.core.storage.record_shapes import ClockFacts
 
 if TYPE_CHECKING:
     from robot_runner.core.events.host_access import HostAccess
+    from robot_runner.core.events.measure_broker import MeasureBroker
     from robot_runner.core.events.outlook import ExperimentEnd, NextRun
     from robot_runner.core.events.resources import Resources
     from robot_runner.core.events.window import MissionTimes, Phase, Window
@@ -62,60 +63,11 @@ class StartedProgram(Protocol):
         """Its process id."""
 
 
-class RunBroker(Protocol):
-    """Where a run's context passes things on to: the event manager's side of a context."""
-
-    def publish(self, owner: str, name: str, value: object, origin: Origin) -> None:
-        """Take a measure through the one gate."""
-
-    def share(self, owner: str, values: Mapping[str, object]) -> None:
-        """Pass key-value pairs on to the subscribers of the following events."""
-
-    def warn(self, owner: str, problem: str, fix: str) -> None:
-        """Record a warning finding about this run."""
-
-    def doubt(self, owner: str, problem: str, fix: str, measures: Sequence[str]) -> None:
-        """Record a warning finding that makes values of this run doubtful."""
-
-    def doubt_run(self, owner: str, problem: str, fix: str) -> None:
-        """Record a warning finding that makes all values of this run doubtful."""
-
-    def note(self, owner: str, kind: str, facts: Mapping[str, object]) -> None:
-        """Report something else that happened in this run, as a record of this kind."""
-
-    @property
-    def measures(self) -> Mapping[str, PublishedMeasure]:
-        """What was published so far, by column of the run table."""
-
-    @property
-    def shared(self) -> Mapping[str, Mapping[str, object]]:
-        """The key-value pairs shared so far, by plugin."""
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """The warnings recorded so far."""
-
-
 class HostDoor(Protocol):
     """What a context opens hosts by."""
 
     def open(self, name: str, context: RobotRunnerContext) -> HostAccess:
         """Return the host of this name; its connection is kept until the run ends."""
-
-
-class NoHosts:
-    """The hosts of a config that names none."""
-
-    def open(self, name: str, context: RobotRunnerContext) -> NoReturn:
-        """Refuse.
-
-        Raises:
-            LinkError: always.
-        """
-        del context
-        raise LinkError(
-            f"there is no host {name!r}", where="hosts", fix=f"Name it in the config: hosts = {{{name!r}: 'pi@robot'}}."
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,10 +134,10 @@ class RobotRunnerContext(ExperimentContext):
     resources: Resources
     owner: str
     times: MissionTimes = field(repr=False)
-    broker: RunBroker = field(repr=False)
+    broker: MeasureBroker = field(repr=False)
+    hosts: HostDoor = field(repr=False)
     attempts_left: int = 0
     ending: Ending = field(default_factory=EndingInPlace, repr=False)
-    hosts: HostDoor = field(default_factory=NoHosts, repr=False)
     usual_origin: Origin = field(default=Origin.MEASURED, repr=False)
     next_run: NextRun | None = None
 

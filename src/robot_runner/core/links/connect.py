@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from robot_runner.core.errors import Finding, LinkError, PluginError, nearest
+from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean, nearest
 from robot_runner.core.events.context import Clock, RobotRunnerContext, SystemClock
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.links.graph_names import full_name, namespace_prefix
@@ -239,12 +239,8 @@ def resolved_robot(robot: str) -> tuple[RobotLinkKind, RobotName]:
             return resolved_robot(kind.found_robot().name)
     elif kind is not None:
         return kind, name if name.address is None or kind.takes_address else _named_on_graph(name)
-    near = nearest(robot.partition(":")[0], installed_links())
-    raise LinkError(
-        f"robot is {robot!r}, which is no link of this version",
-        where="robot",
-        fix=f"Did you mean {near!r}?" if near else _SIMULATE,
-    )
+    fix = did_you_mean(robot.partition(":")[0], installed_links(), _SIMULATE)
+    raise LinkError(f"robot is {robot!r}, which is no link of this version", where="robot", fix=fix)
 
 
 def _named_on_graph(name: RobotName) -> RobotName:

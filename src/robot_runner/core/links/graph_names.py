@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from robot_runner.core.errors import LinkError, nearest
+from robot_runner.core.errors import LinkError, did_you_mean
 
 #: A name that ROS 1 and ROS 2 both take (ROS 1: wiki.ros.org/Names; ROS 2: design.ros2.org, topic and service names).
 _LEGAL = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
@@ -49,8 +49,7 @@ def missing(kind: str, name: str, known: Iterable[str], *, where: str, fix: str)
         >>> missing("service", "/task/stpo", ["/task/stop"], where="ros1", fix="Start its node.").fix
         "Did you mean '/task/stop'?"
     """
-    near = nearest(name, known)
-    return LinkError(f"there is no {kind} {name!r}", where=where, fix=f"Did you mean {near!r}?" if near else fix)
+    return LinkError(f"there is no {kind} {name!r}", where=where, fix=did_you_mean(name, known, fix))
 
 
 def _illegal(kind: str, name: str) -> LinkError:

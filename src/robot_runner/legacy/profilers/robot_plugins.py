@@ -172,7 +172,7 @@ class BasicTurtleBot3:
         """Connect to the robot."""
         task = str(context.run_variation.get(_FACTOR, "Computation"))
         task = _TASKS.get(task.casefold(), task.capitalize())
-        self._robot = find_plugin("systems", "BasicTurtlebot3").load()(task_factor=None, task=task)  # type: ignore[call-arg]
+        self._robot = find_plugin("systems", "BasicTurtlebot3")(task_factor=None, task=task)  # type: ignore[call-arg]
         self._robot.start_run(_run())
 
     def start_measurement_mission(self) -> None:
@@ -184,7 +184,7 @@ class BasicTurtleBot3:
             "sensor_msgs/BatteryState",
             lambda message: self._battery.append((clock.now(), message["percentage"])),
         )
-        self._utilisation = find_plugin("profilers", "PsUtil").load()()
+        self._utilisation = find_plugin("profilers", "PsUtil")()
         self._utilisation.start_measurement(_run())
 
     def launch_mini_mission_real_world(self, context: Any) -> None:

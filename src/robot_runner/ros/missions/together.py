@@ -9,7 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
-from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext, RunBroker
+from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
 from robot_runner.core.events.manager import CLOSED_BY, EVENTS_BY_CALLBACK, RobotRunnerEvents
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.links.graph_names import full_name, namespace_prefix
@@ -19,6 +19,7 @@ from robot_runner.ros.missions.joint_missions import JointMission, SharedClock, 
 
 if TYPE_CHECKING:
     from robot_runner.core.events.measure import Origin
+    from robot_runner.core.events.measure_broker import MeasureBroker
     from robot_runner.core.events.window import MissionTimes
     from robot_runner.core.links.graph_needs import GraphNeed
     from robot_runner.core.storage.input_files import InputFile
@@ -187,7 +188,7 @@ def _called(system: Plugin, event: RobotRunnerEvents, context: ExperimentContext
 class _BrokerOfOne:
     """The broker of a run as one of the systems has it: what it measures goes by its name, and all else says whose."""
 
-    def __init__(self, broker: RunBroker, together: str, system: System) -> None:
+    def __init__(self, broker: MeasureBroker, together: str, system: System) -> None:
         self._broker = broker
         self._together = together
         self._name = system.name
