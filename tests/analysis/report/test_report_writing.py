@@ -64,7 +64,10 @@ def test_tables_are_written_as_csv_with_full_precision_and_as_latex(plain_report
 
 @pytest.mark.long
 def test_markdown_refers_to_figures_that_are_there(two_tasks):
-    written = write_report(two_tasks().root, ReportFormat.MARKDOWN, figures=())
+    told = []
+    written = write_report(two_tasks().root, ReportFormat.MARKDOWN, figures=(), on_step=lambda *step: told.append(step))
+    assert list(dict.fromkeys(what for what, _, _ in told)) == ["statistics of measures", "figures", "tables"]
+    assert [done for what, done, _ in told if what == "figures"] == list(range(len(written.figures)))
     text = written.document.read_text(encoding="utf-8")
     paths = re.findall(r"!\[.*?\]\((.*?)\)", text)
     assert paths

@@ -17,6 +17,7 @@ from robot_runner.analysis.libraries import require_libraries
 from robot_runner.analysis.plan_file import PlanFile, read_plan
 from robot_runner.cli.console import output, print_facts, shown_path
 from robot_runner.cli.parser import Parser, UsageError, add_set, add_target
+from robot_runner.cli.screens.progress_bars import step_progress
 from robot_runner.cli.target import folder_of_target, only_experiment
 from robot_runner.core.errors import did_you_mean
 from robot_runner.core.words import counted
@@ -86,7 +87,8 @@ def execute(arguments: Namespace) -> int:
         "alpha": arguments.alpha,
         "plan": given.analysis,
     }
-    written = write_report(results, ReportFormat(kind), figures=figures, **chosen)
+    with step_progress() as on_step:
+        written = write_report(results, ReportFormat(kind), figures=figures, **chosen, on_step=on_step)
     kinds = [Recomputation.NOTEBOOK] * arguments.notebook + [Recomputation.R] * arguments.r
     _print(written, write_recomputations(results, kinds, **chosen) if kinds else ())
     return 0

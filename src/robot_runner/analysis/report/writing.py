@@ -18,7 +18,7 @@ from robot_runner.analysis.report.document import json_of_report, report_documen
 from robot_runner.analysis.report.material import Material
 from robot_runner.analysis.report.rendering import SafeNames, csv_of, html_of, latex_label, latex_of, markdown_of
 from robot_runner.analysis.results import Results, results_of
-from robot_runner.analysis.statistics.experiment_statistics import analyse
+from robot_runner.analysis.statistics.experiment_statistics import OnStep, analyse, unheard
 from robot_runner.core.storage.guarded_files import make_folder, replace
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.safe_write import write_beside_and_rename
@@ -58,6 +58,7 @@ def write_report(
     measures: str | Sequence[str] | None = None,
     alpha: float | None = None,
     plan: AnalysisPlan | None = None,
+    on_step: OnStep = unheard,
 ) -> WrittenReport:
     """Write the report of an experiment.
 
@@ -69,6 +70,7 @@ def write_report(
         measures: which measures are analysed; None for all.
         alpha: the level of significance; None for the one that was fixed beforehand, or 0.05.
         plan: is followed in the place of what was fixed before the experiment; everything is exploratory then.
+        on_step: is told what is being done, such as `figures`, how many of it are, and of how many.
 
     Raises:
         StorageError: there is no experiment, or the folder cannot be written.
@@ -81,11 +83,12 @@ def write_report(
         # and with thousands of runs figures take little of the time, and the worker much of the memory.
         helps = draws and FigureFormat.PDF in figures and (os.cpu_count() or 1) > 1 and len(results.runs) <= _MOST_RUNS
         worker = closing.enter_context(PdfWorker()) if helps else None
-        material = Material(results, analyse(results, measures=measures, alpha=alpha, plan=plan))
+        statistics = analyse(results, measures=measures, alpha=alpha, plan=plan, on_step=on_step)
+        material = Material(results, statistics)
         place = _Place(*report_folder(results.folder, output))
         made = made_by("Report", datetime.now(UTC))
         if draws:
-            return _write_document(report_document(material, made=made), kind, place, figures, worker)
+            return _write_document(report_document(material, made=made), kind, place, figures, worker, on_step)
         return WrittenReport(place.write("report.json", json_of_report(material, made=made).encode()))
 
 
@@ -155,13 +158,14 @@ def _write_document(
     place: _Place,
     formats: Sequence[FigureFormat],
     worker: PdfWorker | None,
+    on_step: OnStep = unheard,
 ) -> WrittenReport:
     """Write a document as HTML or Markdown, with its tables and figures in `tables/` and `figures/`."""
     needed = {FigureFormat.SVG} if kind is ReportFormat.MARKDOWN else set()  # the document refers to them
     kinds = [each for each in FigureFormat if each in needed.union(formats)]
     names = SafeNames()
-    figures, drawings = _write_figures(document, place, names, kinds, worker)
-    tables = _write_tables(document, place)
+    figures, drawings = _write_figures(document, place, names, kinds, worker, on_step)
+    tables = _write_tables(document, place, on_step)
     if kind is ReportFormat.MARKDOWN:
         text = markdown_of(document, lambda name: f"figures/{names(name)}.svg")
     else:
@@ -175,10 +179,12 @@ def _write_figures(
     names: SafeNames,
     kinds: Sequence[FigureFormat],
     worker: PdfWorker | None = None,
+    on_step: OnStep = unheard,
 ) -> tuple[tuple[Path, ...], dict[str, bytes]]:
     """Write each figure as these kinds of files, as PDF by the worker; return the files, and all figures as SVG."""
     files, drawings = [], {}
-    for block in document.figures:
+    for number, block in enumerate(document.figures):
+        on_step("figures", number, len(document.figures))
         figure = block.draw()
         drawings[block.name] = figure_bytes(figure, FigureFormat.SVG)
         for kind in kinds:
@@ -194,10 +200,11 @@ def _write_figures(
     return tuple(files), drawings
 
 
-def _write_tables(document: Document, place: _Place) -> tuple[Path, ...]:
+def _write_tables(document: Document, place: _Place, on_step: OnStep = unheard) -> tuple[Path, ...]:
     names, labels = SafeNames(), SafeNames(latex_label)
-    return tuple(
-        place.write(f"tables/{names(table.name)}.{ending}", text.encode("utf-8"), is_part=True)
-        for table in document.tables
-        for ending, text in (("csv", csv_of(table)), ("tex", latex_of(table, labels)))
-    )
+    files: list[Path] = []
+    for number, table in enumerate(document.tables):
+        on_step("tables", number, len(document.tables))
+        for ending, text in (("csv", csv_of(table)), ("tex", latex_of(table, labels))):
+            files.append(place.write(f"tables/{names(table.name)}.{ending}", text.encode("utf-8"), is_part=True))
+    return tuple(files)

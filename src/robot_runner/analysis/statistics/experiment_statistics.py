@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -29,6 +29,14 @@ from robot_runner.core.words import counted
 
 _ALPHA = 0.05
 
+#: Is told what is being done, how many of it are, and of how many.
+OnStep = Callable[[str, int, int], object]
+
+
+def unheard(_what: str, _done: int, _total: int) -> None:
+    """Tell nobody how far it is."""
+
+
 #: Among more measures pairs are too many to be of use.
 _MOST_CORRELATED = 20
 
@@ -40,6 +48,7 @@ def analyse(
     alpha: float | None = None,
     correction: Correction | None = None,
     plan: AnalysisPlan | None = None,
+    on_step: OnStep = unheard,
 ) -> ExperimentStatistics:
     """Compute the statistics of an experiment from the runs that are done.
 
@@ -54,6 +63,7 @@ def analyse(
         correction: how p-values are adjusted; None for that of the plan, or Holm.
         plan: is followed in the place of what was fixed before the experiment; everything is exploratory then. For
             results that were made elsewhere, say.
+        on_step: is told how many measures are done, of how many.
 
     Raises:
         AnalysisError: there is no such measure, alpha is not between 0 and 0.5, the correction is none, or the plan has
@@ -84,7 +94,10 @@ def analyse(
     # Errors are controlled among all primary measures, whichever are asked for.
     others = [name for name in (kept.measures if kept else ()) if name in results.columns and name not in names]
     doubtful = doubtful_runs(results)
-    analysed = [_analysed(design, name, choices, kept, doubtful.get(name, ())) for name in (*names, *others)]
+    analysed: list[_Analysed] = []
+    for name in (*names, *others):
+        on_step("statistics of measures", len(analysed), len(names) + len(others))
+        analysed.append(_analysed(design, name, choices, kept, doubtful.get(name, ())))
     done, judged = concluded([each.planned for each in analysed], kept, chosen_alpha, chosen_correction)
     is_planned = kept is not None and not is_given
     told = tuple(replace(each, is_planned=each.is_planned and is_planned) for each in done[: len(names)])

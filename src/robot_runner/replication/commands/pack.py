@@ -28,7 +28,7 @@ from robot_runner.cli.console import (
 )
 from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.parser import Parser, UsageError, add_json, add_set
-from robot_runner.cli.screens.byte_progress import byte_progress
+from robot_runner.cli.screens.progress_bars import byte_progress
 from robot_runner.cli.target import folder_of_target, only_experiment
 from robot_runner.core.words import counted, one_line
 

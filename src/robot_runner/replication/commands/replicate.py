@@ -31,8 +31,8 @@ from robot_runner.cli.console import command_line, output, print_json, shown_pat
 from robot_runner.cli.executing import execute_on_screen, read_or_not
 from robot_runner.cli.guard import SOME_FAILED
 from robot_runner.cli.parser import Parser, UsageError, add_json, add_set
-from robot_runner.cli.screens.byte_progress import byte_progress
 from robot_runner.cli.screens.ending import print_verdict
+from robot_runner.cli.screens.progress_bars import byte_progress
 from robot_runner.cli.target import only_package
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.errors import Finding, PackageError, RobotRunnerError, did_you_mean

@@ -16,7 +16,7 @@ from robot_runner.cli.console import command_line, output, print_facts, print_js
 from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.parser import Parser, UsageError, add_json
-from robot_runner.cli.screens.byte_progress import byte_progress
+from robot_runner.cli.screens.progress_bars import byte_progress
 from robot_runner.cli.target import only_package
 from robot_runner.core.words import counted, one_line
 
