@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robot_runner.measuring.own_scripts import scripts_in
+from robot_runner.core.storage.input_files import InputFile
+from robot_runner.measuring.own_scripts import script_inputs, scripts_in
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    import pytest
 
 
 def test_scripts_are_told_from_options_and_inline_programs() -> None:
@@ -21,3 +24,22 @@ def test_the_python_of_a_virtual_environment_is_no_file_of_the_experiment(tmp_pa
     python, plan = str(tmp_path / "bin" / "python"), str(tmp_path / "bin" / "plan")
     assert list(scripts_in([python, "talker.py"])) == ["talker.py"], "elsewhere it would find none of its packages"
     assert list(scripts_in([plan, "hall"])) == [plan]
+
+
+def test_a_program_that_may_be_executed_and_not_read_is_no_input(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unread, read = tmp_path / "meter", tmp_path / "planner"
+    read.touch()
+    unread.touch()
+    monkeypatch.setattr(os, "access", lambda path, _mode: path != unread)  # as for users other than root
+    assert list(script_inputs([unread, read])) == [InputFile(read)]
+
+
+def test_of_a_folder_that_is_executed_no_results_and_no_compiled_modules_are_meant(tmp_path: Path) -> None:
+    # They are written meanwhile: what runs before have read would be another file whenever the experiment goes on.
+    for name in ("__main__.py", "parts.py", "__pycache__/parts.pyc", "results/manifest.json", "results/run_table.csv"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    (found,) = script_inputs([tmp_path])
+    assert found == InputFile(tmp_path, (tmp_path / "__main__.py", tmp_path / "parts.py"))

@@ -226,7 +226,10 @@ def test_a_process_that_was_never_there_has_no_value_and_is_told_of():
     measured = Utilisation(samples, Window(0.0, 2.0), selection, SamplingReport(rate=1.0), is_simulated=False)
     assert measured.means()["CPU_talker"] is None
     assert measured.means()["CPU_core7"] is None
-    assert list(measured.doubts()) == ["no process name:talker was seen", "the computer tells of no core 7"]
+    assert list(measured.doubts()) == [
+        "no process name:talker was seen; new ones are looked for once a second",
+        "the computer tells of no core 7",
+    ]
 
 
 def test_a_process_that_ended_before_the_mission_is_told_of():

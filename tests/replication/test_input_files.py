@@ -27,6 +27,7 @@ from robot_runner.plugins.systems import PlayBag
 from robot_runner.replication.differences import missing_modules
 from robot_runner.replication.imported_packages import imported_names
 from robot_runner.ros.graph_links import GRAPH_LINKS
+from robot_runner.ros.type_catalogue import TypeCatalogue
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -237,6 +238,23 @@ def test_what_a_script_under_test_imports_is_not_asked_of_the_python_that_execut
     with kept_copies(config, tmp_path / "working"):
         (finding,) = missing_modules(tmp_path / "package", {})
     assert "the config imports numpy_of_ours" in finding.problem
+
+
+@pytest.mark.parametrize("named", ["dig_msgs-main", "dig_msgs-main/msg", "dig_msgs-main/msg/Dig.msg"])
+def test_definitions_keep_their_package_wherever_a_copy_of_them_lies(tmp_path: Path, named: str) -> None:
+    (tmp_path / "ws/dig_msgs-main/msg").mkdir(parents=True)
+    (tmp_path / "ws/dig_msgs-main/msg/Dig.msg").write_text("float64 depth\n")
+    (tmp_path / "ws/dig_msgs-main/package.xml").write_text("<package><name>dig_msgs</name></package>")
+    (tmp_path / "study").mkdir()
+    name = RobotName.parse(f"dds:types={tmp_path}/ws/{named}")
+    inputs = list(GRAPH_LINKS[name.link].input_files(name))
+    for place, content in kept_contents(inputs, tmp_path / "study", tmp_path / "kept").items():
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_bytes(content)
+    shutil.rmtree(tmp_path / "ws")
+    with kept_copies(tmp_path / "kept"):
+        (found,) = GRAPH_LINKS[name.link].input_files(name)
+        assert TypeCatalogue.of(2, extra=(input_file(found.path),)).shape("dig_msgs/Dig").names == ("depth",)
 
 
 def test_bags_and_definitions_are_named_and_a_damaged_index_is_refused(tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
+from robot_runner.replication.differences import missing_modules
 from robot_runner.replication.replicating import prepare_replication, replicated_folder
 from robot_runner.replication.run_by_run import Sameness, identical_values
 
@@ -215,6 +216,18 @@ def test_modules_from_elsewhere_are_needed_no_more(tmp_path, monkeypatch):
     shutil.rmtree(tmp_path / "elsewhere")
     _replicate(original, tmp_path / "again")
     assert identical_values(original, tmp_path / "again" / "growing") == {"Number": Sameness(runs=2, identical=2)}
+
+
+def test_modules_in_a_folder_that_the_config_adds_to_the_path_are_none_that_have_to_be_installed(tmp_path):
+    config = tmp_path / "config"
+    (config / "src" / "parts_of_it").mkdir(parents=True)
+    for name in ("words_of_it.py", "parts_of_it/__init__.py"):
+        (config / "src" / name).touch()
+    (config / "study.py").write_text(
+        "import sys\nsys.path.insert(0, 'src')\nimport parts_of_it, words_of_it, of_nobody\n"
+    )
+    (finding,) = missing_modules(tmp_path, {})
+    assert "of_nobody" in finding.problem
 
 
 def test_a_module_that_is_not_installed_is_named_before_anything_is_executed(unpacked, tmp_path):

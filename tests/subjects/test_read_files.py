@@ -124,6 +124,19 @@ def test_of_a_compose_file_what_it_names_mounts_and_builds_from_is_kept(study: P
     assert _names(ComposeProject("compose.yaml", folder=study), study) == kept
 
 
+def test_what_a_build_leaves_out_of_its_folder_is_not_kept(study: Path) -> None:
+    for name in ("bags/hall.mcap", "bags/small.mcap", "src/build/x.o", "src/server.cpp", "log1.txt", "notes/log.txt"):
+        (study / "map" / name).parent.mkdir(parents=True, exist_ok=True)
+        (study / "map" / name).write_text("")
+    (study / "map/.dockerignore").write_text(
+        "# large\n/bags/\n!bags/small.mcap\n**/build\nlog?.txt\n*.md\n[\nserver.p*\n"
+    )
+    kept = {name for name in _names(ComposeProject("compose.yaml"), study) if name.startswith("map/")}
+    assert kept == {
+        *("map/Dockerfile", "map/.dockerignore", "map/bags/small.mcap", "map/src/server.cpp", "map/notes/log.txt")
+    }
+
+
 def test_what_is_in_the_work_tree_of_a_revision_is_no_file_of_its_own(study: Path) -> None:
     revision = Revision(str(study), "v1.0")
     revision.prepare(commit="0" * 40, path=str(study))

@@ -33,7 +33,8 @@ class History:
 
     Attributes:
         attempts: `run_id`, `attempt`, `status` (done, failed, unfinished), `started_at`, `seconds`, `failure`, in the
-            order in which they were begun; `attrs["clock_was_set"]` says whether their times do not tell it.
+            order in which they were begun; `attrs["clock_was_set"]` says whether their times do not tell it, and
+            `attrs["clock_set_by"]` by how many seconds, in all, the clock was set before each began, by its label.
         events: `run_id`, `event`, `at`, `clock_s`, `since_start_s`; of the last attempt at each run.
         published: `run_id`, `measure`, `value`, `owner`, `origin`; of the last attempt at each run.
         doubts: what makes values doubtful or missing: reasons by measure, by run, of the last attempt at each run that
@@ -109,6 +110,7 @@ def told_phases(journal: Path) -> dict[str, list[tuple[str, float, float]]]:
 
 #: A clock that is set by less, s, as by an NTP daemon that steps it, leaves the times between runs what they are.
 _STEP = 1.0
+_CENTURY = 100 * 365.25 * 86_400.0  # s
 
 
 class _Told:
@@ -127,6 +129,8 @@ class _Told:
         self.is_any_done = False
         self.odd: list[Mapping[str, Any]] = []
         self.was_set = False
+        self.set_by = 0.0
+        self.begun_after: dict[Attempt, float] = {}
         self._latest = ""
         self._known: dict[Any, Any] = {}
 
@@ -141,6 +145,7 @@ class _Told:
         attempt = self._attempt(record)
         self.begun.pop(attempt, None)
         self.begun[attempt] = record["at"]
+        self.begun_after[attempt] = self.set_by
         self._look_at_clock(record["at"])
 
     def take_end(self, record: Mapping[str, Any]) -> None:
@@ -164,6 +169,8 @@ class _Told:
         self._latest = at
 
     def take_clock_set(self, record: Mapping[str, Any]) -> None:
+        if abs(record["seconds"]) < _CENTURY:  # more is a damaged record, and no time that pandas can hold
+            self.set_by += record["seconds"]
         self.was_set |= abs(record["seconds"]) > _STEP
 
     def _take_readers(self, told: object) -> None:
@@ -226,6 +233,9 @@ class _Told:
         frame["started_at"] = pd.to_datetime(frame["started_at"], utc=True, format="ISO8601")
         frame["status"] = pd.Categorical(frame["status"], ["done", "failed", "unfinished"])
         frame.attrs["clock_was_set"] = self.was_set
+        frame.attrs["clock_set_by"] = {
+            place: by for place, each in enumerate(self.begun) if (by := self.begun_after[each])
+        }
         return frame
 
     def _events(self, attempts: Iterable[Attempt], starts: Mapping[str, float]) -> pd.DataFrame:

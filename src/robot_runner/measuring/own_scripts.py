@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
-from robot_runner.core.storage.input_files import InputFile, kept_copy
+from robot_runner.core.storage.input_files import InputFile, input_file, kept_copy
 
 #: Where the system and what is installed are: whoever replicates has it of their own.
 _INSTALLED = ("/bin", "/sbin", "/lib", "/usr", "/opt", "/dev", "/proc", "/sys", "/etc", "/snap", "/nix")
@@ -53,9 +53,18 @@ def scripts_in(words: Sequence[str]) -> Iterator[str]:
             return
 
 
-def script_input(path: Path) -> InputFile:
-    """Return a program or a script as an input, with the modules beside it that it imports."""
-    return with_named(path, modules_beside)
+def script_inputs(paths: Iterable[Path]) -> Iterator[InputFile]:
+    """Yield programs and scripts as inputs, with the modules beside them that they import.
+
+    A program that its user may execute and not read cannot be kept, and is passed over.
+    """
+    for path in paths:
+        found = input_file(path)
+        # A folder is of Python's or Node's: what is compiled there meanwhile is none of it.
+        if os.path.isdir(found):  # noqa: PTH112 - false of a name that no path can have
+            yield InputFile(path, tuple(files_below(found)))
+        elif os.access(found, os.R_OK):
+            yield with_named(path, modules_beside)
 
 
 def with_named(path: Path, look: Callable[[Path], Iterable[Path]]) -> InputFile:

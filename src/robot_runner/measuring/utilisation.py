@@ -141,7 +141,7 @@ class Utilisation:
             if kind == "subject" and name not in started:
                 continue
             if self.samples and not self._was_seen(place):
-                yield f"no process {selector} was seen"
+                yield f"no process {selector} was seen; new ones are looked for once a second"
             elif self.samples and not self._was_seen(place, within=self.window):
                 yield f"no process {selector} was there in the measured window, only before or after it"
         for core in self.selection.cores:

@@ -19,7 +19,7 @@ from robot_runner.core.storage.input_files import InputFile, kept_copy
 from robot_runner.measuring.evaluation import publish_measures
 from robot_runner.measuring.measured_machine import clock_details, machine_clock
 from robot_runner.measuring.meter_process import Ending, MeterProcess, Record
-from robot_runner.measuring.own_scripts import script_input, scripts_in
+from robot_runner.measuring.own_scripts import script_inputs, scripts_in
 from robot_runner.measuring.quality import Column, SampleQuality, quality_of, report_quality, write_samples
 from robot_runner.meters.command_output import (
     Aggregate,
@@ -158,7 +158,7 @@ class CommandProfiler(Profiler):
 
     def input_files(self) -> Iterable[InputFile]:
         """Yield the program where it is one of the user's own, and a script that an interpreter executes."""
-        return (script_input(Path(script)) for script in scripts_in(self.command))
+        return script_inputs(map(Path, scripts_in(self.command)))
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Forget the run before."""

@@ -188,7 +188,8 @@ def missing_modules(root: Path, manifest: Mapping[str, Any]) -> list[Finding]:
         OSError: a file of the config cannot be read.
     """
     config = root / "config"
-    local = {path.relative_to(config).parts[0].removesuffix(".py") for path in config.rglob("*.py")}
+    # In folders, too, which the config may add to the path: what is missing all the same is told when it is imported.
+    local = {part.removesuffix(".py") for path in config.rglob("*.py") for part in path.relative_to(config).parts}
     # `plugins` is what the paper's configs import, and is there while a config is loaded.
     findings, seen = [], {*local, *stand_in_modules(), "plugins", *sys.stdlib_module_names, "robot_runner"}
     for plugin in manifest.get("plugins", ()):

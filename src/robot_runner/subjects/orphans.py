@@ -25,7 +25,8 @@ def end_orphans(folder: Path) -> None:
 
     What has become another user, or was started without the environment, stays.
     """
-    assignment = f"{_VARIABLE}={mark_of(folder)[_VARIABLE]}".encode()
+    # As the system has it, whatever a folder is called.
+    assignment = os.fsencode(f"{_VARIABLE}={mark_of(folder)[_VARIABLE]}")
     deadline = time.monotonic() + _DYING
     while (left := [pid for pid in processes() if has_in_environment(pid, assignment)]) and time.monotonic() < deadline:
         for pid in left:

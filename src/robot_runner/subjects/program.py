@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.events.measure import Measure, Origin
-from robot_runner.measuring.own_scripts import script_input, scripts_in
+from robot_runner.measuring.own_scripts import script_inputs, scripts_in
 from robot_runner.subjects.subject import Subject
 from robot_runner.subjects.surroundings import holds_revision, is_known, word
 
@@ -85,7 +85,7 @@ class Program(Subject):
         """Yield the program where it is one of the user's own, and a script that an interpreter executes."""
         if not holds_revision(self.command):
             paths = map(self.surroundings.own_path, scripts_in(self.words()))
-            yield from (script_input(path) for path in paths if path is not None)
+            yield from script_inputs(path for path in paths if path is not None)
 
     def may_end(self, ended: Ended) -> bool:
         """Whether it may end with this exit code by itself."""

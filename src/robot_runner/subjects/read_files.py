@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
 from pathlib import Path
+from types import MappingProxyType
 
 from robot_runner.core.storage.input_files import InputFile, fits, kept_copy
 from robot_runner.measuring.own_scripts import files_below, is_file, is_installed, modules_beside, text_of, with_named
@@ -25,6 +26,11 @@ _NAMING = _YAML | {".launch", ".xml", ".py", ".urdf", ".xacro"}
 _HERE = re.compile(r"\$\((?:dirname|var __file__)\)/")
 _BUILD = re.compile(r"(?:^|[\s{,])(build|context|dockerfile)[ \t]*:[ \t]*[\"']?([^\s\"'#{},]+)", re.MULTILINE)
 _COPY = re.compile(r"^\s*(?:COPY|ADD)\s+(.+)$", re.IGNORECASE | re.MULTILINE)
+
+#: What stands for other characters in `.dockerignore`, as regular expressions. Ranges are none here: a file too many
+#: does no harm.
+_WILD = MappingProxyType({"**/": "(?:.*/)?", "**": ".*", "*": "[^/]*", "?": "[^/]"})
+_PARTS = re.compile(r"\*\*/|\*\*|.", re.DOTALL)
 
 
 def is_own_setup(path: Path) -> bool:
@@ -90,12 +96,34 @@ def _of_compose(path: Path) -> Iterator[Path]:
 def _built_from(context: Path, recipe: str) -> Iterator[Path]:
     """Yield the recipe of an image, and what it copies from the folder that it is built in."""
     yield from filter(is_file, [context / recipe, context / ".dockerignore"])
+    is_left_out = _left_out(context)
     joined = text_of(context / recipe).replace("\\\n", " ")
     for words in (_PLAIN.findall(each) for each in _COPY.findall(joined)):
         if any(each.startswith("--from") for each in words):
             continue
         for source in [each for each in words if not each.startswith("--")][:-1]:
-            yield from _copied(context, source.lstrip("/"))
+            yield from (each for each in _copied(context, source.lstrip("/")) if not is_left_out(each))
+
+
+def _left_out(context: Path) -> Callable[[Path], bool]:
+    """Return what tells whether a build leaves out a file of its folder, by `.dockerignore`: its last word counts.
+
+    Source: docs.docker.com, "Build context", ".dockerignore files".
+    """
+    rules: list[tuple[bool, re.Pattern[str]]] = []
+    for line in map(str.strip, text_of(context / ".dockerignore").splitlines()):
+        pattern = line.lstrip("!").strip("/")
+        if pattern and not line.startswith("#"):
+            expression = "".join(_WILD.get(each) or re.escape(each) for each in _PARTS.findall(pattern))
+            rules.append((not line.startswith("!"), re.compile(expression, re.DOTALL)))
+
+    def is_left_out(file: Path) -> bool:
+        place = Path(os.path.relpath(file, context))
+        names = [each.as_posix() for each in (place, *place.parents[:-1])]  # what is in a folder goes with it
+        said = [leaves for leaves, expression in rules if any(map(expression.fullmatch, names))]
+        return bool(said) and said[-1]
+
+    return is_left_out
 
 
 def _copied(context: Path, source: str) -> Iterator[Path]:

@@ -22,6 +22,7 @@ from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.hypothesis import Hypothesis
 from robot_runner.core.design.outliers import Outliers
 from robot_runner.core.design.run_table_model import RunTableModel
+from robot_runner.core.errors import AnalysisError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -222,3 +223,14 @@ def test_values_that_do_not_vary_find_nothing() -> None:
     simulation = Simulation(study, scenario_of(study, "Task=1.2", sd="0"), repetitions, seed=(1,))
     [found] = simulation.found(0, 2).values()
     assert not found.any()
+
+
+def test_the_search_begins_with_the_fewest_repetitions_of_which_there_is_a_test() -> None:
+    study = study_of([TASK], AnalysisPlan("Energy", estimand=Estimand.RANK))
+    answer = search_repetitions(study, scenario_of(study, "Task=9"), Search(last=6, simulations=20))
+    assert answer.points[0].repetitions == 4
+    assert answer.needed is not None
+    assert answer.needed.low >= 4
+    assert "it takes 4 runs of each treatment" in answer.too_few
+    with pytest.raises(AnalysisError, match="with 3 repetitions nothing can be tested"):
+        search_repetitions(study, scenario_of(study, "Task=9"), Search(last=3))

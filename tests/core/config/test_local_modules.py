@@ -162,6 +162,39 @@ def test_what_stands_in_for_a_module_keeps_nothing_of_the_one_it_stands_in_for(
     assert places(config / "config.py") == {}
 
 
+@pytest.mark.parametrize("answers", ["raise AttributeError(name)", "return 1"])
+def test_a_module_that_puts_an_object_in_its_own_place_is_kept(tmp_path: Path, answers: str) -> None:
+    text = f"""
+import sys
+class Settings:
+    def __getattr__(self, name):
+        {answers}
+sys.modules[__name__] = Settings()
+"""
+    head = CONFIG.format(elsewhere=str(tmp_path / "elsewhere"), module="settings_of_it, settings_of_all")
+    written(tmp_path, {"elsewhere/settings_of_all.py": text, "study/settings_of_it.py": text, "study/config.py": head})
+    assert places(tmp_path / "study" / "config.py").keys() == {"settings_of_all.py", "settings_of_it.py"}
+
+
+def test_a_module_that_another_package_imports_late_and_in_vain_is_none_of_a_config_s(
+    write_config: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Late:
+        def __getattr__(self, name: str) -> None:
+            raise ModuleNotFoundError(name)
+
+    monkeypatch.setitem(sys.modules, "moved_modules_of_others", Late())  # as a notebook may have some
+    assert local_modules_among(write_config(), {"moved_modules_of_others"}) == {}
+
+
+def test_modules_in_a_folder_that_is_called_like_a_module_of_pythons_are_kept(tmp_path: Path) -> None:
+    files = {"code/parts_of_this/__init__.py": "", "code/parts_of_this/leaf.py": ""}
+    late = {"code/parts_of_this/late.py": "def grow():\n    from . import leaf\n"}
+    head = CONFIG.format(elsewhere=str(tmp_path / "code"), module="code, parts_of_this.late")
+    config = written(tmp_path, files | late | {"config.py": head}) / "config.py"
+    assert places(config).keys() == (files | late).keys()
+
+
 def test_what_is_installed_is_not_kept(tmp_path: Path) -> None:
     installed = written(tmp_path / "venv" / "site-packages", {"of_an_installer.py": ""})
     config = written(

@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
 
 import pytest
 
+from robot_runner.core.execution.clock_jumps import ClockJumps
 from robot_runner.core.execution.experiment_status import read_status
 
 Execute = Callable[..., Any]
@@ -91,6 +93,21 @@ def test_the_journal_tells_by_how_much_a_clock_was_set_and_a_setting_is_told_onc
     assert told(executed) == [("r_2, clocks", problem)]
     status = read_status(executed.folder)
     assert [each.problem for each in status.findings] == [problem]
+
+
+def test_a_clock_that_is_steered_by_itself_was_not_set_however_long_an_experiment_takes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # As that of macOS: the steady clock does not go with it.
+    real, steered = time.clock_gettime, 0.0
+    monkeypatch.setattr(time, "clock_gettime", lambda clock: real(clock) + steered * (clock == time.CLOCK_REALTIME))
+    jumps = ClockJumps()
+    for _ in range(20):
+        steered += 0.02  # in a run
+        assert jumps.taken_setting() == 0.0
+    steered += 60.0
+    assert jumps.taken_setting() == pytest.approx(60.0, abs=0.1)
+    assert jumps.taken_setting() == 0.0
 
 
 @pytest.mark.long

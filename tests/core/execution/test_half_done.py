@@ -154,6 +154,17 @@ def test_a_lock_that_is_removed_while_a_run_lasts_is_put_back_and_told(execute: 
     assert "locked anew" in finding.problem
 
 
+def test_an_experiment_whose_folder_is_moved_tells_that_and_not_what_cannot_be_written_there(
+    write_config: Write,
+) -> None:
+    config = write_config(
+        "def launch_mission(self, context):\n"
+        "    context.experiment_folder.rename(context.experiment_folder.with_name('moved'))"
+    )
+    with pytest.raises(ExecutionError, match="moved or renamed while it was executed"):
+        resume(config)
+
+
 def test_an_experiment_that_somebody_else_has_gone_on_with_executes_no_further_run(write_config: Write) -> None:
     config = write_config(
         "def populate_run_data(self, context):\n"

@@ -6,6 +6,7 @@ import os
 import re
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -21,7 +22,7 @@ from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.early_end import MissionStopped, RunFailed
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.failures import failure_fields
-from robot_runner.core.execution.interruption import stop_signals_handled
+from robot_runner.core.execution.interruption import InterruptGate, stop_signals_handled
 from robot_runner.core.execution.notices import AttemptFinished, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.processes import forked, leave_after
@@ -565,5 +566,27 @@ def test_a_stop_signal_that_was_blocked_when_the_program_began_is_heard() -> Non
             os.kill(os.getpid(), signal.SIGTERM)
             assert taken == [signal.SIGTERM]
         assert signal.SIGTERM in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def test_a_thread_ends_a_mission_also_where_the_signal_that_tells_was_blocked_when_the_program_began() -> None:
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGURG})
+    gate, begun = InterruptGate(), threading.Event()
+
+    def end() -> None:
+        begun.wait()
+        gate.end_run(RunFailed("too hot"))
+
+    def mission() -> None:
+        gate.arm(is_mission=True)
+        begun.set()
+        time.sleep(5.0)
+
+    try:
+        threading.Thread(target=end, daemon=True).start()
+        with gate.woken_by_threads(), pytest.raises(RunFailed, match="too hot"):
+            mission()
+        assert signal.SIGURG in signal.pthread_sigmask(signal.SIG_BLOCK, ())
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)

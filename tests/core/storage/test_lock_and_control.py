@@ -124,6 +124,19 @@ def test_an_experiment_that_is_moved_while_it_is_executed_does_not_go_on_in_two_
     assert '"paused"' in (there / "journal.jsonl" if there.is_dir() else there).read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize("number", [errno.ESTALE, errno.EACCES, errno.EIO])
+def test_a_journal_whose_path_cannot_be_looked_at_was_not_moved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def refuse(path: Path, **_: object) -> None:
+        raise OSError(number, os.strerror(number), str(path))  # as a share of a network may
+
+    with Journal(tmp_path / "journal.jsonl") as journal:
+        for look in ("stat", "lstat"):
+            monkeypatch.setattr(Path, look, refuse)
+        assert journal.moved_to == ""
+
+
 def test_who_executes_an_experiment_whose_lock_was_removed_is_told(tmp_path: Path) -> None:
     path = tmp_path / ".lock"
     with ExperimentLock(path) as lock, Journal(tmp_path / "journal.jsonl") as journal:

@@ -18,7 +18,7 @@ from robot_runner.analysis.planning.assumed_values import (
 )
 from robot_runner.analysis.planning.pilot_values import Pilot, pilot_values
 from robot_runner.analysis.planning.power_search import Found, PowerPoint, ScenarioPower, Search, search_repetitions
-from robot_runner.analysis.wording import shown_level
+from robot_runner.analysis.wording import sentence, shown_level
 from robot_runner.core.design.analysis_plan import Family
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.words import counted, enumerated
@@ -229,6 +229,7 @@ def _notes(study: Study, measures: Sequence[str], pilot: Pilot | None, found: Se
     if pilot is not None:
         yield from pilot.notes
         yield from dict.fromkeys(note for each in found for note in pilot.on_spreads(each.scenario.measures))
+    yield from dict.fromkeys(sentence(each.too_few) for each in found if each.too_few)
     if study.plan is None:
         yield "The config has no analysis plan: each measure's effects are a family at 5 %, corrected after Holm."
     if len(measures) > 1:

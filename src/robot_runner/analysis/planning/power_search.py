@@ -97,6 +97,7 @@ class ScenarioPower:
         sought: which of them are to be found, by their places.
         points: by number of repetitions.
         needed: None where no number in the range suffices.
+        too_few: why the first numbers of the range were passed over: of so few runs there is no test; else empty.
     """
 
     scenario: Scenario
@@ -104,6 +105,7 @@ class ScenarioPower:
     sought: tuple[int, ...]
     points: tuple[PowerPoint, ...]
     needed: Needed | None
+    too_few: str = ""
 
     def point(self, repetitions: int) -> PowerPoint:
         """Return what so many repetitions find."""
@@ -138,10 +140,10 @@ def search_repetitions(
     """Find the fewest repetitions that suffice, and the power of others around them.
 
     Raises:
-        AnalysisError: nothing that is sought is tested, or no test can be made of so few runs.
+        AnalysisError: nothing that is sought is tested, or no test can be made of as many runs as there may be.
     """
     curve = _Curve(study, scenario, search, progress)
-    for repetitions in _spread(search.first, search.last, _POINTS_OF_MODELS if curve.is_slow else _POINTS):
+    for repetitions in _spread(curve.first, search.last, _POINTS_OF_MODELS if curve.is_slow else _POINTS):
         curve.grow(repetitions, curve.fewest)
     target = search.power
     needed = curve.first_where(lambda found: found.share >= target)
@@ -149,7 +151,8 @@ def search_repetitions(
         low = curve.first_where(lambda found: found.interval[1] >= target)
         high = curve.first_where(lambda found: found.interval[0] >= target)
         answer = Needed(needed, min(needed, low or needed), None if high is None else max(needed, high))
-    return ScenarioPower(scenario, curve.claims, curve.sought, curve.points(), None if needed is None else answer)
+    points, answered = curve.points(), None if needed is None else answer
+    return ScenarioPower(scenario, curve.claims, curve.sought, points, answered, curve.too_few)
 
 
 def _spread(first: int, last: int, count: int) -> list[int]:
@@ -165,6 +168,20 @@ class _Curve:
         self._simulations: dict[int, Simulation] = {}
         self._counts: dict[int, tuple[int, ...]] = {}
         self._done: dict[int, int] = {}
+        self.too_few = ""
+
+    @cached_property
+    def first(self) -> int:
+        """The fewest repetitions of which a test can be made: of ranks it takes four runs of each of two treatments."""
+        self._simulation(self._search.last)  # where there is no test of most runs either, that is what is told
+        for repetitions in range(self._search.first, self._search.last):
+            try:
+                self._simulation(repetitions)
+            except AnalysisError as error:
+                self.too_few = error.problem
+            else:
+                return repetitions
+        return self._search.last
 
     @cached_property
     def claims(self) -> tuple[Claim, ...]:
@@ -241,7 +258,7 @@ class _Curve:
 
     def first_where(self, suffices: Callable[[Found], bool]) -> int | None:
         """Return the fewest repetitions that suffice, by bisection; None where not even the last does."""
-        below, above = self._search.first - 1, self._search.last
+        below, above = self.first - 1, self._search.last
         if not suffices(self.settled(above)):
             return None
         while above - below > 1:

@@ -11,11 +11,12 @@ import hashlib
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 from importlib.machinery import PathFinder
 from pathlib import Path
+from types import ModuleType
 from urllib.parse import unquote, urlsplit
 
 from robot_runner.core.config.source import tree_of
@@ -39,14 +40,23 @@ def local_modules_among(config: Path, names: set[str]) -> dict[Path, Path]:
     """
     folder = config.parent
     # `multiprocessing` calls the program `__mp_main__`: it may lie below the config's folder, and is no part of it.
-    files = {getattr(sys.modules.get(name), "__file__", None) for name in names - {"__mp_main__"}}
-    loaded = {path for path in (_without_dots(file) for file in files if file) if is_local(path, folder)}
+    files = {_file_of(sys.modules.get(name)) for name in names - {"__mp_main__"}}
+    loaded = {path for path in files if path is not None and is_local(path, folder)}
     found = imported_files({path: path.relative_to(folder) for path in (config, *loaded)}, folder)
     del found[config]
     return dict(sorted(found.items()))
 
 
-def _without_dots(path: str) -> Path:
+def _file_of(module: object) -> Path | None:
+    """Return the file of a module; none of what has been put in a module's place and answers to every name."""
+    try:
+        file = getattr(module, "__file__", None)
+    except Exception:  # noqa: BLE001 - a stranger's code: a package may import its own modules only here, and in vain
+        return None
+    return _without_dots(file) if isinstance(file, str | os.PathLike) else None
+
+
+def _without_dots(path: str | os.PathLike[str]) -> Path:
     """Return a path in which no folder is named by dots, as where a config extends `sys.path` by `<its folder>/..`."""
     return Path(os.path.abspath(path))  # noqa: PTH100 - links are kept
 
@@ -102,9 +112,10 @@ def imported_files(files: Mapping[Path, Path], folder: Path) -> dict[Path, Path]
     while unread:
         path = unread.pop()
         for each, place in _imported_by(path, found[path], lambda top: beside if _is_known(top) else roots):
-            if not _is_meant(each, place):
+            is_here = is_local(each, folder)
+            if not _is_meant(each, place, is_here=is_here):
                 continue
-            if is_local(each, folder):
+            if is_here:
                 place = each.relative_to(folder)  # noqa: PLW2901 - where it stands, whatever root it was found by
             elif each.suffix != ".py" or not _is_elsewhere(each) or place in places:
                 continue  # what stands beside the config is imported before what is called the same
@@ -115,22 +126,26 @@ def imported_files(files: Mapping[Path, Path], folder: Path) -> dict[Path, Path]
     return found
 
 
-def _is_meant(path: Path, place: Path) -> bool:
+def _is_meant(path: Path, place: Path, *, is_here: bool) -> bool:
     """Whether a file is what is imported by this name: not where other modules stand in for an earlier tool's."""
     root, top = path.parents[len(place.parts) - 1], place.parts[0].removesuffix(".py")
     named = place.parent if place.name == _PACKAGE else place.with_suffix("")
     module = sys.modules.get(".".join(named.parts))
     if module is not None:
-        file = getattr(module, "__file__", None)
-        return file is not None and _without_dots(file) == path
+        file = _file_of(module)
+        # An object without a file is what the module itself has put in its place: `sys.modules[__name__] = Settings()`.
+        return file == path if file is not None else type(module) is not ModuleType
     package = sys.modules.get(top)
-    return package is None or root / top in map(_without_dots, getattr(package, "__path__", ()))
+    folders = getattr(package, "__path__", None)
+    if not isinstance(folders, Iterable):  # no package: Python's own `code`, called like a folder here by chance
+        return package is None or is_here
+    return root / top in map(_without_dots, folders)
 
 
 def _is_known(top: str) -> bool:
     """Whether a module is Python's own, or was imported from where it is installed: nobody looks for it elsewhere."""
-    file = getattr(sys.modules.get(top), "__file__", None)
-    return top in sys.stdlib_module_names or (file is not None and _is_installed(Path(file)))
+    file = _file_of(sys.modules.get(top))
+    return top in sys.stdlib_module_names or (file is not None and _is_installed(file))
 
 
 def _imported_by(path: Path, place: Path, roots_of: Callable[[str], Sequence[str]]) -> Iterator[tuple[Path, Path]]:

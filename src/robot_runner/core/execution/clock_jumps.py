@@ -52,11 +52,13 @@ class ClockJumps:
         return _real(_ahead().can_be_set - self._before.can_be_set)
 
     def taken_setting(self) -> float:
-        """Return by how much the clock of time stamps was set since this was asked last, s."""
+        """Return by how much the clock of time stamps was set since this was asked last, s.
+
+        What is less than counts is forgotten: where it is steered without the others (macOS), that adds up in hours.
+        """
         now = _ahead()
         seconds = _real(now.can_be_set - self._before.can_be_set)
-        if seconds:
-            self._before = now
+        self._before = now
         return seconds
 
 

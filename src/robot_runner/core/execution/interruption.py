@@ -126,11 +126,13 @@ class InterruptGate:
             yield
             return
         earlier = signal.signal(_WAKE, lambda _number, _frame: self._raise_request())
+        mask = signal.pthread_sigmask(signal.SIG_UNBLOCK, {_WAKE})  # blocked, perhaps, by who started us
         self._is_listening = True
         try:
             yield
         finally:
             self._is_listening = False
+            signal.pthread_sigmask(signal.SIG_BLOCK, mask & {_WAKE})
             signal.signal(_WAKE, earlier)
 
     def arm(self, *, is_mission: bool = False) -> None:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.config.treatment_makers import PREPARED, known_treatments
 from robot_runner.core.design.batches import described_design
+from robot_runner.core.errors import StorageError
 from robot_runner.core.execution.begun_experiment import begun_manifest, made_folder, refuse_unfit_treatments
 from robot_runner.core.execution.circumstances import keep_config
 from robot_runner.core.execution.deciding import Deciding, Growth
@@ -138,7 +139,9 @@ class ProgressManager:
         with self._resources:
             for slot in self._folder.used_slots():
                 drop_empty_log(self._folder.at_slot(slot))
-            self._file.bring_up_to_date()
+            # What ended the experiment is told, and not that its folder cannot be written since.
+            with nullcontext() if raised[0] is None else suppress(StorageError):
+                self._file.bring_up_to_date()
 
     @property
     def seed(self) -> int:
@@ -303,7 +306,7 @@ class ProgressManager:
         Returns:
             what it shows about the runs that follow.
         """
-        self._findings += self._lock.look_after(self._journal)  # of what lies in two places now, nothing is done
+        self._lock.refuse_moved(self._journal)  # a run of which some lies there and some here is not done
         if task.slot:
             keep_log(self._folder.at_slot(task.slot), task.run_id)
             self._findings += large_log(self._folder.log(task.run_id))

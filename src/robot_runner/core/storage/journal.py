@@ -115,7 +115,14 @@ class Journal:
     @property
     def moved_to(self) -> str:
         """Where the file is now, if somebody has moved or renamed it or its folder since; empty if nobody has."""
-        if self._path.exists() or os.fstat(self._descriptor).st_nlink == 0:
+        try:
+            self._path.lstat()
+        except (FileNotFoundError, NotADirectoryError):
+            if os.fstat(self._descriptor).st_nlink == 0:
+                return ""
+        except OSError:  # of a folder that cannot be looked at, as on a network, that is not known
+            return ""
+        else:
             return ""
         try:
             return os.readlink(f"/proc/self/fd/{self._descriptor}")  # noqa: PTH115 - a text

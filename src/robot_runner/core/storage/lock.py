@@ -66,9 +66,8 @@ class ExperimentLock:
     def look_after(self, journal: Journal) -> list[Finding]:
         """Check that the locked file is still the one that others see, and take the lock again if it is not.
 
-        Somebody may have removed it, by hand or by `git clean`, and so let a second orchestrator in; or have moved the
-        folder, so that the journal is there and what runs write is here. Asked before and after each run, it finds that
-        out at the latest when the run is over that was executed meanwhile.
+        Somebody may have removed it, by hand or by `git clean`, and so let a second orchestrator in. Asked before each
+        run, it finds that out at the latest when the run is over that was executed meanwhile, and is recorded.
 
         Returns:
             what there is to tell.
@@ -78,12 +77,7 @@ class ExperimentLock:
                 was moved.
             StorageError: it cannot be locked.
         """
-        if there := journal.moved_to:
-            raise ExecutionError(
-                f"the experiment was moved or renamed while it was executed: its journal is {there}",
-                where=str(self._path.parent),
-                fix="Move it back, with what has come to lie here since, and start the experiment again: it resumes.",
-            )
+        self.refuse_moved(journal)
         if is_at(self._descriptor, self._path):
             return []
         where, problem = str(self._path.parent), f"{self._path.name} was removed while the experiment was executed"
@@ -97,6 +91,19 @@ class ExperimentLock:
             problem += ", and another process has executed it since"
             raise ExecutionError(problem, where=where, fix=f"Leave that file alone, and {again}.")
         return [Finding.warning(where, f"{problem}: it is locked anew", "Leave that file alone: it keeps others out.")]
+
+    def refuse_moved(self, journal: Journal) -> None:
+        """Check that nobody has moved the experiment: the journal is there then, and what runs write is here.
+
+        Raises:
+            ExecutionError: somebody has.
+        """
+        if there := journal.moved_to:
+            raise ExecutionError(
+                f"the experiment was moved or renamed while it was executed: its journal is {there}",
+                where=str(self._path.parent),
+                fix="Move it back, with what has come to lie here since, and start the experiment again: it resumes.",
+            )
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
