@@ -236,7 +236,7 @@ def test_a_type_that_nobody_knows_is_named_and_the_rest_can_be_played(tmp_path, 
             database.execute("DELETE FROM message_definitions")
     ((problem, fix),) = problems(path)
     assert problem == "nobody knows the type my_msgs/Note of /note: the bag holds no definition"
-    assert fix.startswith("Leave /note out (topics=...)")
+    assert fix.startswith("Leave /note out: topics=['/scan']")
     assert problems(path, topics=["/scan"]) == []
     assert play(path, topics=["/scan"])[1].measures["PlayedMessages"] == 20
 

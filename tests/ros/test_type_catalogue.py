@@ -188,6 +188,22 @@ def test_a_file_is_enough_and_its_folder_names_the_package(tmp_path):
     assert TypeCatalogue.of(1, extra=(file,)).shape("my_robot/Wheel").names == ("speed",)
 
 
+@pytest.mark.parametrize("place", ["robot_msgs-main/msg/Wheel.msg", "robot_msgs-main/Wheel.msg"])
+def test_a_package_in_a_folder_of_another_name_is_called_as_its_package_xml_says(tmp_path, place):
+    file = _written(tmp_path, place, "float32 speed\n")
+    _written(tmp_path, "robot_msgs-main/package.xml", "<package>\n  <name>robot_msgs</name>\n</package>\n")
+    for extra in (file, tmp_path):
+        assert TypeCatalogue.of(2, extra=(extra,)).shape("robot_msgs/Wheel").names == ("speed",)
+
+
+@pytest.mark.parametrize("folder", ["robot_msgs-main", "3robots"])
+def test_a_folder_that_cannot_be_the_name_of_a_package_is_told(tmp_path, folder):
+    _written(tmp_path, f"{folder}/msg/Wheel.msg", "float32 speed\n")
+    with pytest.raises(LinkError, match=f"{folder!r} is no name of a package") as refused:
+        TypeCatalogue.of(2, extra=(tmp_path,))
+    assert "package.xml" in refused.value.fix
+
+
 def test_a_type_of_the_distribution_may_be_given_again_by_its_own_file(tmp_path):
     text = "# of constants only\nuint8 PARAMETER_NOT_SET=0\nuint8 PARAMETER_BOOL=1\n"
     _written(tmp_path, "rcl_interfaces/msg/ParameterType.msg", text)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from contextlib import nullcontext
 
+import mujoco
 import pytest
 
 from robot_runner.core.errors import LinkError
@@ -191,6 +192,25 @@ def test_what_drives_a_joint_over_a_gear_takes_what_is_meant_at_the_joint(simula
     state = last(simulation, link, "joint_states", after=3.0)
     assert state["position"][0] == pytest.approx(0.8, abs=0.1)
     assert state["velocity"][1] == pytest.approx(0.5, abs=0.1)  # 0.5 N m against a damping of 1 N m s/rad
+
+
+@pytest.mark.skipif(not hasattr(mujoco.MjModel, "actuator_ctrlnum"), reason="actuators take one value each")
+def test_an_actuator_that_takes_several_values_moves_none_of_the_others(simulate):
+    # Since MuJoCo 4 a DC motor may take a position and a speed: what it is given counts among the values of all.
+    motor = '<dcmotor joint="shoulder" motorconst="1" resistance="1" input="pos vel" controller="10 0 5"/>'
+    simulation, link = simulate(f'{ARM[: ARM.index("<position")]}{motor}<motor joint="elbow"/></actuator></mujoco>')
+    link.publish("joint_commands", "sensor_msgs/JointState", {"name": ["elbow"], "effort": [0.5]})
+    state = last(simulation, link, "joint_states", after=3.0)
+    assert state["velocity"][1] == pytest.approx(0.5, abs=0.1)
+    with pytest.raises(LinkError, match="'shoulder' is no joint of the model that is driven"):
+        link.publish("joint_commands", "sensor_msgs/JointState", {"name": ["shoulder"], "effort": [0.5]})
+
+
+def test_a_muscle_takes_no_position_whatever_its_numbers_are(simulate):
+    muscle = '<muscle joint="elbow" lengthrange="-3 3"/>'
+    _, link = simulate(f"{ARM[: ARM.index('<position')]}{muscle}</actuator></mujoco>")
+    with pytest.raises(LinkError, match="'elbow' is driven by its effort, and none is given"):
+        link.publish("joint_commands", "sensor_msgs/JointState", {"name": ["elbow"], "position": [0.5]})
 
 
 def test_the_ground_truth_is_the_pose_and_the_motion_of_the_robot_itself(simulate):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
@@ -19,6 +20,7 @@ from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.storage.input_files import InputFile, input_file
 from robot_runner.core.words import enumerated
+from robot_runner.ros.definition_files import SUFFIXES, naming_files
 from robot_runner.ros.graph_clock import GraphClock
 
 if TYPE_CHECKING:
@@ -41,8 +43,6 @@ def check_installed(packages: Iterable[str], *, way: str, extra: str) -> None:
         raise LinkError(problem, where="robot", fix=f"Install it: pip install 'robot-runner[{extra}]'.")
 
 
-#: What a file of definitions is called.
-DEFINITIONS = (".msg", ".srv", ".action")
 _CLOCK = "clock"
 _SYSTEM = "system"
 _GRAPH = "graph"
@@ -92,8 +92,11 @@ class GraphLinkKind:
         """Return the definitions of messages that its options name."""
         query = (name.address or "").partition("?")[2]
         for path in _definitions(dict(parse_qsl(query)) if query else name.options):
-            inside = input_file(path).rglob("*.*")
-            yield InputFile(path, tuple(each for each in inside if each.suffix in DEFINITIONS))
+            there = input_file(path)
+            inside = [each for each in there.rglob("*.*") if each.suffix in SUFFIXES]
+            with suppress(LinkError):  # that there are none is told where they are read
+                inside += naming_files(there)
+            yield InputFile(path, tuple(inside))
 
     def preload(self, name: RobotName) -> None:
         """Import the client library; nothing is opened."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -11,13 +11,18 @@ from typing import Any, NamedTuple, Self
 from robot_runner.core.errors import PluginError, did_you_mean, nearest
 from robot_runner.core.links.robot import Encoding, Message, Qos
 from robot_runner.core.storage.input_files import input_file
+from robot_runner.core.words import counted
 from robot_runner.ros.message_codec import MessageCodec
+from robot_runner.ros.opened_bag import OpenedBag
 from robot_runner.ros.qos_policies import Policies
 from robot_runner.ros.shapes import plain_type
 
-_INSTALL = "Install it: pip install 'robot-runner[bag]'."
 _SUFFIXES = (".bag", ".mcap", ".db3")
 _METADATA = "metadata.yaml"
+#: How what stands for a file of Git LFS begins (github.com/git-lfs/git-lfs, docs/spec.md).
+_POINTER = b"version https://git-lfs"
+#: So many topics are written out in a fix at most.
+_FEW = 8
 _LOOK = "Record it anew, or look at it with `ros2 bag info` or `rosbag info`; `rosbag reindex` mends some."
 #: The fields of a header in ROS 1; ROS 2 has no `seq`.
 _ROS1_HEADER = frozenset({"seq", "stamp", "frame_id"})
@@ -74,16 +79,11 @@ class RecordedBag:
 
     def __init__(self, path: Path) -> None:
         self.path = bag_at(path)
-        self._opened = ExitStack()
-        reader, known = _rosbags()
         with _told_as_broken(self.path):
-            self._reader: Any = self._opened.enter_context(reader([self.path], default_typestore=known))
-        self.encoding = Encoding.CDR if self._reader.is2 else Encoding.ROS1
-        self._codec = MessageCodec(self._reader.typestore, signed_bytes=self.encoding is Encoding.ROS1)
-        self.count: int = self._reader.message_count
-        # rosbags' end lies one nanosecond behind the last message.
-        self.begin_ns: int = self._reader.start_time if self.count else 0
-        self.end_ns: int = self._reader.end_time - 1 if self.count else 0
+            self._bag = OpenedBag(self.path)
+        self.encoding = self._bag.encoding
+        self._codec = MessageCodec(self._bag.store, signed_bytes=self.encoding is Encoding.ROS1)
+        self.count, self.begin_ns, self.end_ns = self._bag.count, self._bag.begin_ns, self._bag.end_ns
         self.topics: Mapping[str, RecordedTopic] = {each.name: each for each in self._described()}
 
     def __enter__(self) -> Self:
@@ -109,7 +109,7 @@ class RecordedBag:
 
     def close(self) -> None:
         """Close the file; closing twice does nothing."""
-        self._opened.close()
+        self._bag.close()
 
     def chosen(self, names: Sequence[str] | None) -> list[RecordedTopic]:
         """Return the topics of these names, all that have messages where none are named.
@@ -118,6 +118,9 @@ class RecordedBag:
             PluginError: it has no such topic, or none that can be read; all that are wrong are its findings.
         """
         there = {name: topic for name, topic in self.topics.items() if topic.count}
+        if not there and self.count:
+            problem = f"the bag has {counted(self.count, 'message')}, but its index tells of no topic"
+            raise PluginError(problem, where=str(self.path), fix=_LOOK)
         if not there:
             raise PluginError("the bag has no messages", where=str(self.path), fix="Record it anew.")
         faults = []
@@ -127,9 +130,11 @@ class RecordedBag:
                 problem = f"the bag has no messages on {name!r}"
                 faults.append(PluginError(problem, where=str(self.path), fix=near))
         topics = [there[name] for name in (names or there) if name in there]
+        left = [topic.name for topic in topics if not topic.problem]
         for topic in topics:
             if topic.problem:
-                fix = f"Leave {topic.name} out (topics=...), or record a bag that holds the definition."
+                others = f": topics={left}" if 0 < len(left) <= _FEW else " (topics=...)"
+                fix = f"Leave {topic.name} out{others}, or record a bag that holds the definition."
                 faults.append(PluginError(topic.problem, where=str(self.path), fix=fix))
         if faults:
             raise PluginError.of_findings([each.as_finding() for each in faults])
@@ -146,25 +151,25 @@ class RecordedBag:
             PluginError: the bag breaks off, or a message does not follow its definition.
         """
         names = {topic.name for topic in topics}
-        connections = [each for each in self._reader.connections if each.topic in names]
+        connections = [each for each in self._bag.connections if each.topic in names]
         is_other = encoding is not self.encoding
         with _told_as_broken(self.path):
-            for connection, stamp, data in self._reader.messages(connections):
+            for connection, stamp, data in self._bag.messages(connections):
                 message = self._decoded(connection.msgtype, data)
                 yield RecordedMessage(stamp, connection.topic, _without_numbers(message) if is_other else message)
 
     def stamps(self) -> Iterator[tuple[str, int]]:
         """Yield topic and time, ns since the epoch, of each message, as they were recorded; raises as `messages`."""
         with _told_as_broken(self.path):
-            for connection, stamp, _ in self._reader.messages():
+            for connection, stamp, _ in self._bag.messages(self._bag.connections):
                 yield connection.topic, stamp
 
     def _decoded(self, message_type: str, data: bytes) -> dict[str, Any]:
-        return self._codec.as_mapping(message_type, self._reader.deserialize(data, message_type))
+        return self._codec.as_mapping(message_type, self._bag.deserialised(message_type, data))
 
     def _described(self) -> Iterator[RecordedTopic]:
         found: dict[str, list[Any]] = {}
-        for connection in self._reader.connections:
+        for connection in self._bag.connections:
             found.setdefault(connection.topic, []).append(connection)
         for name, connections in found.items():
             types = sorted({plain_type(each.msgtype) for each in connections})
@@ -177,15 +182,19 @@ class RecordedBag:
     def _unreadable(self, connections: Sequence[Any]) -> str:
         """Say why the first message of a topic cannot be read; nothing where it can."""
         first = connections[0]
-        if first.msgtype not in self._reader.typestore.fielddefs:
-            return f"nobody knows the type {plain_type(first.msgtype)} of {first.topic}: the bag holds no definition"
+        message_type = plain_type(first.msgtype)
+        if fault := self._bag.faults.get(first.msgtype):
+            return f"the bag's definition of {message_type}, the type of {first.topic}, {fault}"
+        if first.msgtype not in self._bag.store.fielddefs:
+            return f"nobody knows the type {message_type} of {first.topic}: the bag holds no definition"
         try:
-            for connection, _, data in self._reader.messages(connections):
+            for connection, _, data in self._bag.messages(connections):
                 self._decoded(connection.msgtype, data)
                 return ""
         except Exception as error:  # noqa: BLE001  # as in `_told_as_broken`
-            return f"the first message on {first.topic} is no {plain_type(first.msgtype)}: {_reason(error)}"
-        return ""
+            return f"the first message on {first.topic} is no {message_type}: {_reason(error)}"
+        count = sum(each.msgcount for each in connections)
+        return f"no message on {first.topic} is in the files of the bag, though {_METADATA} counts {count}"
 
 
 def bag_at(path: Path) -> Path:
@@ -205,6 +214,9 @@ def bag_at(path: Path) -> Path:
     if path.is_file() and path.suffix not in _SUFFIXES:
         fix = "Name a .bag, .mcap or .db3 file, or the folder of a bag."
         raise PluginError(f"{path.name!r} is no bag", where=str(path), fix=fix)
+    if path.is_file() and _points(path):
+        problem = f"{path.name!r} only points to a file of Git LFS"
+        raise PluginError(problem, where=str(path), fix="Bring the file itself: git lfs pull.")
     if path.is_file() or (path / _METADATA).is_file():
         return path
     found = sorted(each for each in path.iterdir() if each.suffix in _SUFFIXES)
@@ -215,27 +227,25 @@ def bag_at(path: Path) -> Path:
     raise PluginError(f"there are {len(found) or 'no'} bags in {str(path)!r}", where=str(path), fix=fix)
 
 
-def _rosbags() -> tuple[Any, Any]:
-    """Return the library's reader, and the types that are known without a bag."""
-    try:
-        from rosbags.highlevel import AnyReader  # noqa: PLC0415  # an extra
-        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415  # an extra
-    except ModuleNotFoundError as error:
-        problem = f"bags cannot be read: {error.name} cannot be imported"
-        raise PluginError(problem, where="PlayBag", fix=_INSTALL) from error
-    # Bags of ROS 2 before Iron, as sqlite3 files, do not hold the definitions of their types.
-    return AnyReader, get_typestore(Stores.ROS2_HUMBLE)
+def _points(path: Path) -> bool:
+    """Return whether a file stands for one that Git keeps elsewhere, as in a clone without Git LFS."""
+    with path.open("rb") as file:
+        return file.read(len(_POINTER)) == _POINTER
 
 
 @contextmanager
 def _told_as_broken(path: Path) -> Iterator[None]:
     try:
         yield
+    except PluginError:  # nothing that could read it
+        raise
     except Exception as error:  # of rosbags, and of what it has decompress, unpack or query the bytes
         raise PluginError(f"the bag cannot be read: {_reason(error)}", where=str(path), fix=_LOOK) from error
 
 
 def _reason(error: Exception) -> str:
+    if isinstance(error, KeyError):  # the key alone would be no reason
+        return f"{error} is neither defined in it nor a part of ROS"
     return (str(error) or type(error).__name__).splitlines()[0][:200]
 
 

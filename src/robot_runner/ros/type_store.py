@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.ros.action_types import action_parts, bundled_definitions, is_action_part, split_definition
+from robot_runner.ros.definition_files import definition_files, package_of
 from robot_runner.ros.message_codec import NodeKind
 from robot_runner.ros.node_services import NODE_TYPES
 from robot_runner.ros.shapes import plain_type
@@ -34,8 +35,6 @@ STANDARD_SERVICES = MappingProxyType(
 
 #: Whose types are meant where no distribution is named.
 _LATEST = "jazzy"
-_FOLDERS = ("msg", "srv", "action")
-_SUFFIXES = tuple(f".{folder}" for folder in _FOLDERS)
 #: What ROS 2 has in place of the fields of a type that has none, such as one of constants only.
 _PLACEHOLDER = "structure_needs_at_least_one_member"
 
@@ -46,8 +45,9 @@ def filled_store(generation: int, distro: str | None, extra: Sequence[Path]) -> 
     Args:
         generation: of ROS, 1 or 2.
         distro: name of the distribution; None is noetic or jazzy.
-        extra: `.msg`, `.srv` and `.action` files, or folders that are searched for them. A file's package is the folder
-            that its `msg`, `srv` or `action` folder stands in, or else the one that it stands in itself.
+        extra: `.msg`, `.srv` and `.action` files, or folders that are searched for them. A file's package is what
+            the `package.xml` in the folder names that its `msg`, `srv` or `action` folder stands in, or else the one
+            that it stands in itself; without a `package.xml`, the package is called like that folder.
 
     Raises:
         LinkError: `rosbags` is not installed, there is no such distribution, or a file cannot be used.
@@ -139,9 +139,8 @@ def _definitions(extra: Sequence[Path]) -> dict[str, tuple[str, str]]:
     """Return the text of each of the user's types, with its file, by name and suffix."""
     found: dict[str, tuple[str, str]] = {}
     for path in extra:
-        for file in _files(path):
-            package = file.parent.parent if file.parent.name in _FOLDERS else file.parent
-            name = f"{package.resolve().name}/{file.name}"
+        for file in definition_files(path):
+            name = f"{package_of(file)}/{file.name}"
             try:
                 text = file.read_text(encoding="utf-8")
             except (OSError, UnicodeDecodeError) as error:
@@ -160,20 +159,6 @@ def _definitions(extra: Sequence[Path]) -> dict[str, tuple[str, str]]:
 def _words(text: str) -> list[list[str]]:
     """Return the words of each line that says something, without comments."""
     return [words for line in text.splitlines() if (words := line.partition("#")[0].split())]
-
-
-def _files(path: Path) -> Iterator[Path]:
-    if path.is_file() and path.suffix in _SUFFIXES:
-        yield path
-        return
-    files = sorted(file for suffix in _SUFFIXES for file in path.rglob(f"*{suffix}")) if path.is_dir() else []
-    if not files:
-        raise LinkError(
-            "there is no .msg, .srv or .action file" if path.exists() else "there is no such file or folder",
-            where=str(path),
-            fix="Name such a file, or a folder that holds some.",
-        )
-    yield from files
 
 
 def _parsed(rosbags: Any, name: str, text: str, where: str, generation: int) -> dict[str, Any]:

@@ -23,6 +23,7 @@ _ELLIPSOID = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _TO_JOINT = int(mujoco.mjtTrn.mjTRN_JOINT)
 _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
+_AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 _FIXED_GAIN = int(mujoco.mjtGain.mjGAIN_FIXED)
 _ROUND = tuple(map(int, (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER, _ELLIPSOID)))
 
@@ -42,15 +43,15 @@ class Joint:
     Attributes:
         name: in the model.
         position, velocity: its places in `qpos` and `qvel`.
-        actuator: its actuator's number; None where nothing drives it.
-        kind: what that actuator's control value means.
+        control: the place of its actuator's value in `ctrl`; None where nothing drives it.
+        kind: what that value means.
         scale: the control value for one unit (rad or m, a second, N m or N) at the joint, gears included.
     """
 
     name: str
     position: int
     velocity: int
-    actuator: int | None = None
+    control: int | None = None
     kind: ActuatorKind = ActuatorKind.EFFORT
     scale: float = 1.0
 
@@ -159,7 +160,7 @@ def read_interface(model: mujoco.MjModel, *, where: str, left: str = "", right: 
         LinkError: nothing drives it, or the wheels that are named are none.
     """
     joints = _joints(model)
-    driven = next((each for each in joints if each.actuator is not None), None)
+    driven = next((each for each in joints if each.control is not None), None)
     if driven is None:
         raise LinkError(
             "the model has no actuator that drives a hinge or a slide: it can do nothing",
@@ -206,8 +207,8 @@ def _base(model: mujoco.MjModel, joint: Joint) -> int | None:
 def _joints(model: mujoco.MjModel) -> tuple[Joint, ...]:
     by_joint = {
         int(model.actuator_trnid[number][0]): number
-        for number in range(model.nu)
-        if model.actuator_trntype[number] == _TO_JOINT
+        for number in range(len(model.actuator_trntype))
+        if model.actuator_trntype[number] == _TO_JOINT and _control(model, number) is not None
     }
     joints = []
     for number in range(model.njnt):
@@ -216,8 +217,19 @@ def _joints(model: mujoco.MjModel) -> tuple[Joint, ...]:
             drive = (ActuatorKind.EFFORT, 1.0) if actuator is None else _drive(model, actuator)
             name = model.joint(number).name or f"joint_{number}"
             places = int(model.jnt_qposadr[number]), int(model.jnt_dofadr[number])
-            joints.append(Joint(name, *places, actuator, *drive))
+            joints.append(Joint(name, *places, None if actuator is None else _control(model, actuator), *drive))
     return tuple(joints)
+
+
+def _control(model: mujoco.MjModel, actuator: int) -> int | None:
+    """Return the place of an actuator's value in `ctrl`; None of one that takes several, as DC motors of MuJoCo 4 may.
+
+    What each of several means, `sensor_msgs/JointState` has no words for.
+    """
+    counts = getattr(model, "actuator_ctrlnum", None)
+    if counts is None:  # before, each took one
+        return actuator
+    return int(model.actuator_ctrladr[actuator]) if counts[actuator] == 1 else None
 
 
 def _drive(model: mujoco.MjModel, actuator: int) -> tuple[ActuatorKind, float]:
@@ -226,7 +238,8 @@ def _drive(model: mujoco.MjModel, actuator: int) -> tuple[ActuatorKind, float]:
     MuJoCo's force is gain * control + bias on length and speed, which are the joint's times the gear; an integrator
     adds up the control value first (https://mujoco.readthedocs.io/en/stable/computation/, actuation model).
     """
-    _, on_position, on_speed = map(float, model.actuator_biasprm[actuator][:3])
+    is_affine = model.actuator_biastype[actuator] == _AFFINE  # the numbers of muscles and others mean something else
+    _, on_position, on_speed = map(float, model.actuator_biasprm[actuator][:3]) if is_affine else (0.0, 0.0, 0.0)
     gear, gain = float(model.actuator_gear[actuator][0]), float(model.actuator_gainprm[actuator][0])
     adds_up = model.actuator_dyntype[actuator] == _INTEGRATOR
     bias = on_position or on_speed
@@ -239,7 +252,7 @@ def _drive(model: mujoco.MjModel, actuator: int) -> tuple[ActuatorKind, float]:
 
 
 def _wheels(model: mujoco.MjModel, joints: Sequence[Joint], given: dict[str, str], where: str) -> WheelPair | None:
-    driven = {each.name: each for each in joints if each.kind is ActuatorKind.VELOCITY and each.actuator is not None}
+    driven = {each.name: each for each in joints if each.kind is ActuatorKind.VELOCITY and each.control is not None}
     found: dict[str, Joint] = {}
     for side in _SIDES:
         if given[side] and given[side] not in driven:

@@ -167,7 +167,7 @@ class ModelledRobot:
                 self._actuate(joint, sense * speed / wheels.radius)
 
     def _move_joints(self, message: Message) -> None:
-        driven = {each.name: each for each in self._interface.joints if each.actuator is not None}
+        driven = {each.name: each for each in self._interface.joints if each.control is not None}
         values = {kind: list(message[kind.value]) for kind in ActuatorKind}
         for place, name in enumerate(message["name"]):
             if name not in driven:
@@ -185,7 +185,7 @@ class ModelledRobot:
         if not abs(control) <= _TOO_LARGE:
             problem = f"{joint.name!r} would be driven by {control:g}, which the physics does not take"
             raise LinkError(problem, where=str(self.path), fix=f"Give a number within {_TOO_LARGE:g} of zero.")
-        self._data.ctrl[joint.actuator] = control
+        self._data.ctrl[joint.control] = control
 
     def _wheel_angles(self) -> tuple[float, float]:
         wheels = self._interface.wheels

@@ -154,6 +154,10 @@ SHAPES = {
         made("task,energy,results", TASK, 4, results="set_{rep}"),
         "F=task+results M=energy ?=results",
     ),
+    "how many trials each row sums up": (
+        "condition,trials,success_rate\nclean,50,0.9\nknown,50,0.85\nunseen,40,0.8\nsimilar,30,0.7\n",
+        "F=condition M=trials+success_rate",
+    ),
     # Measures that look like factors.
     "a nearly constant measure": (
         made("__run_id,__done,task,swap,energy", TASK, 4, swap="{q}", **IDS),
@@ -232,6 +236,10 @@ SHAPES = {
             avg_cpu="",
         ),
         "id=__run_id done=__done F=cpu_limit+pin M=avg_cpu",
+    ),
+    "a measure without repetitions beside one that nobody measured": (
+        made("__run_id,__done,task,speed,memory,power,cpu", TASK | SPEED, 1, memory="46{x:.0f}", power="", **PLAIN),
+        "id=__run_id done=__done F=task+speed M=memory+power+cpu",
     ),
     "factors after measures": (
         made("energy,time_s,task,mode", TASK | {"mode": ["a", "b"]}),
@@ -336,6 +344,14 @@ REPEATED = made("task,repetition,energy", TASK, repetition="{rep}")
 
 def guessed(tmp_path, text, **said):
     return roles_of(read_foreign_table(write(tmp_path / "run_table.csv", text)), ImportDescription(**said))
+
+
+def test_numbers_among_words_are_not_called_numbers(tmp_path):
+    versions = {"version": ["3.1", "3.2", "4-scout"]}
+    guesses = guessed(tmp_path, made("__run_id,__done,version,energy", versions, **IDS)).guesses
+    assert {guess.column: guess.reason for guess in guesses}["version"] == (
+        "3 values, the same in all repetitions of a combination"
+    )
 
 
 def test_each_guess_has_a_reason(tmp_path):

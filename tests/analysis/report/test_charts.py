@@ -56,6 +56,22 @@ def test_the_order_of_execution_is_the_journals_also_where_the_clock_was_set_bac
     assert all(one.start < other.start and one.end <= other.start for one, other in pairwise(spans))
 
 
+def test_a_clock_that_was_set_between_runs_leaves_no_gap_among_them(tmp_path):
+    folder = two_tasks(tmp_path / "trial", PRESSURES, PRESSURES)
+
+    def spans():
+        results = load_results(folder.root)
+        return attempt_spans(Material(results, analyse(results)))
+
+    before = spans()
+    told = folder.files.journal.read_text().splitlines()
+    place = next(number for number, line in enumerate(told) if re.search(r'attempt_started.*"r_3"', line))
+    later = [line.replace("T12:", "T13:") for line in told[place:]]
+    was_set = '{"kind":"clock_set","at":"2026-01-01T13:00:00.000Z","seconds":3600.0}'
+    folder.files.journal.write_text("".join(f"{line}\n" for line in (*told[:place], was_set, *later)))
+    assert [(each.run_id, each.start) for each in spans()] == [(each.run_id, each.start) for each in before]
+
+
 def test_a_course_is_rounded_by_its_spread():
     time = np.array([0.5, 1.5, 2.5])
     run = Course("r_1", time, *(np.array(PRESSURES[:3]) + shift for shift in (0.0, -0.001, 0.001)), runs=1)

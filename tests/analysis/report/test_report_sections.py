@@ -9,9 +9,11 @@ from robot_runner.analysis.report.document import report_document
 from robot_runner.analysis.report.material import Material
 from robot_runner.analysis.report.mission_figures import mission_courses, mission_parts, sampled_measures
 from robot_runner.analysis.report.rendering import markdown_of
+from robot_runner.analysis.report.summary_section import summary_section
 from robot_runner.analysis.report.threats_section import threats_of
 from robot_runner.analysis.results import load_results
 from robot_runner.analysis.statistics.experiment_statistics import analyse
+from robot_runner.analysis.wording import p_values_in_words
 from robot_runner.core.storage.journal import Journal
 
 
@@ -67,9 +69,38 @@ def test_what_bars_of_figures_are_is_said_below_them(make_folder):
     assert "confidence" not in captions["interaction E A B"] + captions["distribution E by A / B"]
 
 
+def test_in_brief_many_interactions_that_are_not_shown_take_one_sentence(make_folder):
+    rows = [
+        (a, b, c, 10.0 + 5 * (a == "x") + place * 37 % 11)
+        for place, (a, b, c) in enumerate(["xpv", "xpw", "xqv", "xqw", "ypv", "ypw", "yqv", "yqw"] * 4)
+    ]
+    folder = make_folder(factors={"A": ["x", "y"], "B": ["p", "q"], "C": ["v", "w"]}, rows=rows, measures={"E": "J"})
+    material = material_of(folder)
+    (brief,) = [each for each in summary_section(material, ()).blocks if isinstance(each, Paragraph)]
+    effects = material.statistics.measures[0].test.effects
+    least = min((each for each in effects if len(each.factors) > 1), key=lambda each: each.p_value)
+    figures = p_values_in_words(least.p_value, least.adjusted_p_value)
+    assert [each.is_significant for each in effects] == [True] + 6 * [False]
+    gathered = (
+        f"The data do not show any of 4 interactions on E (the smallest p-value: {figures}); that is no proof that "
+        "there is none. The tests of each are below."
+    )
+    assert brief.text == " ".join([*(each.conclusion for each in effects if len(each.factors) == 1), gathered])
+
+
 def test_a_simulated_robot_is_said_at_the_head(two_tasks):
     made = document(two_tasks(manifest={"robot": "simulated:initial_charge=40"}))
     assert [badge.text for badge in made.badges] == ["simulated robot"]
+
+
+def test_software_that_imported_results_is_not_told_as_that_of_the_experiment(two_tasks):
+    software = {"python": "3.13.0", "robot_runner": "1.0", "packages": {"numpy": "2.4"}}
+    for origin, told in (("imported", "Software of the import"), ("executed", "Machine and software")):
+        made = document(two_tasks(manifest={"origin": origin, "software": software}))
+        (part,) = [part for part in made.blocks() if isinstance(part, Part) and part.name == "design-machine"]
+        assert part.title == told
+        (facts,) = part.blocks
+        assert (("Machine", "not recorded: the runs were executed elsewhere") in facts.rows) is (origin == "imported")
 
 
 def test_what_was_set_by_hand_is_a_threat(two_tasks):

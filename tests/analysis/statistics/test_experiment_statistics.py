@@ -435,3 +435,16 @@ def test_a_folder_and_one_name_are_taken_and_what_is_no_correction_or_no_measure
         analyse(folder, correction="benjamini-hochberg")
     with pytest.raises(AnalysisError, match="no measure 'Task'"):
         analyse(folder, measures=["Task"])
+
+
+def test_factors_that_go_together_are_named_and_the_others_are_not(make_folder):
+    # As of models that come in some sizes each, of which no two share one: what of the two makes a difference?
+    cells = [
+        (version, size, task) for version, size in (("1", "7"), ("2", "8"), ("3", "1"), ("3", "3")) for task in "xy"
+    ]
+    rows = [(*cell, 10.0 + NOISE[place]) for place, cell in enumerate(cells * 4)]
+    factors = {"Version": ["1", "2", "3"], "Size": ["1", "3", "7", "8"], "Task": ["x", "y"]}
+    found = analyse(load_results(make_folder(factors=factors, rows=rows, measures={"E": "J"}).root))
+    (why,) = [each.why for each in found.measure("E").not_computed if each.what == "the test"]
+    assert why.startswith("the factors Version and Size go together so closely that their effects cannot be told apart")
+    assert why.endswith("take one of them, or both as one factor.")

@@ -40,6 +40,7 @@ def test_over_dds_it_is_ready_and_ends_cleanly(number, monkeypatch):
     ("words", "complaint", "fix"),
     [
         (["turtlebot4", "--link", "dds"], "there is no simulated 'turtlebot4'", "Did you mean 'turtlebot3'?"),
+        (["rover.urdf", "--link", "dds"], "there is no simulated 'rover.urdf'", "saves it as MJCF"),
         (["turtlebot3"], "--link is missing", "robot-runner simulate --help"),
         (["turtlebot3", "--link", "gazebo"], "no robot can be put on 'gazebo'", "'ros1'"),
         (["turtlebot3", "--link", "dds", "--real-time-factor", "2"], "told the time", "--use-sim-time"),

@@ -30,7 +30,7 @@ from robot_runner.analysis.comparison.equivalence import (
     spread_of,
     why_not_testable,
 )
-from robot_runner.analysis.comparison.harmonising import SAME_VALUES, sameness
+from robot_runner.analysis.comparison.harmonising import COPIED, SAME_VALUES, same_runs, sameness
 from robot_runner.analysis.comparison.matching import (
     MatchedValues,
     Matching,
@@ -139,6 +139,12 @@ def _again(called: tuple[str, ...], experiments: tuple[Results, ...], chosen: Se
     """Return what is to be said of an experiment that is compared with itself, but for two measures of one table."""
     is_of_one_name = any(one == other for one, other in chosen)
     why = sameness(*experiments)
+    same, of = (0, 0) if why else same_runs(*experiments)
+    if same and same >= COPIED * of:
+        return (
+            f"{called[1]} is {called[0]} again in {same} of {counted(of, 'run')}: {SAME_VALUES}. That these values "
+            "agree proves nothing, and the tests take the two experiments for independent, which they are not."
+        )
     if not why or (not is_of_one_name and experiments[0].folder == experiments[1].folder):
         return ""
     advice = "" if is_of_one_name else " Compare measures of one experiment within one folder, where runs are pairs."

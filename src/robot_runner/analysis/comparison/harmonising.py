@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.results import Results
 
-#: Attempts that two experiments share, as a part of the smaller one: a copy that went on, or lost runs, is a copy.
-_COPIED = 0.5
+#: What two experiments share of attempts or runs, as a part of the smaller one: a copy that went on, or lost runs, is a
+#: copy.
+COPIED = 0.5
 _PAIR = 2
 #: Why an experiment is another one again whose runs were executed at other moments.
 SAME_VALUES = "every value is the same to the last digit, as of a copy, or a simulation with the same seed"
@@ -112,24 +113,41 @@ def sameness(one: Results, other: Results) -> str:
     stamps = ["run_id", "attempt", "started_at"]
     attempts = [set(each.attempts[stamps].dropna().itertuples(index=False, name=None)) for each in (one, other)]
     smaller = min(map(len, attempts))
-    if smaller and len(attempts[0] & attempts[1]) >= _COPIED * smaller:
+    if smaller and len(attempts[0] & attempts[1]) >= COPIED * smaller:
         return "its runs were executed at the same moments, so that one is a copy of the other"
     return SAME_VALUES if _has_same_values(one, other) else ""
 
 
+def same_runs(one: Results, other: Results) -> tuple[int, int]:
+    """Return in how many runs of two experiments all measures are the same to the last digit, and of how many.
+
+    Values that runs of one experiment share with each other, as rounded ones do, tell nothing: none count then.
+    """
+    values = _shared_values(one, other)
+    if values is None:
+        return 0, 0
+    first, second = (each.loc[values[0].index.intersection(values[1].index)] for each in values)
+    same = ((first == second) | (first.isna() & second.isna())).all(axis=1) & ((first.fillna(0.0) % 1) != 0).any(axis=1)
+    alike = first[same]
+    return (0 if alike.duplicated().any() else len(alike)), min(map(len, values))
+
+
 def _has_same_values(one: Results, other: Results) -> bool:
     """Return whether all measures are the same in each run; whole numbers may be by chance."""
-    frames = [each.done.set_index(RUN_ID).sort_index() for each in (one, other)]
-    shared = [
-        name
-        for name in one.measures
-        if name in other.measures and frames[0][name].dtype == "float64" == frames[1][name].dtype
-    ]
-    values = [frame[shared].to_numpy(dtype=np.float64) for frame in frames]
-    if not shared or not len(values[0]) or not frames[0].index.equals(frames[1].index):
+    values = _shared_values(one, other)
+    if values is None or not values[0].index.equals(values[1].index):
         return False
-    has_digits = bool(np.any(np.nan_to_num(values[0]) % 1))
-    return has_digits and np.array_equal(values[0], values[1], equal_nan=True)
+    first, second = (each.to_numpy(dtype=np.float64) for each in values)
+    return bool(np.any(np.nan_to_num(first) % 1)) and np.array_equal(first, second, equal_nan=True)
+
+
+def _shared_values(one: Results, other: Results) -> tuple[pd.DataFrame, pd.DataFrame] | None:
+    """Return the decimal numbers that both have measured, by run id; None where there are none."""
+    first, second = (each.done.set_index(RUN_ID).sort_index() for each in (one, other))
+    shared = [
+        name for name in one.measures if name in other.measures and first[name].dtype == "float64" == second[name].dtype
+    ]
+    return (first[shared], second[shared]) if shared and len(first) else None
 
 
 # Names of factors and treatments.

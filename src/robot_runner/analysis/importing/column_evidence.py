@@ -121,6 +121,7 @@ class ColumnEvidence:
 
     Attributes:
         count: how many rows the table has.
+        is_over: whether the table says of all runs that they are done.
     """
 
     def __init__(self, table: ForeignTable) -> None:
@@ -130,6 +131,7 @@ class ColumnEvidence:
         #: Which combination a run has, and which repetition of it, as far as run ids tell.
         self._combination: Codes | None = None
         self._repetition: Codes | None = None
+        self.is_over = False
 
     # Columns as codes: one number for each value.
 
@@ -237,6 +239,11 @@ class ColumnEvidence:
         if _distinct(repetition) > 1:
             self._combination, self._repetition = combination, repetition
 
+    def read_status(self, status: str | None) -> None:
+        """Learn whether all runs are done: nothing is planned then, and what is empty was not measured."""
+        words = self.values(status) if status is not None else ()
+        self.is_over = bool(words) and {STATUSES.get(word.casefold()) for word in words} == {RunStatus.DONE}
+
     @property
     def knows_combinations(self) -> bool:
         """Whether run ids tell which runs have one combination."""
@@ -275,6 +282,11 @@ class ColumnEvidence:
     def tells_runs_apart(self, name: str, factors: Sequence[str]) -> bool:
         """Return whether the runs of each combination have values of their own in a column."""
         return _pairs(self._combined(factors), self._codes(name)) >= _TELLING * self.count
+
+    def sums_up(self, name: str, factors: Sequence[str]) -> bool:
+        """Return whether a column tells how many runs a row stands for: no combination has two, and none is a first."""
+        numbers = [repetition_number(each) for each in self.values(name)]
+        return _distinct(self._combined(factors)) == self.count and min(each or 0 for each in numbers) > 1
 
     def is_part_of(self, name: str, texts: Sequence[str]) -> bool:
         """Return whether a column has a few texts, each of which goes with some of another column's."""

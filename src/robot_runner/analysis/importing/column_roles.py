@@ -139,6 +139,7 @@ class _Guessing:
         self._take_designed()
         run_id, status = self._run_id(), self._status()
         self._evidence.read_run_ids(run_id)
+        self._evidence.read_status(status)
         repetition = self._repetition()
         if said.block is not None and said.block != repetition:
             self._take(said.block, Role.BLOCK, Confidence.SURE, "as you said")
@@ -239,12 +240,14 @@ class _Guessing:
         if repetition is None or self._said.repetition or _folded(repetition) == _CERTAIN:
             return repetition
         factors = self._named(Role.FACTOR)
-        if self._evidence.tells_runs_apart(repetition, factors):
+        is_one = not self._evidence.sums_up(repetition, factors)
+        if is_one and self._evidence.tells_runs_apart(repetition, factors):
             self._take(
                 repetition, Role.REPETITION, Confidence.SURE, "its name, and it counts the runs of a combination"
             )
             return repetition
-        if self._evidence.crosses(repetition, factors) or _folded(repetition).startswith(("rep", "trial")):
+        is_called = _folded(repetition).startswith(("rep", "trial"))
+        if is_one and (self._evidence.crosses(repetition, factors) or is_called):
             reason = "its name, but runs of a combination have the same number"
             self._take(repetition, Role.REPETITION, Confidence.UNSURE, reason)
             return repetition

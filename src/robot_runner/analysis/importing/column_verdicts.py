@@ -48,7 +48,9 @@ class ColumnVerdicts(ColumnEvidence):
 
     def _is_planned(self, name: str) -> bool:
         """Return whether a column is filled in runs that are still to do, as treatments are and measures are not."""
-        return self.is_filled(name) and not self.is_decimal(name) and any(map(self.is_empty, self.table.headings))
+        if self.is_over or not self.is_filled(name) or self.is_decimal(name):
+            return False
+        return any(map(self.is_empty, self.table.headings))
 
     def verdict(self, name: str, factors: Sequence[str], repetition: str | None, *, is_first: bool) -> Verdict:
         """Return what a column is.
@@ -141,7 +143,8 @@ class ColumnVerdicts(ColumnEvidence):
             yield Role.MEASURE, (Confidence.SURE if named else Confidence.LIKELY), "numbers that some runs lack"
         if is_first and self.knows_combinations:
             doubt = Confidence.LIKELY if named else Confidence.SURE
-            yield Role.FACTOR, doubt, f"{levels} numbers, the same in all repetitions of a combination"
+            kind = "numbers" if self.table.is_numeric(name) else "values"
+            yield Role.FACTOR, doubt, f"{levels} {kind}, the same in all repetitions of a combination"
         if is_first and self._is_planned(name):
             yield Role.FACTOR, Confidence.LIKELY, "it is filled in runs that are still to do"
         if 2 * levels > self.count:

@@ -114,8 +114,7 @@ def in_order_of_execution(material: Material, attempts: pd.DataFrame) -> pd.Data
     an experiment was imported has the order of the table, and times from elsewhere.
     """
     told = attempts.dropna(subset=["started_at"])
-    is_imported = material.results.manifest.get("origin") == "imported"
-    return told.sort_values("started_at", kind="stable") if is_imported else told
+    return told.sort_values("started_at", kind="stable") if material.is_imported else told
 
 
 def _dash(look: Look) -> list[float]:

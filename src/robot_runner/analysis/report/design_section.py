@@ -36,17 +36,18 @@ _MOST_NAMED = 12  # outliers that fit a line
 
 def design_section(material: Material) -> Section:
     """Return the section on what was done."""
+    title = "Software of the import" if material.is_imported else "Machine and software"
     blocks: list[Block] = [
         Facts(tuple(_facts(material))),
         _factor_table(material),
         _measure_table(material),
         *searched_part(material),
-        Part("design-machine", "Machine and software", (Facts(tuple(_machine(material))),)),
+        Part("design-machine", title, (Facts(tuple(_machine(material))),)),
     ]
     packages: Mapping[str, str] = material.manifest("software", "packages", default={})
     if packages:
         facts = Facts((("Packages", ", ".join(f"{name} {version}" for name, version in packages.items())),))
-        title = counted(len(packages), "installed package")
+        title = counted(len(packages), "installed package") + " of the import" * material.is_imported
         blocks.append(Part("design-packages", title, (facts,), is_folded=True, is_printed=False))
     return Section("what-was-done", "What was done", tuple(blocks))
 
@@ -181,6 +182,8 @@ def _instrument(material: Material, owner: str) -> str:
 
 def _machine(material: Material) -> Iterator[tuple[str, str]]:
     host, software = (material.manifest(key, default={}) for key in ("host", "software"))
+    if material.is_imported:
+        yield "Machine", "not recorded: the runs were executed elsewhere"
     if host:
         yield "System", " ".join(str(host[key]) for key in ("system", "release", "machine") if host.get(key))
         cores, memory = host.get("cores"), host.get("memory_bytes")

@@ -136,6 +136,11 @@ class Material:
         """What was registered before the first run, and the deviations from it; None where nothing was."""
         return registered(self.results, self.statistics)
 
+    @property
+    def is_imported(self) -> bool:
+        """Whether another tool, or a person, has executed the runs, and a table of theirs was imported."""
+        return self.results.manifest.get("origin") == "imported"
+
     @cached_property
     def runs(self) -> pd.DataFrame:
         """The run table, without the runs that were excluded."""

@@ -5,7 +5,7 @@ Of a covering array it also tells which pairs of treatments runs failed with: wh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -204,7 +204,8 @@ def attempt_spans(material: Material) -> tuple[AttemptSpan, ...]:
     attempts = in_order_of_execution(material, material.results.attempts)
     if attempts.empty:
         return ()
-    began = attempts["started_at"].iloc[0]
+    set_by: Mapping[int, float] = material.results.attempts.attrs.get("clock_set_by", {})
+    began = attempts["started_at"].iloc[0] - pd.Timedelta(seconds=set_by.get(attempts.index[0], 0.0))
     earlier = AttemptSpan("", "", 0.0, 0.0, None, is_done=True)
     events = material.results.events()
     stamps = {(run, str(event)): at for run, event, at in events[["run_id", "event", "at"]].itertuples(index=False)}
@@ -214,13 +215,14 @@ def attempt_spans(material: Material) -> tuple[AttemptSpan, ...]:
         label = material.labels.get(row.run_id, "")
         if not label:  # its run is no longer in the table
             continue
-        start = (row.started_at - began).total_seconds()
+        by = set_by.get(row.Index, 0.0)
+        start = (row.started_at - began).total_seconds() - by
         if start < earlier.start:  # the clock was set back: the attempt is drawn behind the one before it
             began -= pd.Timedelta(seconds=earlier.end - start)
             start = earlier.end
         end = start + (0.0 if pd.isna(row.seconds) else float(row.seconds))
         edges = [stamps.get((row.run_id, name)) for name in ("start_measurement", "stop_measurement")]
-        known = [(edge - began).total_seconds() for edge in edges if edge is not None and row.Index in last]
+        known = [(edge - began).total_seconds() - by for edge in edges if edge is not None and row.Index in last]
         measured = (known[0], known[1]) if len(known) == len(edges) else None
         earlier = AttemptSpan(row.run_id, label, start, end, measured, is_done=row.status == "done")
         spans.append(earlier)

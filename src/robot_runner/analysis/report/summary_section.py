@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 from robot_runner.analysis.report.blocks import (
     Block,
@@ -21,9 +22,16 @@ from robot_runner.analysis.report.blocks import (
 )
 from robot_runner.analysis.report.material import JOINT, Material
 from robot_runner.analysis.report.tables import Field, build_table, field, text
+from robot_runner.analysis.statistics.families import NO_PROOF
 from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics, Proportion
-from robot_runner.analysis.wording import MISSING, TIMES, listed, shown_number
+from robot_runner.analysis.wording import MISSING, TIMES, listed, p_values_in_words, shown_number
 from robot_runner.core.storage.cells import RunStatus
+
+if TYPE_CHECKING:
+    from robot_runner.analysis.statistics.tested import Effect
+
+#: Up to so many interactions that are not shown are told one by one, in brief.
+_MOST_UNSHOWN = 2
 
 _CONTENTS = (
     ("run_table.csv", "all runs with their treatments and measures; run_table.schema.json says what each column means"),
@@ -85,9 +93,26 @@ def _conclusion(material: Material, measure: MeasureStatistics) -> Paragraph:
         conclusion = f"Not tested: {why[:1].lower()}{why[1:].rstrip('.')}."
     else:
         standings = [each for each in material.statistics.standings if each.measure == measure.name]
-        conclusions = [effect.conclusion for effect in measure.test.effects]
+        conclusions = _briefly(measure.name, measure.test.effects)
         conclusion = " ".join([*conclusions, *(each.conclusion for each in standings if not each.statement)])
     return Paragraph(conclusion, lead=measure.name, badges=material.badges(measure))
+
+
+def _briefly(measure: str, effects: Sequence[Effect]) -> Iterator[str]:
+    """Yield what is concluded of effects; of many interactions that are not shown, only how many there are.
+
+    A design of five factors has 26 interactions, and a reader in a hurry no time for each.
+    """
+    unshown = [each for each in effects if len(each.factors) > 1 and each.conclusion.endswith(NO_PROOF)]
+    few = len(unshown) <= _MOST_UNSHOWN
+    yield from (each.conclusion for each in effects if few or each not in unshown)
+    if not few:
+        least = min(unshown, key=lambda each: each.p_value or 0.0)
+        figures = p_values_in_words(least.p_value or 0.0, least.adjusted_p_value)
+        interactions = sum(len(each.factors) > 1 for each in effects)
+        which = f"{len(unshown)} {'other ' * (len(unshown) < interactions)}interactions"
+        yield f"The data do not show any of {which} on {measure} (the smallest p-value: {figures}); {NO_PROOF}"
+        yield "The tests of each are below."
 
 
 def replication_section(material: Material) -> Section:

@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 #: What was tested: an effect by its measure and factors, or the contrast of a hypothesis by its statement.
 Key = tuple[str, frozenset[str]]
 
+#: How the sentence on an effect ends that the data do not show.
+NO_PROOF = "that is no proof that there is none."
 _PAIR = 2
 
 
@@ -207,9 +209,7 @@ def _claim(measure: MeasureStatistics, test: MeasureTest, effect: Effect, pairs:
     named = f"{effect.factors[0]}{aliases}" if len(effect.factors) == 1 else ""
     if not effect.is_significant:
         what = f"an effect of {named}" if named else f"an interaction of {enumerated(effect.factors)}{aliases}"
-        return (
-            f"The data do not show {what} on {measure.name}{within} ({figures}); that is no proof that there is none."
-        )
+        return f"The data do not show {what} on {measure.name}{within} ({figures}); {NO_PROOF}"
     size = next(iter(effect.effect_sizes), None)
     sized = "" if size is None else f"; the effect is {size.magnitude.value}, {size.name} = {size.value:.2f}"
     if not named and aliases:

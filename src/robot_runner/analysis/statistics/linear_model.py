@@ -7,7 +7,7 @@ is modelled is the mean of a combination within a block, so that repeated runs o
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -24,6 +24,7 @@ from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
 from robot_runner.analysis.statistics.effect_coding import marginal_row, mean_squares, term_size
 from robot_runner.analysis.statistics.nested_factors import NestedFactors
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
+from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 #: A mean for each of more combinations takes long to fit, and nobody can read them.
 _MOST_CELLS = 500
 
+#: How many factors cannot be told apart at least.
+_PAIR = 2
 _BLOCK = " block"
 
 #: The variance of blocks over that within them, as logarithms among which the best one is looked for.
@@ -165,8 +168,7 @@ def fit_model(data: MeasureData, response: Floats | None = None) -> FittedModel 
     exog = exog if batches is None else np.column_stack([exog, batches])
     values = frame[VALUE].to_numpy(dtype=np.float64)
     if np.linalg.matrix_rank(exog) < exog.shape[1]:
-        why = "the factors go together so closely that their effects cannot be told apart."
-        return NotComputed("the test", why)
+        return NotComputed("the test", _together(frame, factors))
     beside = exog if blocks is None else np.column_stack([exog, pd.get_dummies(blocks).to_numpy(dtype=np.float64)])
     left = values - beside @ np.linalg.lstsq(beside, values)[0]
     if np.max(np.abs(left)) <= rounding_of(values) and np.linalg.matrix_rank(beside) < len(values):
@@ -217,6 +219,26 @@ def _fit_at(ratio: float, values: Floats, exog: Floats, codes: Numbers) -> _Fit:
     determinants = np.sum(np.log1p(ratio * sizes)) + 2 * np.sum(np.log(np.abs(np.diag(triangle))))
     deviance = float(freedom * math.log(scale) + determinants) if scale > 0 else -math.inf
     return _Fit(deviance, ratio, beta, scale * inverse @ inverse.T, scale)
+
+
+def _together(frame: pd.DataFrame, factors: Iterable[str]) -> str:
+    """Say which factors cannot be told apart: what one of them says beyond the others leaves less than it has."""
+    columns = {each: pd.get_dummies(frame[each].astype(str), drop_first=True, dtype=np.float64) for each in factors}
+    rank = np.linalg.matrix_rank(_with_mean(columns.values(), len(frame)))
+    close = [
+        name
+        for name, own in columns.items()
+        if rank - np.linalg.matrix_rank(_with_mean((columns[each] for each in columns if each != name), len(frame)))
+        < own.shape[1]
+    ]
+    if len(close) < _PAIR:
+        return "the factors go together so closely that their effects cannot be told apart."
+    which = f"the factors {enumerated(close)} go together so closely that their effects cannot be told apart"
+    return f"{which}: take one of them, or {'both' if len(close) == _PAIR else 'all'} as one factor."
+
+
+def _with_mean(columns: Iterable[pd.DataFrame], count: int) -> Floats:
+    return np.column_stack([np.ones(count), *(each.to_numpy() for each in columns)])
 
 
 def _means_in_blocks(data: MeasureData, response: Floats) -> pd.DataFrame:

@@ -19,6 +19,10 @@ from robot_runner.core.words import counted, shown_duration
 
 _ROBOTS = ("turtlebot3",)
 _MODEL = ".xml"
+_CONVERT = (
+    "MuJoCo reads it and saves it as MJCF, to which actuators are to be added: "
+    """python -c "import mujoco as m; m.mj_saveLastXML('robot.xml', m.MjModel.from_xml_path('robot.urdf'))"."""
+)
 
 
 def add_arguments(parser: Parser) -> None:
@@ -66,7 +70,8 @@ def execute(arguments: Namespace) -> int:
     """Let the robot live on the graph until it is stopped."""
     model = Path(arguments.robot) if arguments.robot.endswith(_MODEL) else None
     if model is None and arguments.robot not in _ROBOTS:
-        fix = did_you_mean(arguments.robot, _ROBOTS)
+        is_urdf = arguments.robot.endswith(".urdf")
+        fix = _CONVERT if is_urdf else f"{did_you_mean(arguments.robot, _ROBOTS)} An MJCF file ends in {_MODEL}."
         raise UsageError(f"there is no simulated {arguments.robot!r}", where="robot-runner simulate", fix=fix)
     findings = link_findings(SIMULATED)
     if findings:

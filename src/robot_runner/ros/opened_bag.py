@@ -1,0 +1,138 @@
+"""A bag as the readers of rosbags give it, topic by topic: what cannot be read of one topic keeps no other away."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import PluginError
+from robot_runner.core.links.robot import Encoding
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+_INSTALL = "Install it: pip install 'robot-runner[bag]'."
+#: Separates the definitions of several files of IDL, as rosbag2 writes them into MCAP.
+_RULE = "=" * 80 + "\n"
+
+
+class OpenedBag:
+    """The reader of a bag, and the types that its messages have; it is closed as a context manager.
+
+    rosbags has a reader of both generations, too (`AnyReader`). It refuses a bag for one definition that it cannot
+    parse, and of a folder it passes over messages whose QoS `metadata.yaml` tells otherwise than the file.
+
+    Args:
+        path: a `.bag`, `.mcap` or `.db3` file, or the folder of a bag of ROS 2.
+
+    Attributes:
+        encoding: of its messages, which tells its generation of ROS.
+        connections: of rosbags; a topic may have several.
+        store: the types that the bag defines; of ROS 2 those of Humble where it defines none.
+        faults: by type, why its definition cannot be used.
+        count: how many messages there are.
+        begin_ns, end_ns: when its first and its last message were recorded, ns since the epoch; 0 of an empty bag.
+
+    Raises:
+        PluginError: the library that reads it is not installed.
+        Exception: it cannot be read; which errors those are depends on what rosbags has unpack its bytes.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            from rosbags.rosbag1 import Reader as Reader1  # noqa: PLC0415  # an extra
+            from rosbags.rosbag2 import Reader as Reader2  # noqa: PLC0415  # an extra
+        except ModuleNotFoundError as error:
+            problem = f"bags cannot be read: {error.name} cannot be imported"
+            raise PluginError(problem, where="PlayBag", fix=_INSTALL) from error
+        is_ros2 = path.is_dir() or path.suffix != ".bag"
+        self.encoding = Encoding.CDR if is_ros2 else Encoding.ROS1
+        self._opened = ExitStack()
+        reader: Any = Reader2(path) if is_ros2 else Reader1(path)
+        self._reader = self._opened.enter_context(reader)
+        with ExitStack() as undoing:
+            undoing.callback(self._opened.close)
+            self.connections: Sequence[Any] = list(self._reader.connections)
+            self.faults: dict[str, str] = {}
+            self.store: Typestore = self._types()
+            self.count: int = self._reader.message_count
+            self.begin_ns: int = self._reader.start_time if self.count else 0
+            # rosbags' end lies one nanosecond behind the last message.
+            self.end_ns: int = self._reader.end_time - 1 if self.count else 0
+            undoing.pop_all()
+
+    def close(self) -> None:
+        """Close the file; closing twice does nothing."""
+        self._opened.close()
+
+    def messages(self, connections: Iterable[Any]) -> Iterator[tuple[Any, int, bytes]]:
+        """Yield connection, time in ns since the epoch, and bytes of each message, in their order."""
+        wanted = [each for connection in connections for each in self._as_filed(connection)]
+        if wanted:  # none would be taken for all
+            yield from self._reader.messages(wanted)
+
+    def deserialised(self, message_type: str, data: bytes) -> object:
+        """Return the bytes of a message as an object of the store."""
+        is_cdr = self.encoding is Encoding.CDR
+        return (self.store.deserialize_cdr if is_cdr else self.store.deserialize_ros1)(data, message_type)
+
+    def _as_filed(self, connection: Any) -> list[Any]:
+        """Return a connection that `metadata.yaml` tells of as the files of the folder have it.
+
+        Readers of folders find a connection in the files by its QoS, too.
+        """
+        storages = getattr(self._reader.storage, "storages", None) if self.encoding is Encoding.CDR else None
+        if storages is None:
+            return [connection]
+        found: list[Any] = []
+        for each in (each for storage in storages for each in storage.connections):
+            filed = connection._replace(ext=each.ext, digest=each.digest)
+            if (each.topic, each.msgtype) == (connection.topic, connection.msgtype) and filed not in found:
+                found.append(filed)
+        return found
+
+    def _types(self) -> Typestore:
+        """Return the types that the bag defines, and note those that it does not."""
+        from rosbags.interfaces import MessageDefinitionFormat  # noqa: PLC0415  # an extra
+        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415  # an extra
+
+        defined = [each for each in self.connections if each.msgdef.format is not MessageDefinitionFormat.NONE]
+        if not defined:
+            # Bags of ROS 2 before Iron, as sqlite3 files, do not hold the definitions of their types.
+            return get_typestore(Stores.ROS2_HUMBLE)
+        store, types = get_typestore(Stores.EMPTY), dict[str, Any]()
+        digests: Mapping[str, set[str]] = defaultdict(set)
+        for each in defined:
+            try:
+                types.update(_parsed(each.msgtype, each.msgdef.data, each.msgdef.format))
+            except Exception:  # noqa: BLE001  # of a parser, for what anybody wrote
+                self.faults[each.msgtype] = "cannot be read"
+            else:
+                digests[each.msgtype].update({each.digest} - {"", "*"})
+        store.register(types)
+        for message_type, told in digests.items():
+            if told and told != {self._digest(store, message_type)}:
+                self.faults[message_type] = "is another one than that by which its messages were written"
+        return store
+
+    def _digest(self, store: Typestore, message_type: str) -> str | None:
+        try:
+            is_cdr = self.encoding is Encoding.CDR
+            return store.hash_rihs01(message_type) if is_cdr else store.generate_msgdef(message_type)[1]
+        except Exception:  # noqa: BLE001  # a part of the type is not defined
+            return None
+
+
+def _parsed(message_type: str, text: str, kind: Any) -> Mapping[str, Any]:
+    from rosbags.interfaces import MessageDefinitionFormat  # noqa: PLC0415  # an extra
+    from rosbags.typesys import get_types_from_idl, get_types_from_msg  # noqa: PLC0415  # an extra
+
+    if kind is MessageDefinitionFormat.MSG:
+        return get_types_from_msg(text, message_type)
+    if not text.startswith(f"{_RULE}IDL: "):
+        return get_types_from_idl(text)
+    files = (part.partition("\n")[2] for part in text.split(_RULE)[1:])
+    return {name: fields for each in files for name, fields in get_types_from_idl(each).items()}

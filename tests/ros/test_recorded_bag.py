@@ -1,0 +1,114 @@
+"""What can be read of a bag: what others wrote beside it, or into it, keeps no more of it away than it must."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+import yaml
+from tests.ros.recordings import BEGIN_NS, scans_of_ros2
+
+from robot_runner.core.errors import PluginError
+from robot_runner.core.links.robot import Encoding, Qos
+from robot_runner.ros.bag_file import new_bag
+from robot_runner.ros.recorded_bag import RecordedBag
+
+TEXT = bytes([0, 1, 0, 0, 3, 0, 0, 0]) + b"hi\0"
+
+
+def found(path):
+    """Return how many messages of each topic that can be read are found in a bag, and what it says of the others."""
+    with RecordedBag(path) as bag:
+        readable = [topic for topic in bag.topics.values() if topic.count and not topic.problem]
+        names = [each.topic for each in bag.messages(readable, bag.encoding)]
+        assert [topic for topic, _ in bag.stamps() if topic in names] == names
+        problems = {topic.name: topic.problem for topic in bag.topics.values() if topic.problem}
+        return {name: names.count(name) for name in sorted(set(names))}, problems
+
+
+@pytest.mark.parametrize("sqlite", [False, True])
+def test_messages_are_found_whatever_quality_of_service_is_written_beside_them(tmp_path, sqlite):
+    # As of bags that were converted, or whose metadata.yaml was edited so that `ros2 bag play` offers something else.
+    path = scans_of_ros2(tmp_path / "hall", others=("/note",), sqlite=sqlite)
+    metadata = path / "metadata.yaml"
+    told = _loaded(metadata)
+    topics = told["rosbag2_bagfile_information"]["topics_with_message_count"]
+    of_scans = next(each["topic_metadata"] for each in topics if each["topic_metadata"]["name"] == "/scan")
+    of_scans["offered_qos_profiles"] = ""
+    metadata.write_text(json.dumps(told))
+    assert found(path) == ({"/note": 1, "/scan": 20}, {})
+
+
+def test_messages_that_are_only_counted_are_told(tmp_path):
+    path = scans_of_ros2(tmp_path / "hall")
+    metadata = path / "metadata.yaml"
+    told = _loaded(metadata)
+    topics = told["rosbag2_bagfile_information"]["topics_with_message_count"]
+    topics[0]["topic_metadata"]["name"] = "/renamed"
+    metadata.write_text(json.dumps(told))
+    problem = "no message on /renamed is in the files of the bag, though metadata.yaml counts 20"
+    assert found(path) == ({}, {"/renamed": problem})
+
+
+def test_a_definition_that_cannot_be_read_keeps_only_its_topic_away(tmp_path):
+    # As rosbag2 writes services: the definition of both halves stands where that of the event is to be.
+    bag = new_bag(tmp_path, Encoding.CDR)
+    event = bag.add_topic("/add/_service_event", "my_interfaces/Add_Event", "int64 a\n---\nint64 sum\n", [Qos.DEFAULT])
+    chatter = bag.add_topic("/chatter", "std_msgs/String", "string data")
+    for topic in (event, chatter):
+        bag.write(topic, BEGIN_NS, TEXT)
+    bag.close()
+    counts, problems = found(bag.path)
+    assert counts == {"/chatter": 1}
+    assert problems == {
+        "/add/_service_event": "the bag's definition of my_interfaces/Add_Event, the type of /add/_service_event, "
+        "cannot be read"
+    }
+    with RecordedBag(bag.path) as opened:
+        with pytest.raises(PluginError) as refused:
+            opened.chosen(None)
+        assert refused.value.fix == (
+            "Leave /add/_service_event out: topics=['/chatter'], or record a bag that holds the definition."
+        )
+        assert [topic.name for topic in opened.chosen(["/chatter"])] == ["/chatter"]
+
+
+def test_messages_that_are_none_of_ros_are_named(tmp_path):
+    from mcap.writer import Writer
+
+    path = tmp_path / "web.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("Pose", "jsonschema", b"{}")
+        channel = writer.register_channel("/pose", "json", schema)
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()
+    with pytest.raises(PluginError, match="the bag cannot be read: 'jsonschema' is neither defined in it nor"):
+        RecordedBag(path)
+
+
+def test_an_index_without_topics_is_not_taken_for_an_empty_bag(tmp_path):
+    from mcap.writer import Writer
+
+    path = tmp_path / "bare.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, repeat_channels=False, repeat_schemas=False, use_statistics=False)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        writer.add_message(writer.register_channel("/chatter", "cdr", schema), 1, TEXT, 1)
+        writer.finish()
+    with RecordedBag(path) as bag, pytest.raises(PluginError, match="has 1 message, but its index tells of no topic"):
+        bag.chosen(None)
+
+
+def test_a_bag_that_git_has_yet_to_bring_says_so(tmp_path):
+    pointer = tmp_path / "hall.mcap"
+    pointer.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 5\n")
+    with pytest.raises(PluginError, match="only points to a file of Git LFS") as refused:
+        RecordedBag(pointer)
+    assert refused.value.fix == "Bring the file itself: git lfs pull."
+
+
+def _loaded(metadata):
+    return yaml.safe_load(metadata.read_text())
