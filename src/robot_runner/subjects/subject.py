@@ -339,7 +339,7 @@ class Subject(System):
 
     def _lock(self, context: ExperimentContext) -> Path:
         """Return the file that is locked from each start of this subject until all of it has ended."""
-        told = f"{context.experiment_folder.absolute()}\0{self.name}".encode("utf-8", "surrogateescape")
+        told = os.fsencode(f"{context.experiment_folder.absolute()}\0{self.name}")
         key = hashlib.sha256(told).hexdigest()[:16]
         return user_cache() / "subjects" / f"{key}.lock"
 
