@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.storage.input_files import InputFile
-from robot_runner.measuring.own_scripts import script_inputs, scripts_in
+from robot_runner.measuring.own_scripts import script_inputs, scripts_in, unread_findings
 
 if TYPE_CHECKING:
     import pytest
@@ -34,6 +34,8 @@ def test_a_program_that_may_be_executed_and_not_read_is_no_input(
     unread.touch()
     monkeypatch.setattr(os, "access", lambda path, _mode: path != unread)  # as for users other than root
     assert list(script_inputs([unread, read])) == [InputFile(read)]
+    (told,) = unread_findings("plugin Meter", [unread, read])
+    assert (told.is_error, told.problem) == (False, f"the program {str(unread)!r} cannot be read: a package lacks it")
 
 
 def test_of_a_folder_that_is_executed_no_results_and_no_compiled_modules_are_meant(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@ from __future__ import annotations
 import csv
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -12,11 +11,11 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from tests.packaged_inputs import only_in_a_package
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import Origin
-from robot_runner.core.storage.input_files import copy_kept, kept_contents, kept_copies
 from robot_runner.measuring.meter_process import Ending, MeterProcess
 from robot_runner.meters import command
 from robot_runner.meters.command import Measured
@@ -334,16 +333,8 @@ def test_the_script_that_measures_is_kept_with_the_modules_beside_it_and_found_a
     monkeypatch.chdir(study)
     watts = CommandColumn("watts", Measure("Power", "W", "Power."), Aggregate.LAST)
     meter = CommandProfiler(command=[sys.executable, "meter.py"], columns=[watts], period_s=PATIENT)
-    config = tmp_path / "package" / "config"
-    kept = kept_contents(list(meter.input_files()), study, config)
-    assert {place.name for place in kept} == {"meter.py", "calibration.py", "input_files.json"}
-    for place, content in kept.items():
-        place.parent.mkdir(parents=True, exist_ok=True)
-        place.write_bytes(content)
-    shutil.rmtree(study)
-    monkeypatch.chdir(config)
-    copy_kept(config, working := tmp_path / "working")
-    with kept_copies(config, working):
+    with only_in_a_package(meter.input_files(), study, study, monkeypatch) as working:
+        assert {each.name for each in working.rglob("*.py")} == {"meter.py", "calibration.py"}
         context = make_context(tmp_path / "run", meter, robot=None, clock=SystemClock())
         measures = rehearse(context, meter, mission=lambda: time.sleep(0.05))
     assert measures["Power"] == 60.0

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import shutil
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.packaged_inputs import only_in_a_package
 
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import PluginError
-from robot_runner.core.storage.input_files import copy_kept, kept_contents, kept_copies
+from robot_runner.core.storage.input_files import kept_contents
 from robot_runner.plugins.systems import ComposeProject, Program, RosLaunch, RosNode
 
 if TYPE_CHECKING:
@@ -162,15 +162,8 @@ def test_on_another_machine_the_copies_are_what_is_started(
             RosLaunch("nav", "nav.launch.py", arguments={"params": "nav.yaml"}, ros=2, folder=folder),
         ]
 
-    config = tmp_path / "package/config"
     inputs = [each for subject in subjects() for each in subject.input_files()]
-    for place, content in kept_contents(inputs, study.parent / "elsewhere", config).items():
-        place.parent.mkdir(parents=True, exist_ok=True)
-        place.write_bytes(content)
-    shutil.rmtree(study)
-    monkeypatch.chdir(config)
-    copy_kept(config, working := tmp_path / "working")
-    with kept_copies(config, working):
+    with only_in_a_package(inputs, study, study.parent / "elsewhere", monkeypatch) as working:
         program, launch = subjects()
         words = program.surroundings.wrapped(program.words())
         *_, command, option, name = words

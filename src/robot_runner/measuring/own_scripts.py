@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
+from robot_runner.core.errors import Finding
 from robot_runner.core.storage.input_files import InputFile, input_file, kept_copy
 
-#: Where the system and what is installed are: whoever replicates has it of their own.
+#: Folders of the system and of installed programs: every machine has its own.
 _INSTALLED = ("/bin", "/sbin", "/lib", "/usr", "/opt", "/dev", "/proc", "/sys", "/etc", "/snap", "/nix")
 _INTERPRETER = re.compile(r"(?:python|node|perl|ruby|julia|lua|octave|php)[\d.]*|(?:ba|da|z|k|fi)?sh|Rscript")
 #: Options of interpreters after which a program stands, and no file.
@@ -56,15 +57,24 @@ def scripts_in(words: Sequence[str]) -> Iterator[str]:
 def script_inputs(paths: Iterable[Path]) -> Iterator[InputFile]:
     """Yield programs and scripts as inputs, with the modules beside them that they import.
 
-    A program that its user may execute and not read cannot be kept, and is passed over.
+    A program that its user may execute and not read cannot be kept: see `unread_findings`.
     """
     for path in paths:
         found = input_file(path)
-        # A folder is of Python's or Node's: what is compiled there meanwhile is none of it.
+        # Python and Node execute folders, too. Modules that they compile there are no inputs.
         if os.path.isdir(found):  # noqa: PTH112 - false of a name that no path can have
             yield InputFile(path, tuple(files_below(found)))
         elif os.access(found, os.R_OK):
             yield with_named(path, modules_beside)
+
+
+def unread_findings(where: str, paths: Iterable[Path]) -> Iterator[Finding]:
+    """Yield a warning for each program that can be executed and not read, so that a package lacks it."""
+    for path in paths:
+        found = input_file(path)
+        if is_file(found) and not os.access(found, os.R_OK):
+            fix = f"Make it readable (chmod +r {found}), or say in the package where it comes from."
+            yield Finding.warning(where, f"the program {str(path)!r} cannot be read: a package lacks it", fix)
 
 
 def with_named(path: Path, look: Callable[[Path], Iterable[Path]]) -> InputFile:
@@ -92,7 +102,7 @@ def text_of(path: Path) -> str:
     try:
         if path.is_file() and path.stat().st_size <= _LARGEST_NAMING:
             return path.read_text(encoding="utf-8", errors="replace")
-    except OSError:  # who reads it says so
+    except OSError:  # the program that reads it reports that
         pass
     return ""
 

@@ -19,7 +19,7 @@ from robot_runner.core.storage.input_files import InputFile, kept_copy
 from robot_runner.measuring.evaluation import publish_measures
 from robot_runner.measuring.measured_machine import clock_details, machine_clock
 from robot_runner.measuring.meter_process import Ending, MeterProcess, Record
-from robot_runner.measuring.own_scripts import script_inputs, scripts_in
+from robot_runner.measuring.own_scripts import script_inputs, scripts_in, unread_findings
 from robot_runner.measuring.quality import Column, SampleQuality, quality_of, report_quality, write_samples
 from robot_runner.meters.command_output import (
     Aggregate,
@@ -152,9 +152,10 @@ class CommandProfiler(Profiler):
         self._forget()
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: the program is not there."""
+        """Return what stands in the way: the program is not there; or that a package will lack it."""
         del circumstances
-        return self._missing_programs(self._found[0])
+        missing = self._missing_programs(self._found[0])
+        return missing or list(unread_findings(f"plugin {self.name}", map(Path, scripts_in(self.command))))
 
     def input_files(self) -> Iterable[InputFile]:
         """Yield the program where it is one of the user's own, and a script that an interpreter executes."""

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import shlex
 import time
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.events.measure import Measure, Origin
-from robot_runner.measuring.own_scripts import script_inputs, scripts_in
+from robot_runner.measuring.own_scripts import script_inputs, scripts_in, unread_findings
 from robot_runner.subjects.subject import Subject
 from robot_runner.subjects.surroundings import holds_revision, is_known, word
 
@@ -70,7 +70,7 @@ class Program(Subject):
         return tuple(word(self.name, each) for each in self.command)
 
     def program_findings(self, where: str) -> Iterable[Finding]:
-        """Yield that the program is not there."""
+        """Yield that the program is not there, or cannot be read."""
         program = self.words()[0]
         if is_known(self.command[0]) and self.surroundings.lacks(program):
             file = Path(self.surroundings.path or ".") / self.surroundings.found(program)
@@ -80,12 +80,17 @@ class Program(Subject):
                 return
             fix = "Install it, or give its full path."
             yield Finding.error(where, f"the program {program!r} is not there{self.surroundings.on}", fix)
+        else:
+            yield from unread_findings(where, self._scripts())
 
     def files_read(self) -> Iterable[InputFile]:
         """Yield the program where it is one of the user's own, and a script that an interpreter executes."""
+        return script_inputs(self._scripts())
+
+    def _scripts(self) -> Iterator[Path]:
         if not holds_revision(self.command):
             paths = map(self.surroundings.own_path, scripts_in(self.words()))
-            yield from script_inputs(path for path in paths if path is not None)
+            yield from (path for path in paths if path is not None)
 
     def may_end(self, ended: Ended) -> bool:
         """Whether it may end with this exit code by itself."""

@@ -213,7 +213,7 @@ def test_a_run_that_prints_more_than_anybody_reads_is_told(execute: Execute, mon
         """,
     )
     (told,) = [each for each in executed.finished.findings if "printed" in each.problem]
-    assert (told.where, told.problem) == ("r_2", "it has printed 2 MB, which log.txt keeps")
+    assert (told.where, told.problem) == ("r_2", "the run has printed 2 MB, which log.txt keeps")
 
 
 def test_a_failed_before_run_fails_the_run_without_starting_it(execute: Execute) -> None:

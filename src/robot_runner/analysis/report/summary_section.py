@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Sequence
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.report.blocks import (
@@ -107,8 +108,8 @@ def _briefly(measure: str, effects: Sequence[Effect]) -> Iterator[str]:
     few = len(unshown) <= _MOST_UNSHOWN
     yield from (each.conclusion for each in effects if few or each not in unshown)
     if not few:
-        least = min(unshown, key=lambda each: each.p_value or 0.0)
-        figures = p_values_in_words(least.p_value or 0.0, least.adjusted_p_value)
+        tested = ((each.p_value, each.adjusted_p_value) for each in unshown if each.p_value is not None)
+        figures = p_values_in_words(*min(tested, key=itemgetter(0)))
         interactions = sum(len(each.factors) > 1 for each in effects)
         which = f"{len(unshown)} {'other ' * (len(unshown) < interactions)}interactions"
         yield f"The data do not show any of {which} on {measure} (the smallest p-value: {figures}); {NO_PROOF}"

@@ -48,7 +48,7 @@ def local_modules_among(config: Path, names: set[str]) -> dict[Path, Path]:
 
 
 def _file_of(module: object) -> Path | None:
-    """Return the file of a module; none of what has been put in a module's place and answers to every name."""
+    """Return the file of a module; None of an object that stands in for one and answers to every name."""
     try:
         file = getattr(module, "__file__", None)
     except Exception:  # noqa: BLE001 - a stranger's code: a package may import its own modules only here, and in vain

@@ -54,7 +54,7 @@ class ClockJumps:
     def taken_setting(self) -> float:
         """Return by how much the clock of time stamps was set since this was asked last, s.
 
-        What is less than counts is forgotten: where it is steered without the others (macOS), that adds up in hours.
+        Smaller differences are dropped: where this clock alone is slewed (macOS), they would add up over hours.
         """
         now = _ahead()
         seconds = _real(now.can_be_set - self._before.can_be_set)

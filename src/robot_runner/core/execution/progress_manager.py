@@ -306,7 +306,7 @@ class ProgressManager:
         Returns:
             what it shows about the runs that follow.
         """
-        self._lock.refuse_moved(self._journal)  # a run of which some lies there and some here is not done
+        self._lock.refuse_moved(self._journal)  # a run whose files are in two folders is not done
         if task.slot:
             keep_log(self._folder.at_slot(task.slot), task.run_id)
             self._findings += large_log(self._folder.log(task.run_id))

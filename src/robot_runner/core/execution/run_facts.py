@@ -213,7 +213,7 @@ def large_log(log: Path) -> list[Finding]:
     if size < _LARGE_LOG:
         return []
     fix = "Print less, or pass the output of programs on to a file that the mission removes."
-    return [Finding.warning(log.parent.name, f"it has printed {size / 1e6:,.0f} MB, which {log.name} keeps", fix)]
+    return [Finding.warning(log.parent.name, f"the run has printed {size / 1e6:,.0f} MB, which {log.name} keeps", fix)]
 
 
 def _fix(owner: str, has_log: bool) -> str:

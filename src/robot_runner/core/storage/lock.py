@@ -67,7 +67,7 @@ class ExperimentLock:
         """Check that the locked file is still the one that others see, and take the lock again if it is not.
 
         Somebody may have removed it, by hand or by `git clean`, and so let a second orchestrator in. Asked before each
-        run, it finds that out at the latest when the run is over that was executed meanwhile, and is recorded.
+        run, it finds that out at the latest after the run that was executed meanwhile, once that is recorded.
 
         Returns:
             what there is to tell.
@@ -93,7 +93,7 @@ class ExperimentLock:
         return [Finding.warning(where, f"{problem}: it is locked anew", "Leave that file alone: it keeps others out.")]
 
     def refuse_moved(self, journal: Journal) -> None:
-        """Check that nobody has moved the experiment: the journal is there then, and what runs write is here.
+        """Check that nobody has moved the experiment: its journal and the files of its runs would be in two folders.
 
         Raises:
             ExecutionError: somebody has.
@@ -102,7 +102,7 @@ class ExperimentLock:
             raise ExecutionError(
                 f"the experiment was moved or renamed while it was executed: its journal is {there}",
                 where=str(self._path.parent),
-                fix="Move it back, with what has come to lie here since, and start the experiment again: it resumes.",
+                fix="Move it back, with what was written here since, and start the experiment again: it resumes.",
             )
 
     def __exit__(
