@@ -39,8 +39,8 @@ CONFIG = f"""
     def create_run_table(self):
         return RunTableModel([Factor("Task", ["Video"])])
 """
-#: The standby finds the graph, the server takes the cancel request at its next step, and the wheels roll out.
-STOPPED_WITHIN = 3.0
+#: Less than half a second where the machine is quiet; left alone, the robot would drive for 15 s.
+STOPPED_WITHIN = 10.0
 
 
 @pytest.mark.long

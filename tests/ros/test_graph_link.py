@@ -32,8 +32,8 @@ class Noted:
             raise LinkError("the connection is lost", where=self.name, fix="Switch the robot on.")
         self.transport.published.append(message)
 
-    def reach(self, subscribers):
-        self.transport.note(f"reach {subscribers}", self.name)
+    def reach(self):
+        self.transport.note("reach", self.name)
         return True
 
     def flush(self, seconds):

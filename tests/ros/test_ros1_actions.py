@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import queue
+import signal
 import subprocess
 import sys
 import threading
@@ -18,7 +19,9 @@ from tests.ros.ros1_master import quiet_about_rospy
 from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.goals import ActionCanceled, GoalStatus
+from robot_runner.plugins.systems import ActionMission, TopicMission
 from robot_runner.ros.ros1_link import open_ros1_link
+from robot_runner.testing import FakeLinks, make_context
 
 # Its names are no other test's: the master that they share remembers the types of topics that are no more.
 NODE = Path(__file__).with_name("actionlib_node.py")
@@ -100,6 +103,42 @@ def test_a_client_of_actionlib_is_served(link, other):
     assert facts[-1] == {"state": SUCCEEDED, "result": 5, "text": ""}
     assert {"feedback": 4} in facts
     assert fact["state"] == PREEMPTED
+
+
+@pytest.mark.long
+@quiet_about_rospy
+def test_make_safe_cancels_a_goal_also_where_the_server_connects_late(link, tmp_path, monkeypatch):
+    ended = queue.Queue()
+    link.subscribe("tally/result", "actionlib/TestActionResult", lambda told: ended.put(told["status"]["status"]))
+    link.publish("tally/goal", "actionlib/TestActionGoal", {"goal_id": {"id": "alone"}, "goal": {"goal": 1000}})
+    link.wait_for("tally/status", "actionlib_msgs/GoalStatusArray", lambda told: told["status_list"], timeout=20.0)
+    monkeypatch.setattr("robot_runner.ros.ros1_transport._CONNECTING_SECONDS", 0.0)  # as on a busy machine
+    mission = ActionMission("tally", COUNTING, {"goal": 1000})
+    context = make_context(tmp_path, mission, robot="ros1", links=FakeLinks(robot=link))
+    mission.make_safe(context)
+    assert ended.get(timeout=20.0) == PREEMPTED
+    mission.make_safe(context)  # nothing is executed any more
+
+
+@pytest.mark.long
+@quiet_about_rospy
+def test_make_safe_says_where_a_server_does_not_cancel(link, other, tmp_path):
+    link.send_goal("tally", COUNTING, {"goal": 5000})
+    other.process.send_signal(signal.SIGSTOP)
+    mission = ActionMission("tally", COUNTING, {"goal": 5000}, cancel_timeout_s=1.0)
+    with pytest.raises(LinkError, match="does not tell within 1 s that it cancels"):
+        mission.make_safe(make_context(tmp_path, mission, robot="ros1", links=FakeLinks(robot=link)))
+
+
+@pytest.mark.long
+@quiet_about_rospy
+def test_a_safe_message_reaches_also_who_connects_late(link, tmp_path, monkeypatch):
+    heard = queue.Queue()
+    link.subscribe("siren", "std_msgs/String", lambda message: heard.put(message["data"]))
+    monkeypatch.setattr("robot_runner.ros.ros1_transport._CONNECTING_SECONDS", 0.0)
+    mission = TopicMission("siren", "std_msgs/String", {"data": "on"}, until=1.0, afterwards={"data": "off"})
+    mission.make_safe(make_context(tmp_path, mission, robot="ros1", links=FakeLinks(robot=link)))
+    assert heard.get(timeout=20.0) == "off"
 
 
 @pytest.mark.long

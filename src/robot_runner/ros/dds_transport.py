@@ -156,15 +156,15 @@ class _Publisher:
         self._topic = topic
         self._message_type = message_type
         self._wire_type = topic_wire_type(session.types.shape(message_type))
-        wire = wire_topic(topic)
+        self._wire = wire_topic(topic)
         _check_types(session, topic, self._wire_type)
-        offered = writer_profile(qos, session.type_hash(message_type))
-        self._writer = session.writer(wire, self._wire_type, offered)
+        self._offered = writer_profile(qos, session.type_hash(message_type))
+        self._writer = session.writer(self._wire, self._wire_type, self._offered)
         # A message that is published before its readers are discovered is lost to them.
         session.settle(lambda: bool(matched_subscriptions(self._writer)))
         try:
             _check_types(session, topic, self._wire_type)
-            self._check_demands(wire, offered, qos)
+            self._check_demands(qos)
         except LinkError:
             self.close()
             raise
@@ -180,9 +180,10 @@ class _Publisher:
                 fix="Publish more slowly, or with a QoS that may drop messages: a subscriber does not keep up.",
             ) from error
 
-    def reach(self, subscribers: int) -> bool:
-        graph = self._session.graph
-        return graph.wait_for(lambda: len(matched_subscriptions(self._writer)) >= subscribers, _MATCHING_SECONDS)
+    def reach(self) -> bool:
+        graph, offered = self._session.graph, policies_of(self._offered)
+        reachable = sum(policies_of(each.qos).shortfall(offered) is None for each in graph.readers(self._wire))
+        return graph.wait_for(lambda: len(matched_subscriptions(self._writer)) >= reachable, _MATCHING_SECONDS)
 
     def flush(self, seconds: float) -> None:
         # Where time runs out, cyclonedds 11.0 raises AttributeError: it looks for the code of that on a wrong class.
@@ -194,12 +195,12 @@ class _Publisher:
         self._session.nodes.remove(self._writer.guid)
         delete(self._writer)
 
-    def _check_demands(self, wire: str, offered: DdsQos, qos: Qos) -> None:
+    def _check_demands(self, qos: Qos) -> None:
         """Refuse what none of the subscribers takes, because all ask for more."""
         if matched_subscriptions(self._writer):
             return
-        for reader in self._session.graph.readers(wire):
-            less = policies_of(reader.qos).shortfall(policies_of(offered))
+        for reader in self._session.graph.readers(self._wire):
+            less = policies_of(reader.qos).shortfall(policies_of(self._offered))
             if less is not None:
                 raise LinkError(
                     f"a subscriber asks for more than the QoS {str(qos)!r} offers: {less}",

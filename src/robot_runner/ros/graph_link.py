@@ -117,11 +117,9 @@ class GraphLink:
     def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT) -> bool:
         """Return whether the subscribers of a topic that are there would receive what is published, once they do."""
         name = self._name(topic)
-        is_known = (name, qos) in self._advertised
         advertised = self._advertise(name, message_type, {}, qos)
         check_type(name, message_type, [advertised.message_type])
-        # Who subscribed since then is reached, too; a publisher that is new has waited for those that were there.
-        return advertised.publisher.reach(len(self.subscribers(topic))) if is_known else True
+        return advertised.publisher.reach()  # also who subscribed since it was advertised first
 
     def subscribe(
         self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None

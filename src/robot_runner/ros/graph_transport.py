@@ -85,8 +85,11 @@ class TopicPublisher(Protocol):
         """Publish a message that has every field of its type."""
         ...
 
-    def reach(self, subscribers: int) -> bool:
-        """Return whether so many subscribers would receive what is published, once they do or that takes too long."""
+    def reach(self) -> bool:
+        """Return whether the subscribers that are there would receive what is published, once they do; False if late.
+
+        A subscriber that asks for more than this publisher offers is not counted.
+        """
         ...
 
     def flush(self, seconds: float) -> None:

@@ -36,6 +36,8 @@ _logger = logging.getLogger(__name__)
 
 #: How long those who are on a topic already may take to connect to a new publisher or subscriber, s.
 _CONNECTING_SECONDS = 2.0
+#: How long what was published last may take to leave before its publisher is gone, s.
+_CLOSING_SECONDS = 0.5
 #: How long a publisher that is connected may take to tell so, s: a millisecond, or another client library does not.
 _TELLING_SECONDS = 0.5
 #: How long each service may take to tell its type, s.
@@ -67,8 +69,7 @@ class Ros1Transport:
     def advertise(self, topic: str, message_type: str, qos: Qos) -> _Publisher:
         """Return a publisher, once the subscribers that are there already are connected."""
         self._check_type(topic, message_type)
-        subscribers = len(list(self.subscribers(topic)))  # of those that are alive: nobody else would connect
-        return _Publisher(self._rospy, topic, message_class(message_type), qos, subscribers)
+        return _Publisher(self, self._rospy, topic, message_class(message_type), qos)
 
     def subscribe(
         self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
@@ -217,7 +218,8 @@ class Ros1Transport:
 class _Publisher:
     """Publishes one topic; a subscriber that is there already receives the first message."""
 
-    def __init__(self, rospy: Any, topic: str, cls: Any, qos: Qos, subscribers: int) -> None:
+    def __init__(self, transport: Ros1Transport, rospy: Any, topic: str, cls: Any, qos: Qos) -> None:
+        self._transport = transport
         self._topic = topic
         self._cls = cls
         self._arrivals = _Arrivals()
@@ -233,7 +235,11 @@ class _Publisher:
             where=topic,
             doing="registering the publisher",
         )
-        self.reach(subscribers)
+        try:
+            self.reach()
+        except LinkError:
+            self.close()
+            raise
 
     def publish(self, message: Message) -> None:
         self._publisher.publish(as_message(self._cls, message))
@@ -248,9 +254,12 @@ class _Publisher:
                 time.sleep(_POLL)
 
     def close(self) -> None:
+        with suppress(LinkError):  # a subscriber that takes nothing must not keep us
+            self.flush(_CLOSING_SECONDS)
         within(self._publisher.unregister, where=self._topic, doing="leaving the topic")
 
-    def reach(self, subscribers: int) -> bool:
+    def reach(self) -> bool:
+        subscribers = len(list(self._transport.subscribers(self._topic)))  # who is dead would not connect
         deadline = time.monotonic() + _CONNECTING_SECONDS
         while self._publisher.get_num_connections() < subscribers:
             left = deadline - time.monotonic()

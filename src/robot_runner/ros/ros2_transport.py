@@ -41,8 +41,10 @@ except ModuleNotFoundError:  # Humble
 #: How long after joining the graph the publishers and subscribers of a topic are known, s: Fast DDS finds a process
 #: within 3.2 s (see LONGEST_DISCOVERY), and its topics right afterwards.
 _FINDING = 4.0
-#: How long a new publisher waits for the subscribers that are known, s.
+#: How long a publisher waits for the subscribers that are known, s.
 _MATCHING = 1.0
+#: How long what was published last may take to be received before its publisher is gone, s.
+_CLOSING = 0.5
 
 
 class Ros2Transport:
@@ -124,28 +126,29 @@ class _Publisher:
     """Publishes one topic."""
 
     def __init__(self, node: GraphNode, graph: Graph, topic: str, message_type: str, qos: Qos) -> None:
-        self._node = node
+        self._node, self._graph, self._topic = node, graph, topic
         self._cls = message_class(message_type)
         # What nobody hears is lost, unless it is kept. Hidden topics, those of actions, are heard by who asked first.
         is_awaited = qos is not Qos.TRANSIENT_LOCAL and not is_hidden(topic)
         node.settle(lambda: graph.subscriptions(topic), _FINDING if is_awaited else SETTLING)
-        subscriptions = graph.subscriptions(topic)
-        _check_types(topic, message_type, [*graph.publishers(topic), *subscriptions])
-        offered = offered_by(qos)
-        reachable = sum(policies_of(each.qos_profile).shortfall(offered) is None for each in subscriptions)
-        self._publisher = node.node.create_publisher(self._cls, topic, _as_profile(offered))
-        node.until(lambda: self._publisher.get_subscription_count() >= reachable, _MATCHING)
+        _check_types(topic, message_type, [*graph.publishers(topic), *graph.subscriptions(topic)])
+        self._offered = offered_by(qos)
+        self._publisher = node.node.create_publisher(self._cls, topic, _as_profile(self._offered))
+        self.reach()
 
     def publish(self, message: Message) -> None:
         self._publisher.publish(as_message(self._cls, message))
 
-    def reach(self, subscribers: int) -> bool:
-        return self._node.until(lambda: self._publisher.get_subscription_count() >= subscribers, _MATCHING)
+    def reach(self) -> bool:
+        asked = [policies_of(each.qos_profile) for each in self._graph.subscriptions(self._topic)]
+        reachable = sum(each.shortfall(self._offered) is None for each in asked)
+        return self._node.until(lambda: self._publisher.get_subscription_count() >= reachable, _MATCHING)
 
     def flush(self, seconds: float) -> None:
         self._publisher.wait_for_all_acked(Duration(seconds=seconds))
 
     def close(self) -> None:
+        self.flush(_CLOSING)
         self._node.node.destroy_publisher(self._publisher)
 
 

@@ -252,9 +252,8 @@ class _CommandPublisher:
         for key in subscribers:
             self._simulation.clock.after(0.0, partial(_tell, subscribers, key, message))
 
-    def reach(self, subscribers: int) -> bool:
+    def reach(self) -> bool:
         """Return at once: the robot is there."""
-        del subscribers
         return True
 
     def flush(self, seconds: float) -> None:

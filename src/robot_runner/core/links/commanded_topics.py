@@ -1,4 +1,4 @@
-"""The topics on which a robot's velocity is commanded: who stands by stops it there should the process die."""
+"""Commands that must arrive: who stands by for a process that dies knows where it drove a robot, and stops it there."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.robot import Advertiser, RobotLink
+from robot_runner.core.links.robot import Advertiser, Message, RobotLink
 
 #: For how long and how often a robot is told to stand still, s: it may be discovered only now, on Fast DDS up to 3.2 s
 #: after this process has joined, and one message may be lost.
@@ -58,11 +58,33 @@ def keep_commanding_zero(link: RobotLink, commanded: Sequence[tuple[str, str]]) 
         for topic, message_type in commanded:  # once more where it is reached: what was told before is lost
             link.publish(topic, message_type, {})
         if missed and seconds > _REACHING:
-            problem = f"the robot's subscription is not reached within {seconds:.0f} s"
-            raise LinkError(problem, where=missed[0], fix="See that it stands still.")
+            raise _not_reached(missed[0], seconds)
         if seconds > _REACHING or (seconds >= _TELLING and not (empty or missed)):
             return empty
     return []
+
+
+def command_for_certain(link: RobotLink, topic: str, message_type: str, message: Message) -> None:
+    """Publish what nobody repeats, and again until every subscriber is reached.
+
+    A publisher that is new waits for its subscribers, and on a busy machine not long enough.
+
+    Raises:
+        LinkError: a subscriber is not reached, or the robot cannot be.
+    """
+    began = time.monotonic()
+    is_reached = _reaches(link, topic, message_type)
+    link.publish(topic, message_type, message)  # those that are reached must not wait for the others
+    while not is_reached:
+        if (seconds := time.monotonic() - began) > _REACHING:
+            raise _not_reached(topic, seconds)
+        is_reached = _reaches(link, topic, message_type)
+        link.publish(topic, message_type, message)
+
+
+def _not_reached(topic: str, seconds: float) -> LinkError:
+    problem = f"the robot's subscription is not reached within {seconds:.0f} s"
+    return LinkError(problem, where=topic, fix="See that it stands still.")
 
 
 def _reaches(link: RobotLink, topic: str, message_type: str) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing, nullcontext
 from enum import StrEnum
@@ -10,12 +11,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.errors import GoalRejectedError, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, MeasureValue
+from robot_runner.core.links.commanded_topics import command_for_certain
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.links.message_fields import field_of
-from robot_runner.core.links.robot import Encoding, Goal, RobotLink
+from robot_runner.core.links.robot import Encoding, Goal, Message, RobotLink
 from robot_runner.core.words import listed
 from robot_runner.ros.missions.goal_measures import FeedbackMeasures, ResultMeasures
 from robot_runner.ros.missions.way_measures import WayMeasures
@@ -37,6 +39,10 @@ _RESULT_SECONDS = 5.0
 #: action_msgs/srv/CancelGoal: the server does not cancel any of them.
 _REFUSED = 1
 _NOW = {"sec": 0, "nanosec": 0}
+#: actionlib_msgs/GoalStatus: pending and active, and nobody has asked for the goal's end.
+_EXECUTED = {0, 1}
+#: How long a server may take to tell its states after it was asked to cancel, s: it tells them five times a second.
+_TOLD_SECONDS = 1.0
 
 
 class _Failure(StrEnum):
@@ -316,7 +322,7 @@ def _cancel_all_goals(link: RobotLink, action: str, full_name: str, *, timeout: 
     actionlib's "cancel policy": http://wiki.ros.org/actionlib/DetailedDescription).
     """
     if link.encoding is Encoding.ROS1:
-        link.publish(f"{action}/cancel", "actionlib_msgs/GoalID", {"stamp": _NOW, "id": ""})
+        _cancel_in_ros1(link, action, full_name, timeout=timeout)
         return
     try:
         answer = link.call(f"{action}/_action/cancel_goal", "action_msgs/CancelGoal", {}, timeout=timeout)
@@ -327,3 +333,27 @@ def _cancel_all_goals(link: RobotLink, action: str, full_name: str, *, timeout: 
     if answer["return_code"] == _REFUSED:
         fix = "Look at the log of its server, and stop the robot by hand."
         raise LinkError("the action server refuses to cancel its goals", where=full_name, fix=fix)
+
+
+def _cancel_in_ros1(link: RobotLink, action: str, full_name: str, *, timeout: float) -> None:
+    """Ask until the server tells that it executes none, or cancels them: in ROS 1 nobody answers that he was asked."""
+    deadline = time.monotonic() + timeout
+    while True:
+        command_for_certain(link, f"{action}/cancel", "actionlib_msgs/GoalID", {"stamp": _NOW, "id": ""})
+        try:
+            link.wait_for(
+                f"{action}/status", "actionlib_msgs/GoalStatusArray", _is_none_executed, timeout=_TOLD_SECONDS
+            )
+        except LinkError as error:
+            if full_name not in link.actions():
+                return
+            if time.monotonic() >= deadline:
+                problem = f"the action server does not tell within {timeout:g} s that it cancels its goals"
+                fix = "Look at the log of its server, and stop the robot by hand."
+                raise LinkError(problem, where=full_name, fix=fix) from error
+        else:
+            return
+
+
+def _is_none_executed(states: Message) -> bool:
+    return not any(each["status"] in _EXECUTED for each in states["status_list"])

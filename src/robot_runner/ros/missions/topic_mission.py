@@ -11,6 +11,7 @@ from robot_runner.core.errors import ConditionTimeout, Finding, PluginError
 from robot_runner.core.events.condition import Condition, Look
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure
+from robot_runner.core.links.commanded_topics import command_for_certain
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.links.robot import Advertiser, RobotLink
@@ -164,7 +165,9 @@ class TopicMission(RobotSystem):
 
     def make_safe(self, context: RobotRunnerContext) -> None:
         """Publish the safe message, also in a process that has not been connected to the robot before."""
-        self._say_safe(connect_robot(context, namespace=self.namespace))
+        if self.afterwards is not None:
+            link = connect_robot(context, namespace=self.namespace)
+            command_for_certain(link, self.topic, self.message_type, self.afterwards)
 
     def _say_safe(self, link: RobotLink) -> None:
         if self.afterwards is not None:
