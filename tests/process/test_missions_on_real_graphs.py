@@ -39,7 +39,7 @@ CONFIG = f"""
     def create_run_table(self):
         return RunTableModel([Factor("Task", ["Video"])])
 """
-#: Less than half a second where the machine is quiet; left alone, the robot would drive for 15 s.
+#: Less than a second where the machine is quiet; left alone, the robot would drive for 15 s.
 STOPPED_WITHIN = 10.0
 
 

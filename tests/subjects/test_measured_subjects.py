@@ -33,7 +33,7 @@ def execute(tmp_path: Path) -> Callable[..., Executed]:
     return partial(execute_in, tmp_path, head=OURS, table=ONE_RUN)
 
 
-def body_of(where: str, form: str = "") -> str:
+def body_of(where: str, form: str = "", seconds: int = 3) -> str:
     return f"""
     plugins = [
         Program({BUSY!r}, name="Busy", ready="up" {where}),
@@ -41,7 +41,7 @@ def body_of(where: str, form: str = "") -> str:
     ]
 
     def launch_mission(self, context):
-        context.clock.sleep(3)
+        context.clock.sleep({seconds})
     """
 
 
@@ -61,7 +61,9 @@ def test_a_subject_is_measured_with_all_that_it_started(execute: Callable[..., E
 def test_a_subject_over_there_is_measured_and_is_no_disturbance(
     execute: Callable[..., Executed], server: SshServer, form: str
 ) -> None:
-    done = execute(body_of(f", host='robot', ssh_config={str(server.config)!r}", f", form={form!r}"))
+    over_there = f", host='robot', ssh_config={str(server.config)!r}"
+    # A shell that looks starts dozens of programs: on a busy machine, each look takes seconds.
+    done = execute(body_of(over_there, f", form={form!r}", seconds=8))
     subject, computer = measured(done)
     assert 0 < subject <= computer + 5
     facts = json.loads((done.folder / "runs/r_1/machine/robot.json").read_text())
