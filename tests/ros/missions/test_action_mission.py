@@ -3,17 +3,31 @@
 from __future__ import annotations
 
 import math
+import threading
+from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.ros.missions.drive_action import ACTION, ACTION_TYPE, goal_at, offered
+from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.goals import ActionCanceled, GoalStatus
 from robot_runner.plugins import Circumstances, Measure, treatment
 from robot_runner.plugins.systems import ActionMission, Together
 from robot_runner.ros.missions.goal_measures import FeedbackMeasures
-from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, SystemContract, make_context, rehearse
+from robot_runner.ros.rosbridge_link import open_rosbridge_link
+from robot_runner.testing import (
+    FakeClock,
+    FakeLinks,
+    FakeRobotLink,
+    RosbridgeServer,
+    SystemContract,
+    make_context,
+    rehearse,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -187,6 +201,30 @@ def test_make_safe_cancels_goals_also_where_the_wheels_cannot_be_stopped(context
     with pytest.raises(LinkError, match="as another type"):
         mission.make_safe(contexts(mission, robot="dds", links=FakeLinks(robot=link)))
     assert [each.service for each in link.calls] == [f"{ACTION}/_action/cancel_goal"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("generation", [1, 2])
+def test_make_safe_cancels_through_a_rosbridge_a_goal_that_another_process_sent(contexts: Any, generation: int) -> None:
+    mission = ActionMission("tally", "actionlib/Test" if generation == 1 else "example_interfaces/Fibonacci")
+    asked = threading.Event()
+
+    def execute(execution: Any) -> dict[str, Any]:
+        wait_until(lambda: execution.is_cancel_requested)
+        asked.set()
+        raise ActionCanceled
+
+    with (
+        closing(RosbridgeServer(generation=generation)) as server,
+        closing(open_rosbridge_link(server.url, SystemClock())) as robot,
+        closing(open_rosbridge_link(server.url, SystemClock())) as sender,
+        closing(open_rosbridge_link(server.url, SystemClock())) as standing_by,
+    ):
+        robot.offer_action(mission.action, mission.action_type, execute)
+        goal = sender.send_goal(mission.action, mission.action_type, {})
+        mission.make_safe(contexts(mission, robot=server.url, links=FakeLinks(robot=standing_by)))
+        assert asked.wait(PATIENCE)
+        assert goal.result(timeout=PATIENCE).status is GoalStatus.CANCELED
 
 
 def test_two_robots_reach_their_goals_at_the_same_time(contexts: Any) -> None:
