@@ -43,8 +43,6 @@ except ModuleNotFoundError:  # Humble
 _FINDING = 4.0
 #: How long a publisher waits for the subscribers that are known, s.
 _MATCHING = 1.0
-#: How long what was published last may take to be received before its publisher is gone, s.
-_CLOSING = 0.5
 
 
 class Ros2Transport:
@@ -148,7 +146,6 @@ class _Publisher:
         self._publisher.wait_for_all_acked(Duration(seconds=seconds))
 
     def close(self) -> None:
-        self.flush(_CLOSING)
         self._node.node.destroy_publisher(self._publisher)
 
 

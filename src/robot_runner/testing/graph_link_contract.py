@@ -30,6 +30,8 @@ _BATTERY = "sensor_msgs/BatteryState"
 _IMAGE = "sensor_msgs/Image"
 _SCAN = "sensor_msgs/LaserScan"
 _MANY = 200
+#: More than a socket keeps at once.
+_LAST_BYTES = 4_000_000
 _MINUTE_NS = 60_000_000_000
 
 
@@ -236,6 +238,19 @@ class GraphLinkContract(RobotLinkContract):
             cast("Advertiser", link).advertise("later", _STRING)
             link.publish("later", _STRING, {"data": "first"})
             self.until(lambda: bool(arrived), "the first message did not arrive")
+
+    def test_what_is_published_last_arrives_although_the_link_is_closed_at_once(self) -> None:
+        """Hold that who leaves has said what it said: the last message may be what makes a robot safe."""
+        with self.opened() as robot, self.opened() as link:
+            received: list[Any] = []
+            robot.subscribe("last", _STRING, lambda message: received.append(message["data"][0]), qos=Qos.RELIABLE)
+            self.until(lambda: bool(link.subscribers("last")), "the subscriber is not on the graph")
+            link.publish("last", _STRING, {"data": "?"})
+            self.until(lambda: bool(received), "the first message did not arrive")
+            for sign in "...!":
+                link.publish("last", _STRING, {"data": sign * _LAST_BYTES})
+            link.close()
+            self.until(lambda: "!" in received, "the last message did not arrive")
 
     def test_many_messages_arrive_in_order_and_without_loss(self) -> None:
         """Hold that what is published and subscribed reliably is all there."""

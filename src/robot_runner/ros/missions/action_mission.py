@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.errors import GoalRejectedError, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, MeasureValue
-from robot_runner.core.links.commanded_topics import command_for_certain
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.graph_names import full_name
@@ -336,10 +335,10 @@ def _cancel_all_goals(link: RobotLink, action: str, full_name: str, *, timeout: 
 
 
 def _cancel_in_ros1(link: RobotLink, action: str, full_name: str, *, timeout: float) -> None:
-    """Ask until the server tells that it executes none, or cancels them: in ROS 1 nobody answers that he was asked."""
+    """Ask until the server's states tell that it executes none, or cancels them: ROS 1 knows no answer to a request."""
     deadline = time.monotonic() + timeout
     while True:
-        command_for_certain(link, f"{action}/cancel", "actionlib_msgs/GoalID", {"stamp": _NOW, "id": ""})
+        link.publish(f"{action}/cancel", "actionlib_msgs/GoalID", {"stamp": _NOW, "id": ""})
         try:
             link.wait_for(
                 f"{action}/status", "actionlib_msgs/GoalStatusArray", _is_none_executed, timeout=_TOLD_SECONDS
