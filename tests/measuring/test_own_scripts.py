@@ -4,19 +4,46 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import pytest
 
 from robot_runner.core.storage.input_files import InputFile
 from robot_runner.measuring.own_scripts import script_inputs, scripts_in, unread_findings
-
-if TYPE_CHECKING:
-    import pytest
 
 
 def test_scripts_are_told_from_options_and_inline_programs() -> None:
     assert list(scripts_in(["bash", "-x", "plan.sh", "more.sh"])) == ["plan.sh"]
     assert list(scripts_in(["/usr/bin/python3.11", "-m", "plan"])) == []
     assert list(scripts_in(["bin/plan", "hall"])) == ["bin/plan"]
+
+
+@pytest.mark.parametrize(
+    ("command", "script"),
+    [
+        ("python3 -W ignore meter.py", "meter.py"),
+        ("python3 -Wignore -X dev meter.py", "meter.py"),
+        ("python3 -uEW once meter.py", "meter.py"),
+        ("python3 -- meter.py", "meter.py"),
+        ("python3 -uc print()", ""),
+        ("bash -e run.sh", "run.sh"),
+        ("sh -xeu run.sh", "run.sh"),
+        ("bash -eo pipefail run.sh", "run.sh"),
+        ("bash +x run.sh", "run.sh"),
+        ("bash -lc meter.sh", ""),
+        ("sh -s hall", ""),
+        ("perl -Mstrict -w meter.pl", "meter.pl"),
+        ("perl -ne print meter.txt", ""),
+        ("node --inspect meter.js", "meter.js"),
+        ("sudo -n python3 meter.py", "meter.py"),
+        ("nice -n 5 ./meter", "./meter"),
+        ("env RATE=/10 nice python3 -u meter.py", "meter.py"),
+        ("sudo -u pi timeout 10 /usr/bin/python3 meter.py", "meter.py"),
+        ("timeout 10 wattmeter --csv", ""),
+        ("wattmeter python3 meter.py", ""),
+    ],
+)
+def test_the_script_is_found_behind_options_with_values_and_behind_wrappers(command: str, script: str) -> None:
+    assert list(scripts_in(command.split())) == [script] * bool(script)
 
 
 def test_the_python_of_a_virtual_environment_is_no_file_of_the_experiment(tmp_path: Path) -> None:

@@ -13,9 +13,24 @@ from robot_runner.core.storage.input_files import InputFile, input_file, kept_co
 
 #: Folders of the system and of installed programs: every machine has its own.
 _INSTALLED = ("/bin", "/sbin", "/lib", "/usr", "/opt", "/dev", "/proc", "/sys", "/etc", "/snap", "/nix")
-_INTERPRETER = re.compile(r"(?:python|node|perl|ruby|julia|lua|octave|php)[\d.]*|(?:ba|da|z|k|fi)?sh|Rscript")
-#: Options of interpreters after which a program stands, and no file.
-_INLINE = re.compile(r"-[a-zA-Z]*[ceEm]")
+#: Interpreters, by a pattern of their names: after which letters of an option a program stands, and no file, and which
+#: letters have a value, behind them or in the next word (from the manual of each).
+_INTERPRETERS = {
+    r"python[\d.]*": ("cm", "WX"),
+    r"(?:ba|da|z|k|fi)?sh": ("cs", "oO"),
+    r"perl[\d.]*": ("eE", "IMm"),
+    r"ruby[\d.]*": ("e", "IrC"),
+    r"node(?:js)?": ("ep", "rC"),
+    r"julia": ("eE", "tpLJC"),
+    r"lua[\d.]*": ("e", "l"),
+    r"php[\d.]*": ("r", "dcz"),
+    r"Rscript": ("e", ""),
+    r"octave": ("", "p"),
+}
+#: Programs that execute the command which follows their own options.
+_WRAPPER = re.compile(
+    "chrt|doas|env|ionice|nice|nohup|numactl|prlimit|setsid|stdbuf|sudo|taskset|time|timeout|unbuffer|xvfb-run"
+)
 
 _IMPORT = re.compile(r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import|import[ \t]+([\w., \t]+))", re.MULTILINE)
 #: Into how many files is looked for further ones, and how large one may be, bytes.
@@ -39,19 +54,41 @@ def scripts_in(words: Sequence[str]) -> Iterator[str]:
     """
     program, *rest = words
     path = Path(program)
-    is_interpreter = _INTERPRETER.fullmatch(path.name) is not None
+    options = _options_of(path.name)
     # A copy of a virtual environment's Python finds none of its packages.
-    is_of_environment = is_interpreter and (path.parent.parent / "pyvenv.cfg").is_file()
-    if "/" in program and not is_installed(path) and not is_of_environment:
+    is_of_environment = options is not None and (path.parent.parent / "pyvenv.cfg").is_file()
+    if _is_own(program) and not is_of_environment:
         yield program
-    if not is_interpreter:
-        return
-    for each in rest:
-        if _INLINE.fullmatch(each):
+    if options is not None:
+        yield from _script_behind(rest, *options)
+    elif _WRAPPER.fullmatch(path.name):
+        behind = (place for place, each in enumerate(rest) if _is_own(each) or _options_of(Path(each).name))
+        if (start := next(behind, None)) is not None:
+            yield from scripts_in(rest[start:])
+
+
+def _is_own(word: str) -> bool:
+    """Return whether a word is a path of the user's: no option, no assignment, and of no installed program."""
+    return "/" in word and "=" not in word and not word.startswith("-") and not is_installed(Path(word))
+
+
+def _options_of(program: str) -> tuple[str, str] | None:
+    return next((options for pattern, options in _INTERPRETERS.items() if re.fullmatch(pattern, program)), None)
+
+
+def _script_behind(words: Sequence[str], inline: str, valued: str) -> Iterator[str]:
+    """Yield the script that an interpreter executes, unless an option gives it its program."""
+    left = iter(words)
+    for word in left:
+        if not word.startswith(("-", "+")) or word == "--":
+            yield from islice(left, 1) if word == "--" else [word]
             return
-        if not each.startswith("-"):
-            yield each
+        letters = "" if word.startswith("--") else word[1:]
+        first = next((each for each in letters if each in inline + valued), "")
+        if word == "-" or (first and first in inline):
             return
+        if first and letters.endswith(first):
+            next(left, None)
 
 
 def script_inputs(paths: Iterable[Path]) -> Iterator[InputFile]:
