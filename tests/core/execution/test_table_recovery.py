@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +15,9 @@ from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.notices import ExperimentFinished, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.core.execution.recovered_table import TableOnDisk
 from robot_runner.core.execution.recovery import Resumption, TableChoice, TableDisagreementError
-from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.storage.journal import Journal, read_journal
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -302,6 +304,41 @@ def test_runs_that_ended_after_the_table_was_written_are_no_disagreement(execute
     resume(executed)
     assert attempts(executed) == 4
     assert [record["kind"] for record in read_journal(journal, kinds={"deviation"})] == []
+
+
+FAILS_AT_FIRST = "\ndef stop_run(self, context):\n    assert context.attempt > 1\n"
+
+
+@pytest.mark.parametrize("table", ["newer than its record", "older than the attempt", "lost"])
+@pytest.mark.parametrize("first", ["", FAILS_AT_FIRST], ids=["done", "failed"])
+def test_a_run_whose_execution_once_more_was_killed_is_to_do_and_no_disagreement(
+    execute: Execute, monkeypatch: pytest.MonkeyPatch, first: str, table: str
+) -> None:
+    executed = execute("run_process = RunProcess.IN_PROCESS" + COUNTING + first)
+    path, append = executed.folder / "run_table.csv", Journal.append
+
+    def append_or_die(journal: Journal, kind: str, **fields: Any) -> None:
+        if kind == "table_written" and "r_1,Running" in text_of(path):
+            os._exit(9)
+        append(journal, kind, **fields)
+        if kind == "attempt_started" and table == "older than the attempt":
+            os._exit(9)
+
+    pid = os.fork()
+    if pid == 0:
+        monkeypatch.setattr(Journal, "append", append_or_die)
+        monkeypatch.setattr(TableOnDisk, "refresh", TableOnDisk.write)  # as where the last one was long ago
+        resume(executed, redo=("r_1",))
+        os._exit(0)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 9
+    if table == "lost":
+        path.unlink()
+    resume(executed, skip=("r_1",))
+    assert "r_1,-" in text_of(path)
+    path.write_text(text_of(path) + "\n", encoding="utf-8")  # and it is compared cell by cell once more
+    assert resume(executed).done_count == 4
+    assert executed.journal("deviation") == []
+    assert [each["attempt"] for each in executed.journal("attempt_finished") if each["run"] == "r_1"] == [1, 3]
 
 
 @pytest.mark.parametrize("lines", [None, 1, "r_2"], ids=["missing", "its first line alone", "to the end of r_2"])

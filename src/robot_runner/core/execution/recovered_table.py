@@ -37,7 +37,10 @@ ATTEMPT_FINISHED = b'{"kind":"attempt_finished"'
 _TABLE_WRITTEN = b'{"kind":"table_written"'
 _EXCLUSION = tuple(f'{{"kind":"{kind}"'.encode() for kind in EXCLUSION_KINDS)
 _FINDING = b'{"kind":"finding"'
-_KINDS = EXCLUSION_KINDS | {"experiment_started", "attempt_started", "attempt_finished", "table_written", "finding"}
+_DEVIATION = b'{"kind":"deviation"'
+_KINDS = EXCLUSION_KINDS | {
+    *("experiment_started", "attempt_started", "attempt_finished", "table_written", "finding", "deviation"),
+}
 # Quotes inside a text are escaped: these stand nowhere else.
 _IS_DONE, _IS_INTERRUPTED, _HAS_DOUBTS = b'"status":"done"', b'"status":"interrupted"', b'"doubts":['
 
@@ -49,6 +52,7 @@ class TableHistory:
     Attributes:
         attempted: the run of each attempt.
         open: the beginnings of the last session's attempts that did not come to a recorded end, by their runs.
+        begun: the runs whose last attempt, of whatever session, did not come to a recorded end.
         newer: the ends of attempts since the table was written last.
         failed: the ends of attempts that did not end well.
         written: the digest of the table as it was written last; empty where that is not known.
@@ -61,6 +65,7 @@ class TableHistory:
 
     attempted: list[str] = field(default_factory=list)
     open: dict[str, bytes] = field(default_factory=dict)
+    begun: set[str] = field(default_factory=set)
     newer: list[bytes] = field(default_factory=list)
     failed: list[bytes] = field(default_factory=list)
     written: str = ""
@@ -88,6 +93,7 @@ class TableHistory:
             run_id = run_of(journal, line)
             self.attempted.append(run_id)
             self.open[run_id] = line
+            self.begun.add(run_id)
         elif line.startswith(_SESSION):
             self.open.clear()  # what they had printed was kept when that session began
         elif line.startswith(_TABLE_WRITTEN):
@@ -99,9 +105,12 @@ class TableHistory:
         elif line.startswith(_FINDING):
             found = parsed_record(journal, line)
             self.doubts[found["owner"]].add(f"{found.get('run')}: {found['problem']}")
+        elif line.startswith(_DEVIATION):
+            self.begun.discard(run_of(journal, line))  # the row counts as somebody has changed it
         else:
             run_id = run_of(journal, line)
             self.open.pop(run_id, None)
+            self.begun.discard(run_id)
             self.doubtful.pop(run_id, None)
             if _HAS_DOUBTS in line:
                 self.doubtful[run_id] = line

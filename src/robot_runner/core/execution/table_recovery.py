@@ -200,13 +200,13 @@ class _Recovery:
             ExecutionError: they differ, and nothing was chosen.
         """
         ends, earlier = self._last_ends()
-        newer = {run_of(self._journal, line) for line in self._history.newer}
+        newer = self._history.begun.union(run_of(self._journal, line) for line in self._history.newer)
         found: list[Deviation] = []
         for run_id, line in ends.items():
             place = table.rows.place_of(run_id)
             has_come = place is not None and table.rows.status(place) in {RunStatus.DONE, RunStatus.FAILED}
             if run_id in newer and not has_come:
-                continue  # it ended after the file was written: the journal alone has it
+                continue  # it ended after the file was written, or is to do once more: the journal alone has it
             found += cell_deviations(table.rows, parsed_record(self._journal, line), earlier)
         treatments = list(self._changed_treatments(table.rows, earlier))
         found += [*treatments, *changed_exclusions(table.rows, self._history.excluded)]
@@ -249,7 +249,7 @@ class _Recovery:
         rows = RunTableRows.of_plan(self._plan, self._layout)
         table = RecoveredTable(self._experiment, rows)
         refuse_differences(self._unplanned(rows))
-        for line in ends.values():
+        for line in (line for run_id, line in ends.items() if run_id not in self._history.begun):
             table.take_record(parsed_record(self._journal, line))
         self._leave_out(table)
         done = rows.count(RunStatus.DONE)
@@ -314,6 +314,11 @@ class _Recovery:
     def _settle(self, table: RecoveredTable) -> None:
         """Runs whose end nobody saw are to do again; failed ones are listed with their reason."""
         history, rows = self._history, table.rows
+        for run_id in history.begun.difference(each.run for each in table.deviations):
+            place = rows.place_of(run_id)  # what an earlier attempt has left is put away
+            if place is not None and rows.status(place) is not RunStatus.TODO:
+                rows.clear(run_id)
+                table.is_on_disk = False
         table.attempts = Counter(history.attempted)
         table.unfinished = {
             run_id: int(parsed_record(self._journal, line).get("slot", 1)) for run_id, line in history.open.items()
