@@ -10,7 +10,7 @@ from enum import Enum
 from typing import Any, Self
 
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
-from robot_runner.core.words import exact, has_true_zero
+from robot_runner.core.words import counted, exact, has_true_zero
 
 #: Two values have a spread, and nobody would trust it.
 LEAST_REPETITIONS = 3
@@ -144,7 +144,7 @@ def precision_findings(
 ) -> Iterator[Finding]:
     """Say where rules do not fit a design of so many repetitions, at least, and of measures in these units."""
     if rules and repetitions < LEAST_REPETITIONS:
-        problem = f"{repetitions} repetitions tell no spread, and how precise a mean is comes from the spread"
+        problem = f"{counted(repetitions, 'repetition')} cannot tell the spread, by which a mean is precise"
         yield Finding.error(where, problem, f"Plan repetitions={_ENOUGH_REPETITIONS} or more: that many are the least.")
     elif rules and repetitions < _ENOUGH_REPETITIONS:
         problem = f"with {repetitions} repetitions at the first look, its interval is very wide"
