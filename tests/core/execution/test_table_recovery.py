@@ -306,6 +306,44 @@ def test_runs_that_ended_after_the_table_was_written_are_no_disagreement(execute
     assert [record["kind"] for record in read_journal(journal, kinds={"deviation"})] == []
 
 
+@pytest.mark.parametrize("since", ["nothing", "executed again", "begun again and killed"])
+def test_cells_that_were_changed_on_record_are_in_a_table_that_is_made_anew(execute: Execute, since: str) -> None:
+    executed = execute("run_process = RunProcess.IN_PROCESS" + COUNTING)
+    path = executed.folder / "run_table.csv"
+    edited(executed, "Video,1,11", "Video,1,7.5")
+    edited(executed, "Network,1,21", "Idle,1,")
+    resume(executed, accept_changes=True)
+    if since == "executed again":
+        resume(executed, redo=("r_1",))
+    elif since == "begun again and killed":
+        journal = executed.folder / "journal.jsonl"
+        begun = next(line for line in text_of(journal).splitlines(keepends=True) if "attempt_started" in line)
+        journal.write_text(text_of(journal) + begun, encoding="utf-8")
+    before = text_of(path)
+    path.unlink()
+    finished = resume(executed)
+    now = text_of(path)
+    values = {"nothing": "7.5", "executed again": "12", "begun again and killed": "13"}
+    assert f"Video,1,{values[since]}\n" in now
+    assert "Idle,1,\n" in now
+    assert now == before or since == "begun again and killed"
+    changed = 2 + (since == "nothing")
+    assert any(f"and {changed} cells as they were changed by hand" in each.problem for each in finished.findings)
+    assert len(executed.journal("deviation")) == 3
+
+
+def test_a_row_that_was_removed_on_record_is_in_a_table_that_is_made_anew_and_told(execute: Execute) -> None:
+    executed = execute("run_process = RunProcess.IN_PROCESS" + COUNTING)
+    path = executed.folder / "run_table.csv"
+    lines = text_of(path).splitlines(keepends=True)
+    path.write_text("".join(line for line in lines if not line.startswith("r_3,")), encoding="utf-8")
+    resume(executed, accept_changes=True)
+    path.unlink()
+    finished = resume(executed)
+    assert "r_3,Done" in text_of(path)
+    assert any("r_3 had been removed by hand" in each.problem for each in finished.findings)
+
+
 FAILS_AT_FIRST = "\ndef stop_run(self, context):\n    assert context.attempt > 1\n"
 
 

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID
 from robot_runner.core.errors import Finding, Severity
 from robot_runner.core.execution.recovered_table import ENDS, Deviation, texts_of
-from robot_runner.core.storage.cells import RunStatus, measure_text
-from robot_runner.core.words import listed
+from robot_runner.core.storage.cells import RunStatus, csv_text, measure_text
+from robot_runner.core.storage.run_table_reading import run_table_in
+from robot_runner.core.words import counted, enumerated, listed
 
 if TYPE_CHECKING:
+    from robot_runner.core.design.planned_runs import PlannedRun
     from robot_runner.core.storage.executed_runs import ExcludedRuns
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
@@ -83,6 +87,38 @@ def treatment_deviations(
         was = changed.get((run_id, name), expected.get(name, is_now))
         if was != is_now:
             yield Deviation(run_id, name, was, is_now)
+
+
+def with_changes(
+    path: Path, rows: RunTableRows, plan: Sequence[PlannedRun], changed: Mapping[tuple[str, str], str]
+) -> tuple[RunTableRows, str]:
+    """Return the rows of a table that was made anew with the cells that were changed by hand, on record.
+
+    Args:
+        path: the table's file, for what is said of it.
+        rows: the table as it was planned and executed.
+        plan: from which it was made.
+        changed: the text of each changed cell, by run and column.
+
+    Returns:
+        the rows, and what has been changed in words: ", and 2 cells as ...".
+    """
+    columns = {name: place for place, name in enumerate(rows.layout.columns) if name != EXCLUDED}
+    cells = {
+        (place, columns[name]): text
+        for (run_id, name), text in changed.items()
+        if name in columns and (place := rows.place_of(run_id)) is not None
+    }
+    removed = [run_id for run_id, name in changed if name == ROW]
+    told = f"; {enumerated(removed)} had been removed by hand" if removed else ""
+    if not cells:
+        return rows, told
+    # As text: it was read from the file, and is read by the same rules once more.
+    lines = [rows.layout.headings, *map(list, chain.from_iterable(rows.cells()))]
+    for (place, column), text in cells.items():
+        lines[1 + place][column] = text
+    changed_rows = run_table_in(io.StringIO(csv_text(lines), newline=""), path, rows.layout, plan)
+    return changed_rows, f", and {counted(len(cells), 'cell')} as they were changed by hand{told}"
 
 
 def changed_exclusions(rows: RunTableRows, excluded: ExcludedRuns) -> Iterator[Deviation]:

@@ -13,9 +13,11 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.design.columns import EXCLUDED, STATUS
+from robot_runner.core.design.run_table_model import RunTable
 from robot_runner.core.errors import Finding, Severity, StorageError
 from robot_runner.core.execution.recovered_table import (
     ATTEMPT_FINISHED,
@@ -41,6 +43,7 @@ from robot_runner.core.execution.table_deviations import (
     changed_exclusions,
     deviation_findings,
     treatment_deviations,
+    with_changes,
 )
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import unrecorded_in_words, unrecorded_runs
@@ -57,11 +60,6 @@ from robot_runner.core.storage.run_table_rows import RunTableRows
 from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.core.storage.table_columns import ColumnDescription, TableLayout, former_measures
 from robot_runner.core.storage.table_schema import read_schema
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.design.run_table_model import RunTable
-
 
 _CHOOSE = (
     "Let what was executed count (--table journal), or let the file count (--table file): each change is recorded."
@@ -245,15 +243,19 @@ class _Recovery:
         """
         if self._path.exists():
             self._put_aside()
-        ends, _ = self._last_ends()
+        ends, changed = self._last_ends()
         rows = RunTableRows.of_plan(self._plan, self._layout)
         table = RecoveredTable(self._experiment, rows)
         refuse_differences(self._unplanned(rows))
         for line in (line for run_id, line in ends.items() if run_id not in self._history.begun):
             table.take_record(parsed_record(self._journal, line))
+        by_hand = ""
+        if self._choice is not TableChoice.JOURNAL:
+            kept = {cell: text for cell, text in changed.items() if cell[0] not in self._history.begun}
+            table.rows, by_hand = with_changes(self._path, rows, self._plan, kept)
         self._leave_out(table)
-        done = rows.count(RunStatus.DONE)
-        problem = f"{reason}: made anew from the plan and the journal, with {done} runs that are done"
+        done = table.rows.count(RunStatus.DONE)
+        problem = f"{reason}: made anew from the plan and the journal, with {done} runs that are done{by_hand}"
         table.findings = (Finding.warning(str(self._path), problem, self._kept_fix()),)
         return table
 

@@ -146,12 +146,19 @@ def read_run_table(path: Path, layout: TableLayout, planned: Sequence[PlannedRun
     Raises:
         StorageError: it cannot be read, or is no run table of this layout; `findings` lists everything that is wrong.
     """
-    findings = TableFindings(path)
-    with _opened(path) as file, garbage_collection_paused():
+    with _opened(path) as file:
+        return run_table_in(file, path, layout, planned)
+
+
+def run_table_in(file: TextIO, path: Path, layout: TableLayout, planned: Sequence[PlannedRun] = ()) -> RunTableRows:
+    """Read a run table from its text, as `read_run_table` does from the file at `path`."""
+    csv.field_size_limit(max(csv.field_size_limit(), _LONGEST_CELL))
+    with garbage_collection_paused():
         starts = iter(partial(file.readline, _HEADINGS_ENOUGH), "")
         delimiter = delimiter_of(next((start for start in starts if start.strip()), ""), layout)
         file.seek(0)
-        return _Reading(layout, findings, planned, decimal_comma=delimiter == ";").read(file, delimiter)
+        reading = _Reading(layout, TableFindings(path), planned, decimal_comma=delimiter == ";")
+        return reading.read(file, delimiter)
 
 
 class _Reading:
@@ -344,7 +351,6 @@ def _sharing_empty(rows: list[tuple[Any, ...]]) -> Iterable[tuple[Any, ...]]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[TextIO]:
-    csv.field_size_limit(max(csv.field_size_limit(), _LONGEST_CELL))
     try:
         with io.TextIOWrapper(open_to_read(path, limit=LARGEST), encoding="utf-8-sig", newline="") as file:
             yield file
