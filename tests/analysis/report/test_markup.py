@@ -120,6 +120,29 @@ def test_a_table_in_latex_that_is_wider_than_a_column_of_a_paper_spans_the_page_
     assert r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}" in written
 
 
+def test_of_a_table_in_latex_that_is_wider_than_a_page_cells_have_lines_and_others_are_as_they_were():
+    long = "Cohen's d = 0.5 [0.1, 0.9] (95%), small; Cliff's delta = 0.3, small; [0, 1] " + "word " * 9
+    wide, narrow = (
+        Table("t", "c", (Column("a"), Column("b")), ((Cell.of_text(each),) * 2,)) for each in (long, "x; y")
+    )
+    written = latex_of(wide, latex_label)
+    (row,) = (line for line in written.splitlines() if "Cohen" in line)
+    lines = row.partition(" & ")[0].strip().removeprefix(r"\begin{tabular}[t]{@{}l@{}}").removesuffix(r"\end{tabular}")
+    assert lines.split(r" \\ ") == [
+        "Cohen's d = 0.5 [0.1, 0.9] (95\\%),",
+        "small;",
+        "Cliff's delta = 0.3, small;",
+        "{}[0, 1] word word word word word word",
+        "word word word",
+    ]
+    assert "x; y & x; y" in latex_of(narrow, latex_label)
+
+
+def test_units_in_captions_in_latex_keep_their_case_where_captions_are_small_capitals():
+    written = latex_of(Table("t", "Power (mW) by Task_1: means.", (Column("a"),), ()), latex_label)
+    assert r"\caption{Power \textnormal{(mW)} by Task\_1: means.}" in written
+
+
 def test_tables_whose_names_differ_in_signs_alone_have_labels_of_their_own():
     labels = SafeNames(latex_label)
     assert [labels(name) for name in ("describe a_b", "describe a-b", "describe a_b")] == [

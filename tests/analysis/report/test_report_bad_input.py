@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import itertools
 import re
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -238,7 +239,11 @@ def test_names_are_text_in_latex(hostile):
             body = path.read_text(encoding="utf-8")
             assert r"\input" not in body
             assert not re.search(r"(?<!\\)\$x", body)
-            assert body.count(r"\begin") == body.count(r"\end") == 2
+            begun, ended = (re.findall(rf"\\{which}\{{(table\*?|tabular)\}}", body) for which in ("begin", "end"))
+            assert Counter(begun) == Counter(ended)
+            assert body.count(r"\begin") == len(begun)
+            assert body.count(r"\end") == len(ended)
+            assert len([each for each in begun if each != "tabular"]) == 1
 
 
 def test_names_are_text_in_markdown(hostile):

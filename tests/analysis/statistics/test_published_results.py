@@ -132,6 +132,14 @@ def test_cliffs_delta_of_thousands_of_runs_holds_no_table_of_all_pairs():
     )
 
 
+def test_cliffs_delta_is_zero_where_as_many_pairs_are_won_as_lost_and_one_where_all_are():
+    one, other = np.array([6.0, 3.0, 8.0]), np.array([8.0, 5.0, 5.0])
+    assert cliffs_delta([(one, other)]).value == 0
+    thirds = [([6, 8, 4], [5, 8, 2]), ([7, 1, 3], [6, 5, 1]), ([5, 5, 8], [5, 7, 8])]
+    assert cliffs_delta([(np.array(a, float), np.array(b, float)) for a, b in thirds]).value == 0
+    assert cliffs_delta([(np.arange(49.0) + 49, np.arange(49.0))] * 3).value == 1
+
+
 def test_cliffs_delta_of_the_package_effsize():
     # effsize: cliff.delta(treatment, control): -0.25 (small), [-0.7265846, 0.3890062]
     treatment = np.array([10, 10, 20, 20, 20, 30, 30, 30, 40, 50], dtype=float)

@@ -11,9 +11,11 @@ import csv
 import io
 import json
 import re
+import textwrap
 from collections.abc import Callable, Mapping
 from functools import cache
 from importlib.resources import files
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 from unicodedata import normalize
 from urllib.parse import quote
@@ -31,6 +33,10 @@ _PACKAGE = "robot_runner.analysis.report"
 _MOST_ROWS = 400
 #: Letters of a row that a column of a paper has room for, with those that the gap between two cells takes.
 _COLUMN_OF_A_PAPER, _GAP = 50, 2
+#: Letters that a page of a paper has room for, and those of a line in a cell of a table that is wider than that.
+_PAGE_OF_A_PAPER, _LINE_OF_A_CELL = 105, 36
+#: What is kept in one line of a cell, and what stands for its blanks meanwhile.
+_INTERVAL, _UNBROKEN = re.compile(r"\[[^\[\]]*\]"), "\N{NO-BREAK SPACE}"
 #: Screen pixels for a point of a figure: a column of a paper becomes 470 pixels wide.
 _SCALE = 1.87
 _SIZE = re.compile(rb'<svg[^>]*? viewBox="0 0 ([\d.]+) ([\d.]+)"', re.DOTALL)
@@ -117,7 +123,8 @@ def markdown_of(document: Document, figure_path: Callable[[str], str]) -> str:
 def latex_of(table: Table, labels: Callable[[str], str]) -> str:
     """Return a table as LaTeX, for `booktabs` and `graphicx`, with numbers as a reader sees them.
 
-    One that is too wide for a column of a paper spans the page, and is made smaller where it is too wide for that.
+    One that is too wide for a column of a paper spans the page. One that is too wide for that has long cells in lines,
+    and is made smaller where it is still too wide.
 
     Args:
         table: it.
@@ -127,7 +134,23 @@ def latex_of(table: Table, labels: Callable[[str], str]) -> str:
     rows = [[column.name for column in table.columns], *([cell.text for cell in row] for row in table.rows)]
     width = sum(max(map(len, column)) + _GAP for column in zip(*rows, strict=True))
     star = "*" * (width > _COLUMN_OF_A_PAPER)
-    return _papers().get_template("table.tex.j2").render(table=table, label=labels(table.name), star=star)
+    cell_text = _in_lines if width > _PAGE_OF_A_PAPER else str
+    # IEEE's captions are small capitals, which print mW as MW.
+    caption = Markup(re.sub(r"\([^()]*\)", r"\\textnormal{\g<0>}", latex_text(table.caption)))  # noqa: S704 - as above
+    template = _papers().get_template("table.tex.j2")
+    return template.render(table=table, caption=caption, label=labels(table.name), star=star, cell_text=cell_text)
+
+
+def _in_lines(text: str) -> Markup:
+    """Return the text of a cell as LaTeX, in lines of which each part of an enumeration begins one."""
+    whole = _INTERVAL.sub(lambda found: found[0].replace(" ", _UNBROKEN), text)
+    parts = whole.split("; ")
+    parts[:-1] = [f"{each};" for each in parts[:-1]]
+    folded = (textwrap.wrap(part, _LINE_OF_A_CELL, break_long_words=False) or [part] for part in parts)
+    lines = [latex_text(line.replace(_UNBROKEN, " ")) for line in chain.from_iterable(folded)]
+    written = r" \\ ".join(lines)
+    stacked = rf"\begin{{tabular}}[t]{{@{{}}l@{{}}}}{written}\end{{tabular}}" if len(lines) > 1 else written
+    return Markup(stacked)  # noqa: S704 - each line is escaped for LaTeX
 
 
 def latex_label(name: str) -> str:

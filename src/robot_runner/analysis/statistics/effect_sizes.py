@@ -11,6 +11,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -175,7 +176,7 @@ def cliffs_delta(pairs: Sequence[tuple[Floats, Floats]], level: float = _LEVEL) 
     pairs = [(one, other) for one, other in pairs if len(one) and len(other)]
     if not pairs:
         return None
-    value = float(np.mean([_dominances(*pair).mean() for pair in pairs]))
+    value = float(sum(_exact_delta(*pair) for pair in pairs) / len(pairs))
     return _ROMANO.size("Cliff's delta", value, _delta_interval(pairs, value, level))
 
 
@@ -217,6 +218,11 @@ def _dominances(of: Floats, over: Floats) -> Floats:
     others = np.sort(over)
     above, not_below = (np.searchsorted(others, of, side) for side in ("left", "right"))
     return (above - (len(others) - not_below)) / len(others)
+
+
+def _exact_delta(one: Floats, other: Floats) -> Fraction:
+    """Return the share of pairs: summed as decimals, -1/6 - 2/6 + 3/6 would be 1e-17, and all of them less than 1."""
+    return Fraction(round(float(np.sum(_dominances(one, other) * len(other)))), len(one) * len(other))
 
 
 def _delta_interval(pairs: Sequence[tuple[Floats, Floats]], delta: float, level: float) -> Interval | None:
