@@ -267,6 +267,19 @@ def test_a_factor_that_goes_along_with_another_one_is_not_tested(tmp_path: Path)
     assert found.post_hoc == ()
 
 
+def test_where_like_runs_all_say_the_same_neither_the_factor_nor_its_pairs_are_tested(tmp_path: Path) -> None:
+    answers = {
+        (planner, room): said(3 * (room == "hall"), 3) for planner in PLANNER.treatments for room in ("lab", "hall")
+    }
+    found = analysed(tmp_path, [PLANNER, Factor("Room", ["lab", "hall"])], answers).measure("Success")
+    assert found.test is not None
+    planner, room = found.test.effects
+    assert (planner.p_value, room.p_value) == (None, pytest.approx(2 * math.comb(6, 3) ** -2))
+    assert [each.factors for each in found.post_hoc] == [("Room",)], "a p-value of 1 beside a factor that has none"
+    told = {each.what: each.why for each in found.not_computed}
+    assert "differ in nothing but Planner" in told["pairwise comparisons of Planner"]
+
+
 def test_a_run_without_a_covariate_is_in_the_proportions_all_the_same(tmp_path: Path) -> None:
     experiment = make_experiment(
         tmp_path / "made",

@@ -301,6 +301,10 @@ def compare_proportions(data: MeasureData, choices: Choices, most_pairs: int) ->
             why = f"{counted(len(data.levels(factor)), 'treatment')} make {len(pairs):,} pairs: compare chosen ones."
             yield NotComputed(f"pairwise comparisons of {factor}", why)
             continue
+        if not Strata.of(data, factor, data.levels(factor)).statistic()[1]:
+            why = f"no runs with different answers differ in nothing but {factor}."
+            yield NotComputed(f"pairwise comparisons of {factor}", why)
+            continue
         tables = {pair: Strata.of(data, factor, pair) for pair in pairs}
         known = {pair: shares for pair, table in tables.items() if (shares := table.shares()) is not None}
         p_values = [tables[pair].p_value() for pair in known]
