@@ -85,6 +85,25 @@ def test_single_runs_that_add_up_exactly_tell_no_chance_however_far_from_0_they_
     assert "chance has no measure" in found.not_computed[0].why
 
 
+@pytest.mark.parametrize("blocks", [None, "Repetition"])
+def test_what_the_means_of_equal_values_leave_of_them_is_nothing_that_is_checked_or_drawn(
+    tmp_path: Path, blocks: str | None
+) -> None:
+    # Residuals of 1e-17 were said to be distributed normally (W = 0.972).
+    plan = {"measures": ["Energy"]} | ({"blocks": blocks} if blocks else {})
+    added = 0.1 if blocks else 0
+    found = energy(
+        tmp_path,
+        lambda of, repetition: 0.11 + ADDED[of["Task"]] + added * repetition,
+        [TASKS],
+        repetitions=7,
+        analysis=plan,
+    )
+    assert [each for each in found.assumptions if not each.treatments] == []
+    assert (found.quantiles, found.drift) == (None, None)
+    assert "all values are equal." in {each.why for each in found.not_computed}
+
+
 @pytest.mark.parametrize(("offset", "spread"), [(1e9, 0.05), (1.7e12, 100.0)])
 def test_values_far_from_0_that_vary_are_compared(tmp_path: Path, offset: float, spread: float) -> None:
     noise = np.random.default_rng(2).normal(size=(2, 6))

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 #: Of columns of about 1: less is what rounding leaves of those that the groups tell.
 _ROUNDING = 1e-9
+#: Of values: what is left of them is rounding if it is no more than this share, some hundred units in the last place.
+_LEAST_LEFT = 1e-13
 
 
 def numbers_of_levels(levels: Sequence[str]) -> list[float] | None:
@@ -96,7 +98,9 @@ def _left_beside(groups: Iterable[NDArray[np.str_]], columns: Sequence[Floats], 
     beside = beside[:, np.max(np.abs(beside), axis=0, initial=0.0) > _ROUNDING]
     rank = _rank(beside) if beside.size else 0
     freedom = len(values) - len(set(most)) - rank
-    return rest - beside @ np.linalg.lstsq(beside, rest)[0] if rank else rest, freedom
+    rest = rest - beside @ np.linalg.lstsq(beside, rest)[0] if rank else rest
+    is_rounding = np.max(np.abs(rest), initial=0.0) <= _LEAST_LEFT * np.max(np.abs(values), initial=0.0)
+    return np.zeros_like(rest) if is_rounding else rest, freedom
 
 
 def residuals_of(data: MeasureData, values: Floats | None = None) -> tuple[Floats, int]:
