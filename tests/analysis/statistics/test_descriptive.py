@@ -15,7 +15,9 @@ from tests.analysis.statistics.reference_data import split_plot
 
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.statistics.descriptive import describe
+from robot_runner.analysis.statistics.left_out import outside
 from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.outliers import Outliers
 from robot_runner.core.design.repeated_intervals import METHOD, half_width_of
 
 TASKS, SPEEDS = ["Video", "Idle"], ["slow", "fast"]
@@ -150,3 +152,24 @@ def test_values_that_are_all_equal_have_this_mean_and_no_spread():
     rows = [(task, 3.7) for task in "ab" for _ in range(5)]  # whose sum is 37.00000000000001
     overall = analyse(designed(rows, ["Task"], {})).measure("y").overall
     assert (overall.mean, overall.sd, overall.mean_interval) == (3.7, 0.0, None)
+
+
+#: Tenths of which the largest is on the fence: 12.7 + 1.5 (12.7 - 11.9) = 13.9. In binary it was beyond.
+ON_THE_FENCE = [11.2, 11.8, 11.9, 12.2, 12.3, 12.5, 12.7, 13.1, 13.9]
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-9, 1e9])
+def test_a_value_on_a_fence_is_not_beyond_it_by_rounding(size):
+    values = size * np.array(ON_THE_FENCE)
+    rows = [(task, value) for task in "ab" for value in values]
+    overall = analyse(designed(rows, ["Task"], {})).measure("y").by_treatment[0]
+    assert overall.outliers == ()
+    assert not outside(values, Outliers(interquartile_ranges=1.5)).any()
+    values[-1] += size * 1e-6
+    assert outside(values, Outliers(interquartile_ranges=1.5)).tolist() == [False] * 8 + [True]
+
+
+def test_a_value_as_far_from_the_median_as_a_rule_allows_is_not_beyond_it_by_rounding():
+    values = np.array([0.1, 0.2, 0.3, 0.4, 0.5])
+    scaled = 0.2 / (0.1 * 1.4826)  # how many scaled deviations the outer ones lie from 0.3
+    assert not outside(values, Outliers(median_deviations=scaled)).any()

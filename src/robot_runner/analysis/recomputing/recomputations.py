@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from enum import Enum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.analysis.recomputing.fact_finding import facts_of_study
 from robot_runner.analysis.recomputing.literals import Code, python_literal, r_literal, rendered
@@ -24,17 +24,15 @@ from robot_runner.analysis.recomputing.study_facts import (
 from robot_runner.analysis.report.writing import made_by, report_folder
 from robot_runner.analysis.results import Results, results_of
 from robot_runner.analysis.statistics.nested_factors import IDLE
+from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.storage.guarded_files import make_folder, replace
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.analysis_plan import AnalysisPlan
 
 
 def r_script(study: StudyFacts) -> str:
     """Return the script, for R 4.0 and its own packages."""
     return rendered(
         "recompute.R.j2",
-        **_common(study, ", {}", r_literal, ", tolerance = 1e-4", "NULL", "function(groups, contrasts) {}"),
+        **_common(study, ", {}", r_literal, ", tolerance = 1e-3", "NULL", "function(groups, contrasts) {}"),
         table=_r_table,
         keys=lambda reported: r_literal([label for label, _ in reported.rows]),
         separator=lambda is_last: Code("" if is_last else ","),
@@ -112,7 +110,7 @@ def cells_of(study: StudyFacts) -> list[tuple[str, str]]:
     """Return the kind of each cell, `code` or `markdown`, and what it holds."""
     text = rendered(
         "notebook.py.j2",
-        **_common(study, ", level={}", python_literal, ", tolerance=1e-4", "None", "lambda groups, contrasts: {}"),
+        **_common(study, ", level={}", python_literal, ", tolerance=1e-3", "None", "lambda groups, contrasts: {}"),
         table=_python_table,
         mapping=_mapping,
         levels=_levels,

@@ -46,6 +46,8 @@ _SEED = 20210525
 #: Tukey's fences (Tukey, Exploratory Data Analysis, 1977): interquartile ranges beyond the quartiles.
 _FENCE = 1.5
 _OUTER_FENCE = 3.0
+#: What computing with values may add to them, as a share of the largest: 45 units in the last place.
+_UNITS_IN_LAST_PLACE = 1e-14
 
 #: Fewer values have no spread to speak of.
 _LEAST_FOR_SPREAD = 2
@@ -162,10 +164,18 @@ def bootstrap_interval(values: Floats, statistic: Callable[..., Any], level: flo
     return None
 
 
+def rounding_of(values: Floats) -> Any:
+    """Return by how much values, shape (..., runs), may be off by rounding, shape (..., 1).
+
+    One that is on a fence is not beyond it: in binary, 13.9 is not 12.7 + 1.5 (12.7 - 11.9).
+    """
+    return _UNITS_IN_LAST_PLACE * np.max(np.abs(values), axis=-1, keepdims=True)
+
+
 def _outliers(group: Group, first: float, third: float) -> tuple[Outlier, ...]:
     if len(group.values) < _LEAST_FOR_OUTLIERS:
         return ()
-    beyond = np.maximum(first - group.values, group.values - third)
+    beyond = np.maximum(first - group.values, group.values - third) - rounding_of(group.values)
     width = third - first
     return tuple(
         Outlier(run_id, float(value), is_extreme=bool(distance > _OUTER_FENCE * width))

@@ -11,6 +11,7 @@ from scipy import stats
 
 from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.analysed_design import VALUE, Design
+from robot_runner.analysis.statistics.descriptive import rounding_of
 from robot_runner.analysis.statistics.disclosed import LeftOut, Reason
 from robot_runner.analysis.statistics.execution_order import displaced_runs
 from robot_runner.core.design.columns import RUN_ID
@@ -109,12 +110,13 @@ def outside(values: Floats, rule: Outliers) -> NDArray[np.bool_]:
         return none
     if rule.interquartile_ranges is not None:
         first, third = np.quantile(values, [0.25, 0.75], axis=-1, keepdims=True)
-        far = np.maximum(first - values, values - third) > rule.interquartile_ranges * (third - first)
+        beyond = np.maximum(first - values, values - third) - rounding_of(values)
+        far = beyond > rule.interquartile_ranges * (third - first)
         return np.asarray(far & (third > first))
     if rule.median_deviations is not None:
         distances = np.abs(values - np.median(values, axis=-1, keepdims=True))
         scale = _NORMAL * np.median(distances, axis=-1, keepdims=True)
-        return np.asarray((distances > rule.median_deviations * scale) & (scale > 0))
+        return np.asarray((distances - rounding_of(values) > rule.median_deviations * scale) & (scale > 0))
     return none
 
 
