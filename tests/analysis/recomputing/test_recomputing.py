@@ -114,6 +114,7 @@ DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
         {"analysis": {"measures": ["Energy"], "statistic": "anova-type"}},
     ),
     "combinations without runs": ([TASKS, MAPS, Factor("Room", ["a", "b"])], 3, {1, 13, 25}, {}),
+    "combinations without runs, two runs of others": ([TASKS, MAPS], 2, {1, 7}, {}),
     "a run in a cell": ([TASKS, MAPS], 2, {1, 4}, {}),
     "yes or no": ([MAPS], 12, {1}, {}),
     "yes or no, three treatments": ([TASKS], 8, set(), {}),
