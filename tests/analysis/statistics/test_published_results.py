@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import integrate, stats
 from tests.analysis.statistics import reference_data as data
 
 from robot_runner.analysis.statistics.assumptions import equal_variances, normality
 from robot_runner.analysis.statistics.correlations import correlations_of
 from robot_runner.analysis.statistics.designed_columns import residuals_of
-from robot_runner.analysis.statistics.detectable_effect import _power, repetitions_needed
+from robot_runner.analysis.statistics.detectable_effect import _detectable, _power, repetitions_needed
 from robot_runner.analysis.statistics.effect_sizes import cliffs_delta, cohens_d, noncentralities_of_f, vargha_delaney
 from robot_runner.analysis.statistics.linear_model import fit_model
 from robot_runner.analysis.statistics.post_hoc import adjusted, compare_pairs
@@ -375,3 +375,25 @@ def test_adjusting_as_r_does():
     # Of 0.01, 0.02, 0.03 and 0.04, p.adjust makes these by "holm" and by "BH"
     assert adjusted([0.01, 0.02, 0.03, 0.04], Correction.HOLM) == pytest.approx([0.04, 0.06, 0.06, 0.06])
     assert adjusted([0.01, 0.02, 0.03, 0.04], Correction.BENJAMINI_HOCHBERG) == pytest.approx([0.04] * 4)
+
+
+@pytest.mark.parametrize(
+    ("runs", "alpha", "effect"),
+    # power.t.test(n, sd = 1, sig.level, power = 0.8, strict = TRUE, tol = 1e-12) of R 4.2.2
+    [(2, 0.05, 5.653489), (2, 0.01, 12.67843), (3, 0.001, 8.71518), (3, 0.0001, 15.59302), (5, 0.01, 2.744468)],
+)
+def test_the_detectable_effect_of_few_runs_is_that_of_r_however_large_it_is(runs, alpha, effect):
+    assert _detectable(runs, 2, alpha, in_blocks=False) == pytest.approx(effect, rel=1e-6)
+
+
+def test_a_detectable_effect_has_the_power_that_an_integral_has():
+    effect = _detectable(2, 2, 0.001, in_blocks=False)  # power.t.test says 40.973, with which the power is 0.813
+    t = stats.t.isf(0.0005, 2)
+
+    def density(spread):
+        return stats.norm.sf(t * spread - effect) * stats.chi.pdf(spread * 2**0.5, 2) * 2**0.5
+
+    kink = effect / t
+    parts = [integrate.quad(density, *ends, limit=500)[0] for ends in ((0, kink), (kink, 20))]
+    assert sum(parts) == pytest.approx(0.8, abs=1e-7)
+    assert _detectable(2, 2, 0.0001, in_blocks=False) is None  # 130 standard deviations

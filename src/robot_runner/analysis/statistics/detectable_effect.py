@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _TARGET = 0.8
 _MOST_REPETITIONS = 100_000
 _SMALLEST, _LARGEST = 1e-6, 100.0  # effects between which the detectable one is looked for
+_EXACT = 1e-6  # by how much its power may differ from the target
 
 #: Cohen, Statistical Power Analysis for the Behavioral Sciences, 1988.
 _COHEN_D = {"small": 0.2, "medium": 0.5, "large": 0.8}
@@ -148,28 +149,24 @@ def repetitions_needed(
 
 
 def _power(effect: float, runs: float, groups: int, alpha: float, *, in_blocks: bool = False) -> float:
-    if in_blocks:  # its noncentrality is the same, and blocks take degrees of freedom
-        freedom = groups - 1, (groups - 1) * (runs - 1)
-        squares = runs * effect**2 / 2 if groups == 2 else runs * groups * effect**2  # noqa: PLR2004
-        with quiet():
-            share = float(stats.ncf.sf(stats.f.isf(alpha, *freedom), *freedom, squares))
-        return share if math.isfinite(share) else 1.0
-    from statsmodels.stats.power import FTestAnovaPower, TTestIndPower  # noqa: PLC0415 - takes a second to import
-
+    between = groups - 1
+    freedom = between, (between if in_blocks else groups) * (runs - 1)  # blocks take degrees of freedom
+    # Of two groups this is the t-test, with both of its tails.
+    squares = runs * effect**2 / 2 if groups == 2 else runs * groups * effect**2  # noqa: PLR2004
     with quiet():
-        if groups == 2:  # noqa: PLR2004
-            found = TTestIndPower().power(effect, runs, alpha)
-        else:
-            found = FTestAnovaPower().power(effect, runs * groups, alpha, k_groups=groups)
-    return float(found) if math.isfinite(found) else 1.0  # an effect beyond what the noncentral distribution computes
+        share = float(stats.ncf.sf(stats.f.isf(alpha, *freedom), *freedom, squares))
+    return share if math.isfinite(share) else 1.0  # an effect beyond what the noncentral distribution computes
 
 
 def _detectable(runs: float, groups: int, alpha: float, *, in_blocks: bool) -> float | None:
-    """Return the smallest effect that is found with the target power."""
+    """Return the smallest effect that is found with the target power; None where none is, or none can be computed."""
+
+    def lacking(effect: float) -> float:
+        return _TARGET - _power(effect, runs, groups, alpha, in_blocks=in_blocks)
+
     try:
-        found = brentq(
-            lambda effect: _power(effect, runs, groups, alpha, in_blocks=in_blocks) - _TARGET, _SMALLEST, _LARGEST
-        )
+        found = float(brentq(lacking, _SMALLEST, _LARGEST))
     except ValueError:  # not even the largest
         return None
-    return float(found)
+    # Beyond what the noncentral distribution computes, the power jumps to 1: that is not where the target is reached.
+    return found if abs(lacking(found)) < _EXACT else None
