@@ -80,9 +80,9 @@ def test_messages_of_a_link_go_on_while_a_goal_of_it_is_executed(server, robot, 
     link.call("count/_action/cancel_goal", "action_msgs/CancelGoal")
     goal.result(timeout=20.0)
     deadline = time.monotonic() + 20.0
-    while len(server._clients) > before and time.monotonic() < deadline:
+    while len(server._clients) > before + 1 and time.monotonic() < deadline:
         time.sleep(0.02)
-    assert len(server._clients) == before
+    assert len(server._clients) == before + 1  # that of the call, which the next one takes
 
 
 def test_a_connection_that_is_lost_ends_the_wait_for_a_goal_at_once(server, robot, link):
@@ -135,3 +135,24 @@ def test_a_goal_of_another_client_is_not_taken_for_one_that_was_silently_rejecte
         with pytest.raises(LinkError, match="it was another client's") as told:
             got[0].result(timeout=30)
         assert "nobody else" in told.value.fix
+
+
+def test_an_action_that_a_server_of_ros_1_still_publishes_is_not_offered_any_more():
+    with closing(RosbridgeServer(generation=1)) as server:
+        server.graph.unregister_timeout = 3600.0
+        with closing(open_rosbridge_link(server.url, SystemClock())) as link:
+            with closing(open_rosbridge_link(server.url, SystemClock())) as robot:
+                robot.offer_action("count", FIBONACCI, count)
+                assert link.actions() == {"/count": FIBONACCI}
+            wait_until(lambda: not link.actions())
+            assert link.topics()["/count/status"] == "actionlib_msgs/GoalStatusArray"
+            link.offer_action("count", FIBONACCI, count)
+
+
+def test_who_offers_an_action_again_that_its_server_keeps_is_told_to_start_the_server_anew(server, link):
+    server.actions.keeps_actions = True
+    with closing(open_rosbridge_link(server.url, SystemClock())) as robot:
+        robot.offer_action("count", FIBONACCI, count)
+    with pytest.raises(LinkError, match="offers the action '/count' already") as caught:
+        link.offer_action("count", FIBONACCI, count)
+    assert "start it anew" in caught.value.fix

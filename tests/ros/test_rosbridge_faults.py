@@ -16,9 +16,10 @@ from tests.processor_wait import ProcessorWait
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.commanded_topics import command_for_certain
 from robot_runner.core.links.robot import Encoding, Qos
 from robot_runner.core.links.robot_name import RobotName
-from robot_runner.ros import rosbridge_frames, rosbridge_session, rosbridge_types
+from robot_runner.ros import rosbridge_frames, rosbridge_session, rosbridge_transport, rosbridge_types
 from robot_runner.ros.graph_addresses import RosbridgeAddress
 from robot_runner.ros.rosbridge_link import findings, open_rosbridge_link
 from robot_runner.ros.shapes import completed
@@ -217,6 +218,62 @@ def test_a_type_that_only_the_robot_knows_is_asked_of_it(generation, tmp_path):
         until(lambda: heard)
         assert heard == [arm]
         assert "float64[] angles" in link.definition("my_robot/Arm")
+
+
+def test_a_service_type_that_a_robot_of_ros_2_lacks_does_not_end_its_rosapi(monkeypatch):
+    monkeypatch.setattr(rosbridge_types, "_CONFIRMATION", 0.1)
+    with closing(RosbridgeServer(generation=2)) as server, closing(linked(server)) as link:
+        with pytest.raises(LinkError, match="my_robot/Open"):
+            link.call("door", "my_robot/Open")
+        assert link.topics() is not None
+        assert not [name for name in link.services() if "probe" in name]
+
+
+def test_a_service_type_that_only_the_robot_knows_is_asked_of_it(tmp_path):
+    (tmp_path / "my_robot" / "srv").mkdir(parents=True)
+    (tmp_path / "my_robot" / "srv" / "Open.srv").write_text("float64 angle\n---\nbool is_open\n")
+    with closing(RosbridgeServer(generation=2, types=[tmp_path])) as server, closing(linked(server)) as link:
+        server.offer("/door", "my_robot/Open", lambda asked: {"is_open": asked["angle"] == 0.5})
+        assert link.call("door", "my_robot/Open", {"angle": 0.5}) == {"is_open": True}
+        assert list(link.services()) == ["/door"]
+
+
+@pytest.mark.parametrize("generation", [1, 2])
+def test_what_nobody_repeats_is_said_again_until_a_server_s_new_publisher_is_connected(generation, monkeypatch):
+    monkeypatch.setattr(rosbridge_transport, "_CONNECTING", 0.3)
+    with (
+        closing(RosbridgeServer(generation=generation)) as server,
+        closing(linked(server)) as robot,
+        closing(linked(server)) as link,
+    ):
+        heard = []
+        robot.subscribe("land", STRING, heard.append)
+        command_for_certain(link, "land", STRING, {"data": "now"})
+        until(lambda: len(heard) > 1)
+
+
+@pytest.mark.parametrize("generation", [1, 2])
+def test_what_is_published_while_a_service_is_called_does_not_wait_for_its_answer(generation):
+    with (
+        closing(RosbridgeServer(generation=generation)) as server,
+        closing(linked(server)) as robot,
+        closing(linked(server)) as link,
+    ):
+        stopped, ended = threading.Event(), threading.Event()
+        robot.subscribe("cmd_vel", "geometry_msgs/Twist", lambda _: stopped.set())
+        robot.offer("dock", TRIGGER, lambda _: {"success": stopped.wait(60.0)})
+        replies = []
+
+        def call():
+            replies.append(link.call("dock", TRIGGER, timeout=60.0))
+            ended.set()
+
+        threading.Thread(target=call, daemon=True).start()
+        until(lambda: not ended.wait(0.2))
+        link.publish("cmd_vel", "geometry_msgs/Twist", {})
+        assert ended.wait(60.0)
+        assert replies == [{"success": True, "message": ""}]
+        assert link.call("dock", TRIGGER, timeout=60.0)["success"]
 
 
 @pytest.mark.parametrize(("generation", "w"), [(1, 0.0), (2, 1.0)])

@@ -86,7 +86,7 @@ class Ros1Actions:
         return Ros1ActionTypes.of(self._transport.types, action_type)
 
     def actions(self) -> dict[str, str]:
-        """Return the type of each action whose states somebody tells, by full name."""
+        """Return the type of each action whose states somebody tells, and whose goals somebody takes, by full name."""
         # By what the server publishes: of what it subscribes, the graph may not know the type.
         topics = self._transport.topics()
         return {
@@ -94,7 +94,7 @@ class Ros1Actions:
             for topic, kind in sorted(topics.items())
             if topic.endswith(_RESULT) and kind.endswith(_RESULT_ENDING)
             for name in [topic.removesuffix(_RESULT)]
-            if topics.get(name + _STATUS) == _STATUS_TYPE and list(self._transport.publishers(name + _STATUS))
+            if topics.get(name + _STATUS) == _STATUS_TYPE and self._is_served(name)
         }
 
     def client(self, action: str, action_type: str, timeout: float) -> _Client:
@@ -109,6 +109,11 @@ class Ros1Actions:
         if action in self.actions():
             raise already_offered(action, what="action")
         return _Served(self._transport, action, action_type, server)
+
+    def _is_served(self, name: str) -> bool:
+        # A rosbridge server goes on to publish, for 10 s, what a client of it has left; it subscribes nothing any more.
+        asked = self._transport
+        return bool(list(asked.publishers(name + _STATUS))) and bool(list(asked.subscribers(name + _GOAL)))
 
 
 class _Client:

@@ -79,7 +79,10 @@ class RosbridgeActions:
     def serve(self, action: str, action_type: str, server: GoalServer) -> Subscription:
         """Have goals executed by a server of this link."""
         if action in self._served or action in self.actions():
-            raise already_offered(action, what="action")
+            fault = already_offered(action, what="action")
+            # Its action server is never destroyed, so that nobody can offer it again.
+            fix = f"{fault.fix} A rosbridge server of 2.x keeps what was offered through it: start it anew."
+            raise LinkError(fault.problem, where=fault.where, fix=fix)
         served = self._served[action] = _Served(self, action, action_type, server)
         try:
             served.offer()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -17,7 +18,7 @@ from robot_runner.ros.graph_transport import Reception, already_offered, check_t
 from robot_runner.ros.ros1_actions import Ros1Actions
 from robot_runner.ros.rosbridge_actions import RosbridgeActions
 from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
-from robot_runner.ros.rosbridge_session import Session
+from robot_runner.ros.rosbridge_session import Reply, Session
 from robot_runner.ros.rosbridge_types import RobotTypes, Rosapi, RosapiParameters
 
 if TYPE_CHECKING:
@@ -29,6 +30,9 @@ _logger = logging.getLogger(__name__)
 
 #: So many calls of services that are offered here are answered at a time, each in a thread.
 _MOST_ANSWERING = 64
+
+#: How long a server's new publisher may take to be connected with the robot's nodes, s.
+_CONNECTING = 1.0
 
 #: Bytes as the robot has them; a server that does not know this compression sends JSON.
 _RAW = "cbor-raw"
@@ -58,6 +62,9 @@ class RosbridgeTransport:
         self._publishers: dict[str, _Publisher] = {}
         self._answers: dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {}
         self._answering = threading.BoundedSemaphore(_MOST_ANSWERING)
+        self._address = address
+        self._callers: list[Session] = []
+        self._idle: list[Session] = []
         self._session = Session(address)
         try:
             self._rosapi = Rosapi(self._session)
@@ -121,7 +128,7 @@ class RosbridgeTransport:
             raise self._missing(service)
         if true not in {None, service_type}:
             raise wrong_service_type(service, str(true), service_type)
-        reply = self._session.call(service, values, timeout=timeout, where=service)
+        reply = self._called(service, values, timeout)
         if not reply.is_good:
             if "does not exist" in str(reply.values):
                 raise self._missing(service)
@@ -166,6 +173,36 @@ class RosbridgeTransport:
     def close(self) -> None:
         """Leave; the server forgets what is published, subscribed and offered here."""
         self._session.close()
+        with self._lock:
+            callers, self._callers = self._callers, []
+        for each in callers:
+            each.close()
+
+    def _called(self, service: str, values: Mapping[str, Any], timeout: float) -> Reply:
+        """Call a service, in ROS 2 over a connection of its own.
+
+        By default a server of ROS 2 takes nothing more of a connection until the service has answered: a stop command
+        would wait behind it.
+        """
+        if self.types.generation == 1:
+            return self._session.call(service, values, timeout=timeout, where=service)
+        self._session.flush(where=service)  # what was sent before the call is to be dealt with before it
+        with self._lock:
+            caller = self._idle.pop() if self._idle else None
+        if caller is None or not caller.is_usable:
+            caller = Session(self._address)
+            with self._lock:
+                self._callers.append(caller)
+        try:
+            reply = caller.call(service, values, timeout=timeout, where=service)
+        except LinkError:
+            with self._lock:
+                self._callers = [each for each in self._callers if each is not caller]
+            caller.close()
+            raise
+        with self._lock:
+            self._idle.append(caller)
+        return reply
 
     def _told_type(self, topic: str) -> list[str]:
         told = self._rosapi.topic_type(topic)
@@ -277,14 +314,15 @@ class _Publisher:
         self._id: str | None = session.fresh_id("advertise")
         operation = {"op": "advertise", "id": self._id, "topic": topic, "type": types.wire_name(message_type)}
         session.request({**operation, "latch": is_latched}, where=topic)
+        self._since = time.monotonic()
 
     def publish(self, message: Message) -> None:
         operation = {"op": "publish", "topic": self._topic, "msg": to_protocol(self._shape, message)}
         self._session.send(operation)
 
     def reach(self) -> bool:
-        """Return at once: the server does not tell whom it reaches."""
-        return True
+        """Whether the server has published the topic for so long that it is connected: it does not tell."""
+        return time.monotonic() - self._since >= _CONNECTING
 
     def flush(self, seconds: float) -> None:
         del seconds  # the session's own deadline: the server answers at once, or is gone

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -35,6 +37,7 @@ class Rosapi:
 
     def __init__(self, session: Session) -> None:
         self._session = session
+        self._probes = itertools.count(1)
 
     def version(self) -> tuple[int, str | None]:
         """Return the generation of the robot's ROS, and its distribution if it tells.
@@ -138,8 +141,23 @@ class Rosapi:
                 )
             time.sleep(_LOOK)
 
+    def has_service_type(self, service_type: str) -> bool:
+        """Whether the robot has a service type, as a service shows that the server offers for a moment."""
+        name = f"/robot_runner_probe_{os.getpid()}_{next(self._probes)}"
+        operation = {"op": "advertise_service", "service": name, "type": service_type}
+        try:
+            self._session.request(operation, where=service_type)
+            self.confirm_service(name, service_type)
+        except LinkError:
+            return False
+        self._session.request({"op": "unadvertise_service", "service": name}, where=service_type)
+        return True
+
     def details(self, question: str, type_name: str) -> Sequence[Mapping[str, Any]]:
-        """Return what a type and those that it is made of are made of; nothing where the robot does not know it."""
+        """Return what a type and those that it is made of are made of; nothing where the robot does not know it.
+
+        A rosapi of ROS 2 ends where it is asked for a service type that it cannot import.
+        """
         answer = self._ask(question, {"type": type_name})
         return list(answer.values.get("typedefs", [])) if answer.is_good and isinstance(answer.values, dict) else []
 
@@ -291,7 +309,10 @@ class RobotTypes:
         try:
             return look_up(name)
         except LinkError:
-            definitions = self._rosapi.details(question, self.wire_name(name, kind))
+            wire_name = self.wire_name(name, kind)
+            if kind == "srv" and self.generation != 1 and not self._rosapi.has_service_type(wire_name):
+                raise
+            definitions = self._rosapi.details(question, wire_name)
             if not definitions:
                 raise
             return self._told.setdefault((question, name), _assembled(name, definitions, self.generation))

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
+from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Message
 from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
 from robot_runner.ros.shapes import BYTE_KINDS, Field, Shape, UpTo, completed, plain_type
@@ -81,7 +82,6 @@ class Client(Protocol):
 
     def receive(self, topic: ServedTopic, message: Message) -> None:
         """Take a message of a topic."""
-        ...
 
 
 @dataclass(slots=True)
@@ -94,6 +94,7 @@ class ServedTopic:
         publishers: by id, with whether they are latched.
         subscribers: by id and name of the subscription.
         last: the last message of a latched topic.
+        published_until: when the server ends to publish it without clients, monotonic, s.
     """
 
     name: str
@@ -101,6 +102,17 @@ class ServedTopic:
     publishers: dict[int, bool] = field(default_factory=dict)
     subscribers: dict[tuple[int, str], Client] = field(default_factory=dict)
     last: Message | None = None
+    published_until: float = 0.0
+
+    @property
+    def is_published(self) -> bool:
+        """Whether the server publishes it, for a client or still."""
+        return bool(self.publishers) or time.monotonic() < self.published_until
+
+    @property
+    def is_there(self) -> bool:
+        """Whether it is on the graph."""
+        return self.is_published or bool(self.subscribers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +132,8 @@ class Graph:
 
     Attributes:
         action_types: returns the type of each action that is offered; for rosapi.
+        unregister_timeout: how long the server goes on to publish what its last client has left, s. That of
+            rosbridge_suite is 10.
     """
 
     def __init__(self, types: TypeCatalogue) -> None:
@@ -127,6 +141,7 @@ class Graph:
         self.topics: dict[str, ServedTopic] = {}
         self.services: dict[str, ServedService] = {}
         self.action_types: Callable[[], Mapping[str, str]] = dict
+        self.unregister_timeout = 0.0
 
     def advertise(self, name: str, type_name: str, publisher: object, *, is_latched: bool = False) -> None:
         """Take a publisher; raises a `Refusal` where the topic carries another type."""
@@ -134,8 +149,9 @@ class Graph:
 
     def unadvertise(self, name: str, publisher: object) -> None:
         """Let a publisher go."""
-        if name in self.topics:
-            self.topics[name].publishers.pop(id(publisher), None)
+        topic = self.topics.get(name)
+        if topic is not None and topic.publishers.pop(id(publisher), None) is not None:
+            topic.published_until = time.monotonic() + self.unregister_timeout
             self._tidy(name)
 
     def publish(self, name: str, message: Message, publisher: object) -> None:
@@ -175,7 +191,7 @@ class Graph:
 
     def _topic(self, name: str, type_name: str) -> ServedTopic:
         topic = self.topics.get(name)
-        if topic is None:
+        if topic is None or not topic.is_there:
             topic = self.topics[name] = ServedTopic(name, type_name)
         if topic.type_name != type_name:
             raise Refusal(
@@ -185,7 +201,7 @@ class Graph:
         return topic
 
     def _tidy(self, name: str) -> None:
-        if not self.topics[name].publishers and not self.topics[name].subscribers:
+        if not self.topics[name].is_there:
             del self.topics[name]
 
 
@@ -220,6 +236,8 @@ class ServedRosapi:
     Attributes:
         nodes: full names of the nodes that there are.
         parameters: the parameter server of ROS 1, by full names.
+        has_ended: whether it has failed and answers no more, as in ROS 2 where it is asked for the details of a service
+            type that the robot has not installed.
     """
 
     def __init__(self, graph: Graph, generation: int, distro: str, nodes: list[str]) -> None:
@@ -228,9 +246,10 @@ class ServedRosapi:
         self._distro = distro
         self.nodes = nodes
         self.parameters: dict[str, Any] = {}
+        self.has_ended = False
 
     def answer(self, service: str, request: Mapping[str, Any]) -> dict[str, Any] | None:
-        """Return the response of a service of rosapi's, or None if it is another service."""
+        """Return the response of a service of rosapi's, or None if it is another service, or rosapi has ended."""
         topics, services, types = self._graph.topics, self._graph.services, self._graph.types
         questions: dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {
             "get_time": lambda _: {"time": self._stamp()},
@@ -256,12 +275,15 @@ class ServedRosapi:
             questions["action_type"] = lambda asked: {"type": self._graph.action_types().get(asked["action"], "")}
             questions["get_ros_version"] = lambda _: {"version": self._generation, "distro": self._distro}
         question = questions.get(service.removeprefix("/rosapi/")) if service.startswith("/rosapi/") else None
-        if question is None:
+        if question is None or self.has_ended:
             return None
         try:
             return question(request)
         except KeyError as error:
             raise Refusal(f"the request of {service} lacks {error}") from error
+        except LinkError:
+            self.has_ended = self._generation > 1 and service.startswith("/rosapi/service_re")
+            raise
 
     def _parameter_questions(self) -> dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]]:
         """Return what rosapi answers of parameters, whose values are JSON."""
@@ -285,7 +307,10 @@ class ServedRosapi:
     def _endpoints(self, name: str, kind: str) -> list[str]:
         """Return the server's node where any client has the topic: a graph does not see who is behind a rosbridge."""
         topic = self._graph.topics.get(name)
-        return [self.nodes[0]] if topic is not None and getattr(topic, kind) else []
+        if topic is None:
+            return []
+        is_there = topic.is_published if kind == "publishers" else bool(topic.subscribers)
+        return [self.nodes[0]] if is_there else []
 
     def _stamp(self) -> dict[str, int]:
         seconds, nanoseconds = divmod(time.time_ns(), 1_000_000_000)
@@ -293,7 +318,7 @@ class ServedRosapi:
         return dict(zip(names, (seconds, nanoseconds), strict=True))
 
     def _topics(self) -> dict[str, Any]:
-        topics = self._graph.topics.values()
+        topics = [topic for topic in self._graph.topics.values() if topic.is_there]
         return {"topics": [topic.name for topic in topics], "types": [topic.type_name for topic in topics]}
 
 

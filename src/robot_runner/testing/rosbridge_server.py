@@ -39,6 +39,9 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
+#: How often it is looked whether a call is over, s.
+_LOOK = 0.01
+
 
 class ServedClient:
     """A client that is connected to a server by a WebSocket, from its first to its last frame."""
@@ -51,6 +54,7 @@ class ServedClient:
         self._fragment_sizes: dict[str, int] = {}
         self._open_requests: dict[str, tuple[ServedClient, Any]] = {}
         self._is_authenticated = False
+        self._asking: set[str] = set()
 
     def serve(self) -> None:
         """Take operations until the connection ends."""
@@ -64,6 +68,8 @@ class ServedClient:
                     continue
                 if operation is not None:
                     self._take(operation)
+                while self._server.calls_in_turn and self._asking and self._connection.close_code is None:
+                    time.sleep(_LOOK)
         self._leave()
 
     def close(self) -> None:
@@ -92,10 +98,12 @@ class ServedClient:
         """Forward a call of a service that this client offers."""
         name = f"service_request:{service}:{next(self._numbers)}"
         self._open_requests[name] = (caller, number)
+        caller._asking.add(str(number))
         self.send({"op": "call_service", "id": name, "service": service, "args": dict(request)})
 
     def respond(self, number: Any, service: str, values: Any, *, is_good: bool) -> None:
         """Send the response of a service that this client called."""
+        self._asking.discard(str(number))
         self.send({"op": "service_response", "id": number, "service": service, "values": values, "result": is_good})
 
     def send(self, operation: dict[str, Any]) -> None:
@@ -239,6 +247,8 @@ class RosbridgeServer:
         graph: topics and services behind it.
         actions: actions behind it, where it is a bridge to ROS 2.
         lock: to be held while the graph is used.
+        calls_in_turn: whether nothing more is taken of a connection until the service that it calls has answered, as
+            by default (`call_services_in_new_thread`) in ROS 2.
 
     Example:
         >>> from robot_runner.core.events.context import SystemClock
@@ -267,6 +277,7 @@ class RosbridgeServer:
         from websockets.sync.server import serve  # noqa: PLC0415  # an extra
 
         self.generation = generation
+        self.calls_in_turn = generation > 1
         self.tells = tells
         self.compressions = tuple(compressions)
         self.graph = Graph(TypeCatalogue.of(generation, _DISTROS[generation], tuple(types)))

@@ -24,7 +24,6 @@ class _Client(Protocol):
 
     def send(self, operation: dict[str, Any]) -> None:
         """Send an operation."""
-        ...
 
 
 @dataclass(slots=True)
@@ -62,12 +61,14 @@ class ServedActions:
         offered: the actions.
         tells_rejection: whether a goal that is not taken is answered at all, as servers since 3.0 do.
         rejects: which goals the server's action servers reject, by action.
+        keeps_actions: whether an action stays on the graph that nobody offers any more, as with servers of 2.x.
     """
 
     def __init__(self, graph: Graph, *, is_known: bool) -> None:
         self.is_known = is_known
         self.offered: dict[str, _Action] = {}
         self.tells_rejection = False
+        self.keeps_actions = False
         self.rejects: dict[str, Callable[[Mapping[str, Any]], bool]] = {}
         self._graph = graph
         self._count = 0
@@ -114,6 +115,8 @@ class ServedActions:
         action = self.offered[name]
         for goal in list(action.goals.values()):
             self._end(action, goal, GoalStatus.ABORTED, {})
+        if self.keeps_actions:
+            return
         del self.offered[name], self._graph.services[name + _CANCEL]
         self._graph.unadvertise(name + STATUS_TOPIC, self)
 

@@ -17,6 +17,7 @@ from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.goals import ActionCanceled, GoalStatus
 from robot_runner.plugins import Circumstances, Measure, treatment
 from robot_runner.plugins.systems import ActionMission, Together
+from robot_runner.ros.missions import action_mission
 from robot_runner.ros.missions.goal_measures import FeedbackMeasures
 from robot_runner.ros.rosbridge_link import open_rosbridge_link
 from robot_runner.testing import (
@@ -198,9 +199,25 @@ def test_make_safe_cancels_goals_also_where_the_wheels_cannot_be_stopped(context
         raise LinkError("somebody subscribes it as another type", where=topic)
 
     monkeypatch.setattr(link, "publish", publish)
+    monkeypatch.setattr(action_mission, "_LATE_SECONDS", 0.0)
     with pytest.raises(LinkError, match="as another type"):
         mission.make_safe(contexts(mission, robot="dds", links=FakeLinks(robot=link)))
     assert [each.service for each in link.calls] == [f"{ACTION}/_action/cancel_goal"]
+
+
+def test_a_goal_that_arrives_after_the_request_to_cancel_it_is_cancelled_too(contexts: Any, monkeypatch: Any) -> None:
+    executed, on_the_way = ["early"], ["late"]
+
+    def cancel(_: Any) -> dict[str, Any]:
+        executed[:] = [on_the_way.pop()] if on_the_way else []
+        return {"return_code": 0}
+
+    monkeypatch.setattr(action_mission, "_LATE_SECONDS", 0.1)
+    link = FakeRobotLink(FakeClock())
+    link.offer(f"{ACTION}/_action/cancel_goal", "action_msgs/CancelGoal", cancel)
+    mission = ActionMission(ACTION, ACTION_TYPE)
+    mission.make_safe(contexts(mission, robot="dds", links=FakeLinks(robot=link)))
+    assert (executed, on_the_way) == ([], [])
 
 
 @pytest.mark.long

@@ -17,7 +17,7 @@ from robot_runner.ros.turtlebot3.odometry import ODOMETRY
 from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, make_context
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from robot_runner.core.errors import Finding
@@ -186,6 +186,45 @@ def test_a_way_is_doubted_where_its_time_goes_back_as_by_a_reset_or_a_bag_that_l
 ) -> None:
     _, (doubt,) = _flying(tmp_path, by_tf=by_tf, starts_anew=True)
     assert "went back by 4.9 s during the mission" in doubt.problem
+
+
+def _way_of(tmp_path: Path, place: Callable[[float], float], *, by_tf: bool = False) -> tuple[Any, Sequence[Finding]]:
+    """Return the way of a robot that is at `place(time)` on the x axis, told 50 times a second, and what is doubted."""
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+
+    def tell() -> None:
+        told = _transform("odom", "base_link", x := place(clock.now()), clock.now())
+        pose = {"position": {"x": x, "y": 0.0, "z": 0.0}, "orientation": told["transform"]["rotation"]}
+        link.deliver("/tf", {"transforms": [told]})
+        link.deliver("odom", {**told, "pose": {"pose": pose}})
+
+    clock.every(0.02, tell)
+    way = WayMeasures(*((None, None, ("odom", "base_link")) if by_tf else ("odom", None, None)), where="Go")
+    way.begin(link, context := _context(tmp_path, clock, link), timeout=5.0)
+    way.begin_mission()
+    clock.sleep(20.0)
+    return way.end_mission(context)["PathLength"], context.broker.findings
+
+
+@pytest.mark.parametrize("by_tf", [False, True])
+def test_a_way_that_is_the_noise_of_a_standing_robot_is_doubted(tmp_path: Path, by_tf: bool) -> None:
+    length, (doubt,) = _way_of(tmp_path, lambda time: 0.001 * math.sin(997.0 * time), by_tf=by_tf)
+    assert length > 0.5
+    assert f"{length:.2f} m are made of small steps to and fro: without them the way is 0.00 m" in doubt.problem
+
+
+@pytest.mark.parametrize("by_tf", [False, True])
+def test_a_way_with_little_noise_is_not_doubted(tmp_path: Path, by_tf: bool) -> None:
+    length, findings = _way_of(tmp_path, lambda time: 0.2 * time + 0.0001 * math.sin(997.0 * time), by_tf=by_tf)
+    assert length == pytest.approx(4.0, rel=0.01)
+    assert not findings
+
+
+def test_a_way_by_odometry_that_jumped_further_than_anything_drives_is_doubted(tmp_path: Path) -> None:
+    length, (doubt,) = _way_of(tmp_path, lambda time: 0.2 * time + (3.0 if time > 5.0 else 0.0))
+    assert length == pytest.approx(7.0, abs=0.1)
+    assert "jumped by 3.00 m within 0.02 s" in doubt.problem
 
 
 @pytest.mark.parametrize("frames", ["map", ("map",), ("map", ""), ("map", "odom", "base_link")])

@@ -78,6 +78,7 @@ def command_for_certain(link: RobotLink, topic: str, message_type: str, message:
     while not is_reached:
         if (seconds := time.monotonic() - began) > _REACHING:
             raise _not_reached(topic, seconds)
+        time.sleep(_PERIOD)  # some links tell at once that it is not
         is_reached = _reaches(link, topic, message_type)
         link.publish(topic, message_type, message)
 

@@ -42,6 +42,9 @@ _NOW = {"sec": 0, "nanosec": 0}
 _EXECUTED = {0, 1}
 #: How long a server may take to tell its states after it was asked to cancel, s: it tells them five times a second.
 _TOLD_SECONDS = 1.0
+#: A goal that was sent just before its sender was killed may reach the server after the request to cancel it. So it is
+#: asked again, so often, until so long after it was asked first, s.
+_ASK_AGAIN, _LATE_SECONDS = 0.2, 2.0
 
 
 class _Failure(StrEnum):
@@ -230,7 +233,9 @@ class ActionMission(RobotSystem):
                 each.callback(self._cancel)
             elif not link.is_simulated:
                 name, timeout = full_name(namespace, self.action), self.cancel_timeout_s
-                each.callback(_cancel_all_goals, link, self.action, name, timeout=timeout)
+                # Who was never connected stands by for a process that died, and its goal may still be on its way.
+                late = _LATE_SECONDS if self._link is None else 0.0
+                each.callback(_cancel_all_goals, link, self.action, name, timeout=timeout, late_seconds=late)
             if wheels is not None:  # first of all, and again when the goal is over
                 wheels.command(0.0, 0.0)
 
@@ -314,27 +319,43 @@ class ActionMission(RobotSystem):
             fault.add_note(f"The goal could not be cancelled: {error}")
 
 
-def _cancel_all_goals(link: RobotLink, action: str, full_name: str, *, timeout: float) -> None:
-    """Ask an action server to cancel whatever it executes, whoever sent it; without a server nothing is executed.
+def _cancel_all_goals(
+    link: RobotLink, action: str, full_name: str, *, timeout: float, late_seconds: float = 0.0
+) -> None:
+    """Ask an action server to cancel whatever it executes, whoever sent it, and what it begins so much later, s.
+
+    Without a server nothing is executed. No time stamp is sent, by which actionlib would cancel later goals as well:
+    where clocks differ, or the graph's time is simulated, it would go on to cancel the goals of others.
+    """
+    begun = time.monotonic()
+    while True:
+        is_last = time.monotonic() >= begun + late_seconds
+        if not _ask_to_cancel(link, action, full_name, timeout=timeout) or is_last:
+            return
+        time.sleep(_ASK_AGAIN)
+
+
+def _ask_to_cancel(link: RobotLink, action: str, full_name: str, *, timeout: float) -> bool:
+    """Ask a server to cancel all of its goals, and return whether it is there.
 
     Both generations have it so: an empty goal id with a stamp of zero means all goals (action_msgs/srv/CancelGoal, and
     actionlib's "cancel policy": http://wiki.ros.org/actionlib/DetailedDescription).
     """
     if link.encoding is Encoding.ROS1:
-        _cancel_in_ros1(link, action, full_name, timeout=timeout)
-        return
+        return _cancel_in_ros1(link, action, full_name, timeout=timeout)
     try:
         answer = link.call(f"{action}/_action/cancel_goal", "action_msgs/CancelGoal", {}, timeout=timeout)
     except LinkError:
         if full_name in link.actions():
             raise
-        return
+        return False
     if answer["return_code"] == _REFUSED:
         fix = "Look at the log of its server, and stop the robot by hand."
         raise LinkError("the action server refuses to cancel its goals", where=full_name, fix=fix)
+    return True
 
 
-def _cancel_in_ros1(link: RobotLink, action: str, full_name: str, *, timeout: float) -> None:
+def _cancel_in_ros1(link: RobotLink, action: str, full_name: str, *, timeout: float) -> bool:
     """Ask until the server's states tell that it executes none, or cancels them: ROS 1 knows no answer to a request."""
     deadline = time.monotonic() + timeout
     while True:
@@ -345,13 +366,13 @@ def _cancel_in_ros1(link: RobotLink, action: str, full_name: str, *, timeout: fl
             )
         except LinkError as error:
             if full_name not in link.actions():
-                return
+                return False
             if time.monotonic() >= deadline:
                 problem = f"the action server does not tell within {timeout:g} s that it cancels its goals"
                 fix = "Look at the log of its server, and stop the robot by hand."
                 raise LinkError(problem, where=full_name, fix=fix) from error
         else:
-            return
+            return True
 
 
 def _is_none_executed(states: Message) -> bool:

@@ -16,7 +16,7 @@ from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.links.robot import Message, RobotLink
 from robot_runner.ros.sole_control import sole_publisher_findings
 from robot_runner.ros.transform_buffer import TransformBuffer
-from robot_runner.ros.turtlebot3.odometry import ODOMETRY, Odometer
+from robot_runner.ros.turtlebot3.odometry import ODOMETRY, CoarseWay, Odometer
 
 if TYPE_CHECKING:
     from robot_runner.ros.transforms import Transform
@@ -30,6 +30,10 @@ _PAIR = 2
 _SILENCE = 2.0
 #: So far may its stamps go back, s: messages overtake each other; a simulator that is reset goes back by more.
 _SET_BACK = 1.0
+#: Nothing drives or flies faster, m/s: the odometry was set anew, or the robot was put elsewhere in a simulation.
+_FASTEST = 100.0
+#: A way may be longer than its coarse one by this share and so many m before it is said to be noise.
+_NOISE_SHARE, _NOISE_ROOM = 0.2, 0.2
 
 
 class WayMeasures:
@@ -72,6 +76,7 @@ class WayMeasures:
         self.measures: Sequence[Measure] = (*path, *([CLOSEST_OBSTACLE] if scan else []))
         self._way: Odometer | _WayOfFrame | None = None
         self._way_before: float | None = None
+        self._coarse_before = 0.0
         self._closest: float | None = None
         self._scans = self._too_near = 0
         self._rivals: Callable[[], Iterable[Finding]] = tuple
@@ -95,9 +100,8 @@ class WayMeasures:
         self._closing.close()
         self._way_before = self._closest = None
         if self._odometry is not None:
-            # However fast the robot is: what it could drive is its own affair here.
             odometer = Odometer(
-                context.clock, timeout=_SILENCE, where=self._where, fastest=math.inf, needs_heading=False
+                context.clock, timeout=_SILENCE, where=self._where, fastest=_FASTEST, needs_heading=False
             )
             self._closing.callback(link.subscribe(self._odometry, ODOMETRY, odometer.take).close)
             odometer.wait(timeout)
@@ -114,12 +118,13 @@ class WayMeasures:
         self._closest, self._scans, self._too_near = None, 0, 0
         if self._way is not None:
             self._way_before, self._way.set_back = self._way.travelled, 0.0
+            self._coarse_before = self._way.coarse.length
 
     def end_mission(self, context: RobotRunnerContext) -> dict[str, float | None]:
         """Return what was measured since `begin_mission`; a value that is not known is doubted."""
         values: dict[str, float | None] = {}
         if self._way is not None and self._way_before is not None:
-            values[PATH_LENGTH.name] = self._way.travelled - self._way_before
+            values[PATH_LENGTH.name] = length = self._way.travelled - self._way_before
             try:
                 self._way.pose()
                 doubts = [*self._rivals()]  # two odometries in turn add up to any length
@@ -131,6 +136,11 @@ class WayMeasures:
                     "mission: whatever lies between the places before and after counts as its way"
                 )
                 doubts.append(Finding.warning(self._where, problem, "See that nothing resets it while a run goes on."))
+            coarse = self._way.coarse.length - self._coarse_before
+            if (noise := length - coarse) > _NOISE_ROOM + _NOISE_SHARE * coarse:
+                problem = f"{noise:.2f} m are made of small steps to and fro: without them the way is {coarse:.2f} m"
+                fix = "Take a source without noise, such as the odometry of wheels, or leave the parameter out."
+                doubts.append(Finding.warning(self._where, problem, fix))
             for each in doubts:
                 context.doubt(each.problem, fix=each.fix, measures=[PATH_LENGTH.name])
         if self._scan is not None:
@@ -169,10 +179,12 @@ class _WayOfFrame:
     Attributes:
         travelled: the way so far, m. Where localisation mends the place of the robot, that counts as a way, too.
         set_back: the most by which the stamps went back from one place to the next, s.
+        coarse: the same way without small steps.
     """
 
     def __init__(self, topic: str, fixed: str, moving: str) -> None:
         self.travelled = self.set_back = 0.0
+        self.coarse = CoarseWay()
         self._topic, self._fixed, self._moving = topic, fixed, moving
         self._buffer = TransformBuffer()
         self._last: Transform | None = None
@@ -202,6 +214,7 @@ class _WayOfFrame:
             return
         if self._clock is not None and (self._last is None or now.time is None or now.time != self._last.time):
             self._told_at = self._clock.now()
+        self.coarse.take(now.translation)
         if self._last is not None:
             self.travelled += math.dist(now.translation, self._last.translation)
             self.set_back = max(self.set_back, (self._last.time or 0.0) - (now.time or 0.0))

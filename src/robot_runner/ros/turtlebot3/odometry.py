@@ -28,6 +28,8 @@ _POLL = 0.02
 _FASTEST = 5 * 0.26
 #: A change that is too small to be a jump, m: more than five messages of a robot at top speed may be lost for it.
 _ROOM = 0.1
+#: Steps of a way that are more than noise, m.
+_COARSE = 0.05
 #: A clock that is set, or a message that is overtaken, steps back now and then; two robots on one topic do always.
 _MOST_STEPS_BACK = 5
 #: What makes a pose useless, and its remedy.
@@ -79,6 +81,32 @@ class Pose:
         return Pose(self.x, self.y, self.heading + angle)
 
 
+class CoarseWay:
+    """A way that is measured by steps of 5 cm, to which the noise of a robot that stands adds nothing.
+
+    Attributes:
+        length: of the way so far, m.
+
+    Example:
+        >>> way = CoarseWay()
+        >>> for x in (0.0, 0.01, -0.01, 0.01, 0.06):
+        ...     way.take((x, 0.0, 0.0))
+        >>> way.length
+        0.06
+    """
+
+    def __init__(self) -> None:
+        self.length = 0.0
+        self._last: Sequence[float] | None = None
+
+    def take(self, place: Sequence[float]) -> None:
+        """Go on to a place, m."""
+        step = _COARSE if self._last is None else math.dist(self._last, place)
+        if step >= _COARSE:
+            self.length += 0.0 if self._last is None else step
+            self._last = place
+
+
 class Odometer:
     """Takes `nav_msgs/Odometry` and holds the robot's pose and the way it has covered.
 
@@ -92,6 +120,7 @@ class Odometer:
     Attributes:
         on_pose: called with each pose and its moment on the clock; None for no call.
         set_back: the most by which the stamps went back from one message to the next, s.
+        coarse: the same way without small steps.
     """
 
     def __init__(
@@ -99,6 +128,7 @@ class Odometer:
     ) -> None:
         self.on_pose: Callable[[float, Pose], None] | None = None
         self.set_back = 0.0
+        self.coarse = CoarseWay()
         self._fastest = fastest
         self._needs_heading = needs_heading
         self._clock = clock
@@ -133,6 +163,7 @@ class Odometer:
             self.set_back = max(self.set_back, -later)
             if self._jump is None and step > _ROOM + self._fastest * seconds:
                 self._jump = step, seconds
+        self.coarse.take((pose.x, pose.y, height))
         self._pose, self._height, self._received_at = pose, height, now
         self._steps_back += stamp < self._stamp
         self._stamp = stamp
