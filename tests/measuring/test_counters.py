@@ -128,6 +128,30 @@ def test_a_child_that_somebody_else_reaped_takes_nothing_from_later_ones():
     assert shares(*looks) == [0.0, 0.0, 50.0]
 
 
+def endings(*looks):
+    samples = [sample(float(at), 100 * at, 0, processes=processes) for at, processes in enumerate(looks)]
+    found = [one.processes[0] for one in utilisation_of(samples, cores=1, selectors=1)]
+    return [(one.ended, one.reaped, one.brief) for one in found]
+
+
+def test_parents_that_have_ended_are_told_as_children_of_theirs_may_have_ended_unseen():
+    looks = [(process(7, 1.0, children=0.5), process(8, 0.1)), ()]
+    samples = [sample(float(at), 100 * at, 0, processes=processes) for at, processes in enumerate(looks)]
+    assert [one.processes[0].parents for one in utilisation_of(samples, cores=1, selectors=1)] == [0, 1]
+
+
+def test_processes_that_have_ended_are_told_and_whether_they_lasted_for_less_than_two_seconds():
+    old, new, nothing = process(7, 1.0), process(8, 0.5), (0, 0, 0)
+    assert endings((old,), (old, new), (old,), ()) == [nothing, nothing, (1, 0, 1), (1, 0, 0)]
+    assert endings((), (new,), (new,), (new,), ()) == [nothing, nothing, nothing, nothing, (1, 0, 0)]
+    assert endings((), (new,), (process(8, 0.1, started="9"),)) == [nothing, nothing, (1, 0, 1)]
+
+
+def test_processes_that_others_have_reaped_are_told_apart():
+    looks = [(process(7, 1.0), process(8, 0.5, parent=7), process(9, 20.0, parent=8)), (process(7, 1.0),)]
+    assert endings(*looks) == [(0, 0, 0), (2, 2, 0)]
+
+
 def test_samples_are_placed_on_the_runs_clock_and_keep_their_own():
     (only,) = utilisation_of([sample(500.0, 0, 0)], cores=1, to_run=ClockMap(-490.0))
     assert (only.time, only.host_time) == (10.0, 500.0)

@@ -243,6 +243,46 @@ def test_a_process_that_ended_before_the_mission_is_told_of():
     assert list(measured.doubts()) == [told]
 
 
+def ending(at, *, ended=0, reaped=0, brief=0, parents=0):
+    processes = (ProcessUtilisation(1, 5.0, 0.0, ended, reaped, brief, parents),)
+    return UtilisationSample(float(at), 50.0, 10.0, processes=processes)
+
+
+def test_cpu_time_that_ended_processes_used_unseen_is_told_of_where_it_may_be_more_than_1_percent():
+    samples = [ending(0), ending(1, ended=1), *map(ending, range(2, 201))]
+    selection = Selection(("subject:Nav",))
+    measured = Utilisation(samples, Window(0.0, 200.0), selection, SamplingReport(rate=1.0), is_simulated=False)
+    assert list(measured.doubts(["Nav"])) == []
+    assert list(measured.over(Window(0.0, 50.0)).doubts(["Nav"])) == [
+        "1 process subject:Nav ended after its last sample: CPU_Nav may leave out up to 2.0 % of a core"
+    ]
+    assert list(measured.over(Window(50.0, 100.0)).doubts(["Nav"])) == []
+
+
+def test_children_that_may_have_ended_unseen_with_software_under_test_are_told_of():
+    samples = [ending(0), ending(1, ended=1, parents=1), *map(ending, range(2, 51))]
+    selection = Selection(("subject:Nav",))
+    measured = Utilisation(samples, Window(0.0, 50.0), selection, SamplingReport(rate=1.0), is_simulated=False)
+    (told,) = measured.doubts(["Nav"])
+    assert told.endswith("CPU_Nav may leave out up to 4.0 % of a core")
+
+
+def test_processes_that_came_and_went_are_told_of_as_others_may_never_have_been_seen():
+    samples = [ending(0), ending(1, ended=1, brief=1), *map(ending, range(2, 201))]
+    selection = Selection(("name:gcc",))
+    measured = Utilisation(samples, Window(0.0, 200.0), selection, SamplingReport(rate=1.0), is_simulated=False)
+    (told,) = measured.doubts()
+    assert told.startswith("1 process name:gcc lasted less than 2 s: new ones are looked for once a second")
+    assert told.endswith("CPU_gcc and Memory_gcc may be too low")
+
+
+def test_children_of_software_under_test_that_came_and_went_are_counted_by_their_parents():
+    samples = [ending(0), ending(1, ended=1, reaped=1, brief=1), ending(2)]
+    selection = Selection(("subject:Nav",))
+    measured = Utilisation(samples, Window(0.0, 2.0), selection, SamplingReport(rate=1.0), is_simulated=False)
+    assert list(measured.doubts(["Nav"])) == []
+
+
 def test_a_core_that_was_switched_off_for_a_part_of_the_window_has_no_value_and_is_told_of():
     cores = [(None, None)] + [(20.0, None if 3 <= at < 13 else 90.0) for at in range(1, 21)]
     samples = [UtilisationSample(float(at), 50.0, 10.0, cores=told) for at, told in enumerate(cores)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
@@ -11,6 +12,9 @@ from robot_runner.measuring.host import ProcessUtilisation, UtilisationSample
 
 if TYPE_CHECKING:
     from robot_runner.measuring.device_clock import ClockMap
+
+#: New processes are looked for once a second, and one that lasts two looks is not missed, s.
+_BRIEF = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +111,7 @@ def utilisation_of(
     before: CounterSample | None = None
     for sample in samples:
         for place, family in enumerate(families):
-            spent[place] += family.spent([one for one in sample.processes if one.selector == place])
+            spent[place] += family.spent(sample.time, [one for one in sample.processes if one.selector == place])
         cpu = None if before is None else _busy(before.whole, sample.whole)
         seconds = None if cpu is None or before is None else (sample.time - before.time) * cores
         found.append(
@@ -116,7 +120,9 @@ def utilisation_of(
                 cpu=cpu,
                 memory=_share(sample.memory_total - sample.memory_available, sample.memory_total),
                 cores=_cores(before, sample),
-                processes=tuple(_process(sample, place, spent[place], seconds) for place in range(selectors)),
+                processes=tuple(
+                    _process(sample, place, spent[place], seconds, family) for place, family in enumerate(families)
+                ),
                 host_time=None if to_run is None else sample.time,
             )
         )
@@ -139,32 +145,47 @@ def counted_before(ended: Mapping[int, tuple[int, float]]) -> dict[int, float]:
         {7: 20.5}
     """
     found: dict[int, float] = {}
-    for pid, (parent, used) in ended.items():
-        # Where the parent ended as well, so did its counter: who reaped the parent has both.
-        reaper, passed = parent, {pid}
-        while reaper in ended and reaper not in passed:
-            passed.add(reaper)
-            reaper = ended[reaper][0]
+    for pid, (_, used) in ended.items():
+        reaper = _reaper(pid, ended)
         found[reaper] = found.get(reaper, 0.0) + used
     return found
 
 
+def _reaper(pid: int, ended: Mapping[int, tuple[int, float]]) -> int:
+    # Where the parent ended as well, so did its counter: who reaped the parent has both.
+    reaper, passed = ended[pid][0], {pid}
+    while reaper in ended and reaper not in passed:
+        passed.add(reaper)
+        reaper = ended[reaper][0]
+    return reaper
+
+
 class _Family:
-    """What the processes of one selector have spent from look to look, with children that came and went in between."""
+    """What the processes of one selector have spent from look to look, with children that came and went in between.
+
+    Attributes:
+        ended: how many had ended at the last look.
+        reaped: how many of them were reaped by another one, as far as one can tell.
+        brief: how many of them came after the first look, and lasted less than two looks for new ones.
+        parents: how many that no other one reaped had had children, which may have ended with them.
+    """
 
     def __init__(self) -> None:
+        self.ended = self.reaped = self.brief = self.parents = 0
+        self._since: dict[tuple[int, str], float] = {}
         self._seen: dict[tuple[int, str], ProcessCounters] = {}
         self._last: dict[int, ProcessCounters] | None = None
         self._counted: dict[int, float] = {}
 
-    def spent(self, processes: Sequence[ProcessCounters]) -> float:
-        """Return the CPU time, s, since the look before; there is none at the first look."""
+    def spent(self, time: float, processes: Sequence[ProcessCounters]) -> float:
+        """Return the CPU time, s, since the look before; there is none at the first look, at `time`."""
         now = {one.pid: one for one in processes}
         ended = {
             pid: (one.parent, one.cpu + one.children)
             for pid, one in (self._last or {}).items()
             if pid not in now or now[pid].started != one.started
         }
+        self._take_ends(time, now, ended)
         # A child may have ended after its parent was looked at, and before it would have been itself: then the
         # parent's counter has it at the next look.
         late, self._counted = self._counted, counted_before(ended)
@@ -182,6 +203,20 @@ class _Family:
         is_first, self._last = self._last is None, now
         return 0.0 if is_first else spent
 
+    def _take_ends(
+        self, time: float, now: Mapping[int, ProcessCounters], ended: Mapping[int, tuple[int, float]]
+    ) -> None:
+        last = self._last or {}
+        lasted = [time - self._since[pid, last[pid].started] for pid in ended]
+        self.ended, self.brief = len(ended), sum(seconds < _BRIEF for seconds in lasted)
+        left = [last[pid] for pid in ended if _reaper(pid, ended) not in now]
+        self.reaped = len(ended) - len(left)
+        above = {one.parent for one in last.values()}
+        self.parents = sum(one.children > 0 or one.pid in above for one in left)
+        for one in now.values():
+            # Nobody knows how long one lasts already that was there at the first look.
+            self._since.setdefault((one.pid, one.started), -math.inf if self._last is None else time)
+
 
 def _busy(before: CoreCounters | None, after: CoreCounters | None) -> float | None:
     if before is None or after is None or after.total <= before.total:
@@ -196,13 +231,19 @@ def _cores(before: CounterSample | None, sample: CounterSample) -> tuple[float |
     return tuple(_busy(*pair) for pair in pairs)[: len(sample.cores)]
 
 
-def _process(sample: CounterSample, selector: int, spent: float, seconds: float | None) -> ProcessUtilisation:
+def _process(
+    sample: CounterSample, selector: int, spent: float, seconds: float | None, family: _Family
+) -> ProcessUtilisation:
     matched: Sequence[ProcessCounters] = [one for one in sample.processes if one.selector == selector]
     return ProcessUtilisation(
         count=len(matched),
         # Above 100 where one is new: it may have computed for a second before it was found, which must not be lost.
         cpu=None if not seconds else 100.0 * spent / seconds,
         memory=_share(sum(one.memory for one in matched), sample.memory_total),
+        ended=family.ended,
+        reaped=family.reaped,
+        brief=family.brief,
+        parents=family.parents,
     )
 
 

@@ -22,11 +22,20 @@ class ProcessUtilisation:
             since it was started counts all at once. None where there is no sample before.
         memory: their share of the physical memory (resident, shared pages counted for each), 0..100 %; None where the
             computer does not tell how much it has.
+        ended: how many were there at the sample before and have ended since.
+        reaped: those of them that were children of others, whose counters tell what they had used where children
+            belong to what was selected.
+        brief: those of them that were seen for so short a time that others may have come and gone unseen.
+        parents: those of them that nobody reaped who was selected, and that had had children.
     """
 
     count: int
     cpu: float | None
     memory: float | None
+    ended: int = 0
+    reaped: int = 0
+    brief: int = 0
+    parents: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +96,6 @@ class UtilisationSampler(Protocol):
 
     def stop(self) -> Sequence[UtilisationSample]:
         """End the loop and return its samples, oldest first; a second call returns the same."""
-        ...
 
 
 @runtime_checkable
@@ -96,7 +104,6 @@ class FileSampler(Protocol):
 
     def stop(self) -> Sequence[FileSample]:
         """End the loop and return its samples, oldest first; a second call returns the same."""
-        ...
 
 
 @runtime_checkable
@@ -105,7 +112,6 @@ class ReportingSampler(Protocol):
 
     def report(self) -> SamplingReport:
         """Say how it went; to be asked after `stop`."""
-        ...
 
 
 @runtime_checkable
@@ -114,7 +120,6 @@ class PromptSampler(Protocol):
 
     def take_now(self) -> None:
         """Take one more sample at once, out of turn."""
-        ...
 
 
 S_co = TypeVar("S_co", covariant=True)
@@ -129,7 +134,6 @@ class TellingSampler(Protocol[S_co]):
 
         So a sample that nobody looks at is not computed.
         """
-        ...
 
 
 @runtime_checkable
@@ -138,7 +142,6 @@ class EndingSampler(Protocol):
 
     def end(self) -> None:
         """Sample no more; `stop` fetches the samples."""
-        ...
 
 
 @runtime_checkable
@@ -148,15 +151,12 @@ class HostLink(Protocol):
     @property
     def is_simulated(self) -> bool:
         """Whether the computer is a simulated one."""
-        ...
 
     def sample_utilisation(self, rate: float) -> UtilisationSampler:
         """Begin to sample CPU and memory utilisation `rate` times a second."""
-        ...
 
     def close(self) -> None:
         """End all samplers and leave; closing twice does nothing."""
-        ...
 
 
 @runtime_checkable
@@ -165,7 +165,6 @@ class RemoteHost(Protocol):
 
     def connect(self) -> None:
         """Connect, so that sampling can begin at once."""
-        ...
 
 
 @runtime_checkable
@@ -183,7 +182,6 @@ class ProcessHost(HostLink, Protocol):
                 given on its command line), or `subject:Nav` (software under test, with all that it has started).
             is_streamed: whether samples are sent at once, or kept on the computer until they are fetched.
         """
-        ...
 
 
 @runtime_checkable
@@ -192,15 +190,12 @@ class FileHost(Protocol):
 
     def list_files(self, pattern: str) -> list[str]:
         """Return the paths that match a pattern of the shell, sorted, such as `/sys/class/hwmon/*/name`."""
-        ...
 
     def read_files(self, paths: Sequence[str]) -> list[str | None]:
         """Return the first line of each file, without the line's end; None for one that cannot be read."""
-        ...
 
     def sample_files(self, rate: float, paths: Sequence[str], *, is_streamed: bool = False) -> FileSampler:
         """Begin to read the first line of each file `rate` times a second."""
-        ...
 
 
 #: What stands before the colon of a selector.

@@ -6,6 +6,7 @@ import re
 from array import array
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,10 @@ if TYPE_CHECKING:
 
 #: In steps of how many seconds ps tells what a process has used.
 _PS_STEP = 1.0
+#: Percentage of one core, over the window, above which what ended processes may have used unseen is worth a doubt.
+_UNSEEN_SHARE = 1.0
+#: Seconds between two looks for new processes.
+_RESCAN = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,11 +149,35 @@ class Utilisation:
                 yield f"no process {selector} was seen; new ones are looked for once a second"
             elif self.samples and not self._was_seen(place, within=self.window):
                 yield f"no process {selector} was there in the measured window, only before or after it"
+            yield from self._doubts_about_ends(place)
         for core in self.selection.cores:
             if self.samples and not self._tells_of(core):
                 yield f"the computer tells of no core {core}"
             elif self.quality.is_sufficient and not self._covers(core):
                 yield f"the computer tells of core {core} for a part of the window only: it was switched off meanwhile"
+
+    def _doubts_about_ends(self, place: int) -> Iterator[str]:
+        selector, label = self.selection.processes[place], self.selection.labels[place]
+        has_children = selector.startswith("subject:")  # whose parents' counters tell of them
+        ended = brief = 0
+        unseen = 0.0  # s, if each, or a child that was not found yet, had kept one core busy from its last sample on
+        for sooner, later in pairwise(self.samples):
+            if later.time > self.window.start and sooner.time < self.window.end:
+                told = later.processes[place]
+                lost = told.ended - told.reaped if has_children else told.ended
+                ended, brief = ended + lost, brief + told.brief
+                unseen += lost * (min(later.time, self.window.end) - max(sooner.time, self.window.start))
+                unseen += told.parents * _RESCAN if has_children else 0.0
+        if brief and not has_children:
+            yield (
+                f"{_processes(brief, selector)} lasted less than 2 s: new ones are looked for once a second, so that "
+                f"others may have been missed, and CPU_{label} and Memory_{label} may be too low"
+            )
+        elif ended and unseen > self.window.duration * _UNSEEN_SHARE / 100:
+            yield (
+                f"{_processes(ended, selector)} ended after {'its' if ended == 1 else 'their'} last sample: "
+                f"CPU_{label} may leave out up to {100 * unseen / self.window.duration:.1f} % of a core"
+            )
 
     def write(self, folder: Path, mission: Window | None) -> None:
         """Write `samples.csv`, and `quality.json` with the quality over the mission; None where there was none."""
@@ -229,6 +258,10 @@ class Utilisation:
             "problems": list(self.report.problems),
             "clock": None if clock is None else clock.facts(),
         }
+
+
+def _processes(count: int, selector: str) -> str:
+    return f"{count} {'process' if count == 1 else 'processes'} {selector}"
 
 
 def _core(number: int) -> Callable[[UtilisationSample], float | None]:
