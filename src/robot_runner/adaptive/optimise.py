@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from random import Random
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.adaptive.explored import (
     Direction,
@@ -27,14 +27,12 @@ from robot_runner.adaptive.explored import (
     without_values,
 )
 from robot_runner.adaptive.searched_space import Places, SearchedSpace, baseline_findings, baseline_of
+from robot_runner.core.design.asking import Decision, Told
 from robot_runner.core.design.design import ChosenCombinations, IsAllowed
 from robot_runner.core.design.factor import Combination, Factor
+from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import DesignError, Finding
 from robot_runner.core.words import counted, enumerated, listed
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.asking import Decision, Told
-    from robot_runner.core.design.planned_runs import PlannedRun
 
 #: Combinations before there is a model: with two more than twice the factors, and five at least, one of them is near.
 _LEAST_START = 5

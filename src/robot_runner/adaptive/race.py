@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.adaptive.explored import (
     Direction,
@@ -22,6 +22,7 @@ from robot_runner.adaptive.explored import (
     shown,
     without_values,
 )
+from robot_runner.core.design.asking import Decision, Told
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.design import DesignedRuns, IsAllowed
 from robot_runner.core.design.factor import Factor, full_factorial, full_size
@@ -30,9 +31,6 @@ from robot_runner.core.design.precision import LEAST_REPETITIONS
 from robot_runner.core.design.repeated_intervals import half_width_of, level_at_each_look
 from robot_runner.core.errors import DesignError, Finding
 from robot_runner.core.words import counted, listed
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.asking import Decision, Told
 
 #: How often the best combination of a race is dropped, at most.
 _ERROR = 0.05

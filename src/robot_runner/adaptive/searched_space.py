@@ -6,16 +6,14 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import chain, product
 from math import prod
 from random import Random
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.design.design import IsAllowed
 from robot_runner.core.design.factor import Combination, Factor, factor_places
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.design.planned_runs import RunOrder, arranged
 from robot_runner.core.errors import Finding, did_you_mean
 from robot_runner.core.inactive import INACTIVE
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.design import IsAllowed
 
 #: A combination as the place of each factor's treatment.
 Places = tuple[int, ...]

@@ -9,15 +9,13 @@ import inspect
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import Any
 
 from robot_runner.core.errors import PluginError, did_you_mean
 from robot_runner.core.late_annotations import signature_of
 from robot_runner.core.plugin import Plugin, installed_plugins, load_plugin, refused_name
 from robot_runner.core.words import enumerated
-
-if TYPE_CHECKING:
-    from types import ModuleType
 
 _ROBOT = "robot"
 _COLLECTING = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.cli.console import Column, UserConsole, aligned, fitting, width_of
+from robot_runner.core.design.batch import Batch
 from robot_runner.core.design.columns import BATCH, REPETITION
 from robot_runner.core.design.factor import Factor, full_size
 from robot_runner.core.design.listed_runs import ListedRunTableModel
+from robot_runner.core.design.planned_runs import PlannedRun
+from robot_runner.core.design.run_table_model import RunTableModel
+from robot_runner.core.events.measure import MeasureColumns
 from robot_runner.core.inactive import INACTIVE
 from robot_runner.core.words import counted, enumerated, listed, plain, shown_treatment
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.batch import Batch
-    from robot_runner.core.design.planned_runs import PlannedRun
-    from robot_runner.core.design.run_table_model import RunTableModel
-    from robot_runner.core.events.measure import MeasureColumns
 
 # The columns that tell runs apart: id, treatments, repetition.
 

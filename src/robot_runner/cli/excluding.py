@@ -5,22 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from robot_runner.core.design.columns import EXCLUDED
 from robot_runner.core.design.selection import RunChooser
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.storage.executed_runs import ExcludedRuns
 from robot_runner.core.storage.journal import Journal
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import ExperimentLock
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
 from robot_runner.core.storage.table_columns import ColumnDescription, TableLayout
 from robot_runner.core.storage.table_schema import EXCLUSION, read_schema, write_schema
-
-if TYPE_CHECKING:
-    from robot_runner.core.storage.layout import ExperimentFolder
 
 
 def _on_one_line(reason: str) -> str:

@@ -11,11 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from secrets import randbits
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.cli.excluding import refuse_without_journal
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.plugin_checks import check_treatments
 from robot_runner.core.design.asking import AdaptiveDesign, decides_order
+from robot_runner.core.design.batch import Batch
 from robot_runner.core.design.batches import (
     EXTENDED,
     GrownRunTableModel,
@@ -30,10 +32,12 @@ from robot_runner.core.design.design import Design
 from robot_runner.core.design.factor import Combination, Factor
 from robot_runner.core.design.growing import Additions, Begun, GrownDesign, grown_design
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder
+from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import DesignError, ExecutionError, Finding
 from robot_runner.core.execution.begun_experiment import shown_config, unplanned_additions
 from robot_runner.core.execution.circumstances import keep_config_files, kept_manifest, restored_manifest
 from robot_runner.core.execution.given_values import accept_given
+from robot_runner.core.execution.recovered_table import RecoveredTable
 from robot_runner.core.execution.recovery import (
     ACCEPT,
     Resumption,
@@ -48,12 +52,6 @@ from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
 from robot_runner.core.storage.table_columns import FactorColumn
 from robot_runner.core.words import counted
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.design.batch import Batch
-    from robot_runner.core.design.run_table_model import RunTableModel
-    from robot_runner.core.execution.recovered_table import RecoveredTable
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,15 +8,12 @@ import re
 import shlex
 import sys
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 from rich.text import Text
 
 from robot_runner.cli.console import UserConsole, complaints, print_folded
+from robot_runner.core.errors import Finding
 from robot_runner.core.words import counted, listed, one_line
-
-if TYPE_CHECKING:
-    from robot_runner.core.errors import Finding
 
 _STYLES = {"error": "bold red", "warning": "bold yellow"}
 

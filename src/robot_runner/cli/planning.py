@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.cli.console import quiet_loading, shown_path
 from robot_runner.cli.design_words import later_orders_in_words, shown_order
@@ -13,31 +13,29 @@ from robot_runner.core.config.checks import create_model, read_parameters
 from robot_runner.core.config.dialects import load_config
 from robot_runner.core.config.experiment import event_manager_for, experiment_folder, grown_model
 from robot_runner.core.config.loader import LoadedConfig, parse_assignments
+from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.config.plugin_checks import companions, gather_plugins
 from robot_runner.core.config.preparation import measure_columns
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.listed_runs import ListedRunTableModel
+from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.design.precision import rule_in_words
+from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import ConfigError, Finding, StorageError
+from robot_runner.core.events.measure import MeasureColumns
 from robot_runner.core.execution.begun_experiment import unplanned_additions
 from robot_runner.core.execution.deciding import asking_of, what_follows
 from robot_runner.core.execution.durations import Durations, Estimate, durations_of
 from robot_runner.core.execution.experiment_history import ExperimentHistory
 from robot_runner.core.execution.probe import probe_window_of, probed_plugins
 from robot_runner.core.execution.table_recovery import is_reordered
+from robot_runner.core.plugin import Plugin
 from robot_runner.core.storage.executed_runs import moved_in_words, moved_runs
 from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout, TableSpelling
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.parameters import Parameters
-    from robot_runner.core.design.planned_runs import PlannedRun
-    from robot_runner.core.design.run_table_model import RunTableModel
-    from robot_runner.core.events.measure import MeasureColumns
-    from robot_runner.core.plugin import Plugin
-    from robot_runner.core.storage.layout import ExperimentFolder
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,24 +6,22 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.loader import LoadedConfig, own_parameters
 from robot_runner.core.config.parameters import PARAMETERS, OperationType
+from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.execution.durations import Durations, Estimate, durations_of
 from robot_runner.core.late_annotations import signature_of
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.links.declared_host import Host, Reboot
+from robot_runner.core.plugin import Plugin
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.treatments import give_again, given_to
 from robot_runner.core.words import counted, enumerated, listed, shown_treatment
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.design.planned_runs import PlannedRun
-    from robot_runner.core.plugin import Plugin
 
 
 def covering_runs(plan: Sequence[PlannedRun]) -> list[PlannedRun]:

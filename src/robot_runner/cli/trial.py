@@ -6,8 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.loader import LoadedConfig
 from robot_runner.core.config.parameters import ExperimentConfig
 from robot_runner.core.config.preparation import prepare
@@ -21,11 +22,8 @@ from robot_runner.core.execution.notices import AttemptFinished, Notice, RunReco
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.probe import without_values
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome
+from robot_runner.core.plugin import Plugin
 from robot_runner.core.storage.guarded_files import open_to_read, read_json, read_text
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.plugin import Plugin
 
 _NAME = "try"
 #: How long a callback may take beyond the time that is measured, s; a plugin that hangs is ended then.

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.config.parameters import Parameters, RunProcess
 from robot_runner.core.errors import ConfigError, Finding
-
-if TYPE_CHECKING:
-    from robot_runner.core.plugin import Plugin
+from robot_runner.core.plugin import Plugin
 
 _TLS = "distributed.comm.tls"
 

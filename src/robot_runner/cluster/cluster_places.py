@@ -10,23 +10,21 @@ import hashlib
 import os
 import time
 from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.cluster.cluster_checks import cluster_settings
 from robot_runner.cluster.experiment_snapshot import snapshot_of
 from robot_runner.cluster.piped_process import PipedProcess
 from robot_runner.cluster.run_at_worker import RunAtWorker
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.left_over import MARK_OF_ELSEWHERE, RunsElsewhere, forget_runs_elsewhere
+from robot_runner.core.execution.places import Watch
+from robot_runner.core.execution.task import OutcomeBuilder, RunTask
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.plugin import THIS_MACHINE, System
 from robot_runner.core.storage import guarded_files
 from robot_runner.core.words import listed
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.places import Watch
-    from robot_runner.core.execution.task import OutcomeBuilder, RunTask
 
 #: How long after the grace a run may take to be killed with all that it has started (`keeper.py`), and its systems to
 #: be made safe (`standby.py`), s.

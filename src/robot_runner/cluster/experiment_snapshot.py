@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.config.checks import announced_checks
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.plugin_checks import check_plugins
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.design.batches import EXTENDED
@@ -22,9 +23,6 @@ from robot_runner.core.links.connect import link_findings
 from robot_runner.core.storage.input_files import copy_kept, kept_copies, missing_inputs
 from robot_runner.core.storage.journal import journal_lines
 from robot_runner.core.storage.layout import ExperimentFolder
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
 
 #: How a worker spells that it has no cluster of its own: it executes its runs itself.
 _NO_CLUSTER = "none"

@@ -15,8 +15,8 @@ from robot_runner.cluster.piped_process import PipedProcess
 _SENDING, _MOST_RECORDS = 0.5, 200
 
 
-class HostProcess:
-    """A process that executes runs.
+class HostProcess(PipedProcess):
+    """A process that executes runs; a run that it executes is stopped once it is let go, and ends when it is killed.
 
     Attributes:
         folder: its own, in that of the worker's session.
@@ -25,18 +25,14 @@ class HostProcess:
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir()
+        super().__init__("robot_runner.cluster.run_host", str(folder))
         self.folder = folder
-        self._process = PipedProcess("robot_runner.cluster.run_host", str(folder))
         self._refused: list[str] = []
         self.is_alive = True
 
-    def ask(self, kind: str, fields: dict[str, Any]) -> None:
-        """Send a request; where the process is gone, its end tells."""
-        self._process.ask(kind, fields)
-
     def unfitness(self) -> str | None:
         """Return why it executes no runs; empty where it is ready to, and None where it has not said anything yet."""
-        replies, is_open = self._process.replies()
+        replies, is_open = self.replies()
         for kind, fields in replies:
             if kind == "ready":
                 return ""
@@ -46,17 +42,17 @@ class HostProcess:
     def _ended(self) -> str:
         """Return why the process has ended, which nobody asked for."""
         self.is_alive = False
-        code = self._process.wait()
-        self._process.close()
+        code = self.wait()
+        self.close()
         return "; ".join(self._refused) or f"the process that executes runs ended with code {code}"
 
     def followed(self, outgoing: Outgoing) -> dict[str, Any]:
         """Pass on what the process tells of a run, and return what it tells of its end."""
         poll = select.poll()
-        poll.register(self._process.descriptor, select.POLLIN)
+        poll.register(self.descriptor, select.POLLIN)
         while True:
             poll.poll(_SENDING * 1000)
-            replies, is_open = self._process.replies()
+            replies, is_open = self.replies()
             for kind, fields in replies:
                 if kind == "records":
                     outgoing.add(fields["records"])
@@ -68,18 +64,6 @@ class HostProcess:
                 because = self._ended()
                 return {"lost": because} | ({"is_certain": True, "is_unfit": True} if self._refused else {})
             outgoing.send_if_due()
-
-    def let_go(self) -> None:
-        """Have it end: a run that it executes is stopped first."""
-        self._process.let_go()
-
-    def wait(self, seconds: float) -> None:
-        """Wait for its end; kill it where that takes longer, which ends its run as well."""
-        self._process.wait(seconds)
-
-    def close(self) -> None:
-        """Leave what it tells: it has ended, and nobody follows it."""
-        self._process.close()
 
 
 class Outgoing:

@@ -6,14 +6,12 @@ import os
 import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
+from robot_runner.core.config.experiment import Experiment
+from robot_runner.core.execution.places import Watch
+from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 from robot_runner.core.execution.worker import described_task
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.places import Watch
-    from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 
 
 class Orders(Protocol):

@@ -25,10 +25,11 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.cluster.experiment_snapshot import SOURCE, experiment_of, inputs_of
 from robot_runner.core.config.claims import Claims
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.errors import ExecutionError, RobotRunnerError
 from robot_runner.core.execution.executor import begin_run, load_before_forks
 from robot_runner.core.execution.interruption import Interruption
@@ -41,9 +42,6 @@ from robot_runner.core.storage.claim_locks import HeldClaims
 from robot_runner.core.storage.guarded_files import make_folder, open_descriptor
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.treatments import bind
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
 
 #: Why a run is stopped whose orchestrator is out of reach.
 GONE = "the orchestrator is gone, or out of reach"
@@ -191,11 +189,8 @@ class _Host:
             bind(plugin, task.combination)
         self._is_stopped = False
         self._builder = _Builder(task.run_id, self._experiment.columns)
-        watch = Watch(interruption=self._interruption, report=self._report)
+        watch = Watch(interruption=self._interruption, report=lambda kind, fields: self._records.append((kind, fields)))
         self._run = begin_run(self._experiment, task, self._builder, watch)
-
-    def _report(self, kind: str, fields: dict[str, Any]) -> None:
-        self._records.append((kind, fields))
 
     def _see_to_run(self, run: RunInFlight) -> None:
         if self._lease_end is not None and time.monotonic() >= self._lease_end:

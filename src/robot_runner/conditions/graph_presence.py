@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
 
@@ -146,7 +146,7 @@ class _Present(_OnGraph):
         return f"the {self.kind} {self.name}{f' ({self.message_type})' if self.message_type else ''} is there"
 
     def judged(self, link: RobotLink) -> Look:
-        there = self._listed(link)
+        there = {"node": link.nodes, "topic": link.topics, "service": link.services}[self.kind]()
         if self.name not in there:
             near = nearest(self.name, there)
             if self.kind == "service" and not there:
@@ -159,6 +159,3 @@ class _Present(_OnGraph):
             said = f"carries {found}" if is_known else "nothing tells what it carries"
             return Look(holds=False, seen=f"{self.name} is there and {said}", is_known=is_known)
         return Look(holds=True, seen=f"{self.name} is there")
-
-    def _listed(self, link: RobotLink) -> Collection[str]:
-        return {"node": link.nodes, "topic": link.topics, "service": link.services}[self.kind]()

@@ -7,18 +7,15 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from robot_runner.core.entry_points import EntryPoint, entry_points, named_entry_point
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.core.storage.input_files import InputFile
 from robot_runner.core.treatments import Bindable
-
-if TYPE_CHECKING:
-    from robot_runner.core.links.graph_needs import GraphNeed
-    from robot_runner.core.storage.input_files import InputFile
-
 
 _log = logging.getLogger(__name__)
 

@@ -8,14 +8,10 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from types import FrameType
 
 from robot_runner.core.errors import PluginError, nearest
 from robot_runner.core.late_annotations import signature_of
-
-if TYPE_CHECKING:
-    from types import FrameType
-
 
 #: What the module of a config file is called while it is executed.
 CONFIG_MODULE = "robot_runner_config"

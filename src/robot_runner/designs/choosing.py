@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
+from robot_runner.core.design.design import IsAllowed
 from robot_runner.core.design.factor import Combination, Factor, factor_places, full_size
 from robot_runner.core.errors import Finding
 from robot_runner.core.inactive import INACTIVE
 from robot_runner.designs.factor_roles import factor_name
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.design import IsAllowed
 
 
 class Described:

@@ -6,14 +6,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from random import Random
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.design.design import IsAllowed
 from robot_runner.core.design.factor import Combination, Factor, factor_places, full_factorial
 from robot_runner.core.design.planned_runs import shuffle_in_place
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.design import IsAllowed
 
 
 def factor_name(given: Any) -> Any:

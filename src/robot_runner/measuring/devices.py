@@ -32,11 +32,9 @@ class BringsDevices(Protocol):
 
     def open_serial_line(self, name: RobotName, *, resources: Resources, seed: int, namespace: str) -> SerialLine:
         """Open the serial line of the robot's power meter."""
-        ...
 
     def open_host(self, name: RobotName, *, resources: Resources, seed: int, namespace: str) -> HostLink:
         """Open a link to the robot's on-board computer."""
-        ...
 
 
 def open_serial_line(

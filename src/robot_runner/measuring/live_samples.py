@@ -72,14 +72,10 @@ class LiveSamples:
             remove(self._path)
 
     def _write(self, columns: Sequence[Column]) -> None:
-        line = ",".join(_cell(column.values[0]) for column in columns)
+        line = ",".join("" if (value := column.values[0]) is None else str(value) for column in columns)
         if not self._has_begun:
             remove(self._path)  # of an earlier attempt
             self._has_begun = True
             line = f"{','.join(column.name for column in columns)}\n{line}"
         with open_to_append(self._path) as file:
             file.write(f"{line}\n".encode("ascii", "backslashreplace"))
-
-
-def _cell(value: object) -> str:
-    return "" if value is None else str(value)

@@ -6,17 +6,14 @@ import importlib.util
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.context import Clock, RobotRunnerContext, SystemClock
 from robot_runner.core.links.connect import SIMULATED, is_simulated, lives_by_simulation
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.ssh_command import ssh_findings
-
-if TYPE_CHECKING:
-    from robot_runner.core.plugin import Plugin
-
+from robot_runner.core.plugin import Plugin
 
 _INSTALL = "Install it: pip install 'robot-runner[psutil]'."
 _NAME_ONE = f"Name it: host='localhost' for this machine, or host='user@robot'. Or: --set robot={SIMULATED}."
@@ -50,7 +47,6 @@ class MeasuresComputer(Protocol):
     @property
     def measured_computer(self) -> Computer | None:
         """The computer; None for one that is simulated."""
-        ...
 
 
 def concerned(plugins: Iterable[Plugin]) -> list[tuple[str, Computer]]:

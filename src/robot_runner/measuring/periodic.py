@@ -9,10 +9,11 @@ from array import array
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import Clock
+from robot_runner.core.events.resources import Closable
 from robot_runner.core.events.window import Window
 from robot_runner.measuring.host import (
     FileHost,
@@ -24,10 +25,6 @@ from robot_runner.measuring.host import (
 )
 from robot_runner.measuring.quality import SampleQuality, quality_of
 from robot_runner.measuring.series import Series, within
-
-if TYPE_CHECKING:
-    from robot_runner.core.events.resources import Closable
-
 
 R = TypeVar("R")
 
@@ -43,7 +40,6 @@ class TickingClock(Protocol):
 
     def call_every(self, period: float, callback: Callable[[], None]) -> Closable:
         """Have `callback` called every `period` seconds of the clock, until the result is closed."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

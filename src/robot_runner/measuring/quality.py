@@ -10,14 +10,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.events.context import RobotRunnerContext
+from robot_runner.core.events.window import Window
 from robot_runner.core.storage.guarded_files import open_to_fill
 from robot_runner.measuring.series import Series, within
-
-if TYPE_CHECKING:
-    from robot_runner.core.events.window import Window
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,7 +32,6 @@ class SerialLine(Protocol):
     @property
     def is_simulated(self) -> bool:
         """Whether a simulated device is at the other end."""
-        ...
 
     def drain(self) -> list[Chunk]:
         """Return, oldest first, everything that arrived since the last call, without waiting.
@@ -40,7 +39,6 @@ class SerialLine(Protocol):
         Raises:
             LinkError: the line was lost (a device that was unplugged), and what arrived before was returned.
         """
-        ...
 
     def write(self, data: bytes) -> None:
         """Send bytes to the device.
@@ -48,11 +46,9 @@ class SerialLine(Protocol):
         Raises:
             LinkError: the line was lost.
         """
-        ...
 
     def close(self) -> None:
         """Close the line; closing twice does nothing."""
-        ...
 
 
 DEFAULT_BAUD = 115200
@@ -90,7 +86,7 @@ def port_problem(port: str) -> LinkError | None:
         "there is no serial port '/dev/no-such-port'"
     """
     if _URL not in port and not Path(port).exists():
-        return _missing(port)
+        return LinkError(f"there is no serial port {port!r}", where=f"serial port {port}", fix=_choice(port))
     try:
         import_module("serial")
     except ModuleNotFoundError:
@@ -220,10 +216,6 @@ def _refusal(port: str, error: Exception) -> LinkError:
     if number in {errno.EBUSY, errno.EAGAIN} or "exclusively lock" in str(error):
         return LinkError("another program has it open", where=where, fix=_SHARE)
     return LinkError(f"the port cannot be opened: {error}", where=where, fix=_choice(port))
-
-
-def _missing(port: str) -> LinkError:
-    return LinkError(f"there is no serial port {port!r}", where=f"serial port {port}", fix=_choice(port))
 
 
 def _choice(port: str) -> str:

@@ -8,12 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
 from operator import le
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import PluginError
-
-if TYPE_CHECKING:
-    from robot_runner.core.events.window import Window
+from robot_runner.core.events.window import Window
 
 
 @dataclass(frozen=True, slots=True)

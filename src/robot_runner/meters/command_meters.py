@@ -9,18 +9,16 @@ import signal
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.plugin import Circumstances
 from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_findings
 from robot_runner.meters.command import CommandProfiler, Measured
 from robot_runner.meters.command_output import Aggregate, CommandColumn, Row, TimeColumn, TimeKind, parse_csv
 from robot_runner.meters.parameter_checks import check_list, check_positive
 from robot_runner.meters.rapl import POWERCAP, permission_findings
-
-if TYPE_CHECKING:
-    from robot_runner.core.plugin import Circumstances
 
 #: Where the energy of the processor is, in the order of EnergiBridge's own summary (src/main.rs): power in W of Apple's
 #: processors, else a counter in J.

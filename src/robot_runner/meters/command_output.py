@@ -8,15 +8,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from itertools import accumulate, pairwise
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.measure import Measure, Over
+from robot_runner.core.events.window import Window
 from robot_runner.measuring.device_clock import fit_clock
 from robot_runner.measuring.series import Series, cut, growth, mean_of_intervals
-
-if TYPE_CHECKING:
-    from robot_runner.core.events.window import Window
 
 #: The cells of one row by the name of their column, as text or as numbers.
 Row = Mapping[str, str | float | None]

@@ -7,16 +7,14 @@ import math
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import Clock, RobotRunnerContext, SystemClock
+from robot_runner.core.plugin import Circumstances
 from robot_runner.measuring.measured_machine import machine_clock, simulation_findings
 from robot_runner.meters.electrical import ElectricalProfiler, ElectricalReading
 from robot_runner.meters.polled import trial_findings
-
-if TYPE_CHECKING:
-    from robot_runner.core.plugin import Circumstances
 
 _INSTALL = "Install it: pip install 'robot-runner[joulescope]'."
 _CONNECT = "Connect it by USB; on Linux its rules for udev must be installed (joulescope.com, user's guide)."

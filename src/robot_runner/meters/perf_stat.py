@@ -9,17 +9,15 @@ import subprocess
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import Measure
+from robot_runner.core.plugin import Circumstances
 from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_findings
 from robot_runner.meters.command import CommandProfiler, Measured
 from robot_runner.meters.command_output import Aggregate, CommandColumn, Row, TimeColumn, TimeKind
 from robot_runner.meters.parameter_checks import check_list, check_positive
-
-if TYPE_CHECKING:
-    from robot_runner.core.plugin import Circumstances
 
 _INSTALL = "Install it: sudo apt install linux-perf (Debian), linux-tools-generic (Ubuntu)."
 _DEFAULT_EVENTS = ("task-clock", "context-switches", "page-faults", "instructions", "cycles", "cache-misses")

@@ -35,11 +35,9 @@ class PlugDialect(Protocol):
 
     def path(self, channel: int, user: str, password: str | None) -> str:
         """Return the path of a GET request."""
-        ...
 
     def exchange(self, topic: str, channel: int, reply_to: str) -> Exchange:
         """Return how a plug of this topic is asked over MQTT; answers may be sent to a topic of one's own."""
-        ...
 
     def read(self, answers: Mapping[str, bytes], channel: int) -> ElectricalReading:
         """Return what the answers say, by topic; that to a GET request has the topic "".
@@ -47,7 +45,6 @@ class PlugDialect(Protocol):
         Raises:
             ValueError: they do not say what was asked for.
         """
-        ...
 
 
 def _decoded(body: bytes) -> Mapping[str, Any]:

@@ -27,7 +27,6 @@ class Meter(Protocol[R_co]):
 
     def read(self) -> R_co:
         """Return one reading."""
-        ...
 
     def close(self) -> None:
         """Let go of what is held; here, nothing."""
@@ -39,15 +38,12 @@ class Sampler(Protocol[R]):
 
     def start(self) -> None:
         """Begin to take readings."""
-        ...
 
     def take_now(self) -> None:
         """Take one more reading at an edge of the mission, where that can be done."""
-        ...
 
     def stop(self) -> Sampling[R]:
         """End it and return what was read; a second call returns the same."""
-        ...
 
 
 class PolledProfiler(Profiler, Generic[R]):

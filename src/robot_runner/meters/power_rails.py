@@ -6,12 +6,13 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.ssh_command import ssh_findings
+from robot_runner.core.plugin import Circumstances
 from robot_runner.measuring.devices import connect_host
 from robot_runner.measuring.host import FileHost, RemoteHost, SamplingReport
 from robot_runner.measuring.local_host import LocalHost
@@ -21,9 +22,6 @@ from robot_runner.measuring.ssh_host import SshHost
 from robot_runner.meters.electrical import ElectricalProfiler, Readings
 from robot_runner.meters.polled import Meter, Sampler
 from robot_runner.meters.sysfs_rails import Rail, choose_rails, find_rails
-
-if TYPE_CHECKING:
-    from robot_runner.core.plugin import Circumstances
 
 #: Samples whose clock is known to less than this share of the window are doubted, as elsewhere.
 _CLOCK_SHARE = 0.01
@@ -93,7 +91,7 @@ class PowerRails(ElectricalProfiler):
             listed = [rails] if rails else ["VDD_IN"]
             fix = f"Give a list: rails={listed!r}, or leave it out for the only one."
             raise PluginError(f"rails is {rails!r}", where=name or type(self).__name__, fix=fix)
-        channels = [_channel(rail) for rail in rails or ("",)]
+        channels = [re.sub(r"\W+", "_", rail).strip("_") for rail in rails or ("",)]
         if len(set(channels)) < len(channels):
             problem = f"two of the rails would yield measures of one name: {', '.join(rails or ())}"
             fix = "Name each once; measure alike ones with two plugins of different names."
@@ -208,8 +206,3 @@ class PowerRails(ElectricalProfiler):
             fix = f"Name another host than {self.host!r}."
             raise LinkError("files of this computer cannot be read", where=self.name, fix=fix)
         return host
-
-
-def _channel(rail: str) -> str:
-    """Return what stands for a rail in the name of a column."""
-    return re.sub(r"\W+", "_", rail).strip("_")

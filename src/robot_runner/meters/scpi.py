@@ -8,17 +8,15 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
+from robot_runner.core.plugin import Circumstances
 from robot_runner.measuring.measured_machine import simulation_findings
 from robot_runner.meters.electrical import ElectricalProfiler, ElectricalReading
 from robot_runner.meters.parameter_checks import check_list, check_positive
 from robot_runner.meters.polled import trial_findings
-
-if TYPE_CHECKING:
-    from robot_runner.core.plugin import Circumstances
 
 _INSTALL = "Install it: pip install 'robot-runner[scpi]'."
 _ENERGY_UNITS = {"J": 1.0, "Wh": 3600.0, "kWh": 3.6e6}

@@ -76,15 +76,12 @@ class Followed(Protocol):
     @property
     def is_behind(self) -> bool:
         """Whether there is more to read at once."""
-        ...
 
     def look(self) -> Mapping[str, Any]:
         """Read what is new; returns what it may have changed."""
-        ...
 
     def snapshot(self) -> Mapping[str, Any]:
         """Return everything."""
-        ...
 
 
 class Channel:

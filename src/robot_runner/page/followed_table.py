@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.run_table_rows import RunTableRows
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import shown_treatment
-
-if TYPE_CHECKING:
-    from robot_runner.core.storage.layout import ExperimentFolder
-    from robot_runner.core.storage.run_table_rows import RunTableRows
 
 #: How the page names what the run table has a sign for.
 _WORDS = {RunStatus.TODO: "to do", RunStatus.RUNNING: "running", RunStatus.DONE: "done", RunStatus.FAILED: "failed"}

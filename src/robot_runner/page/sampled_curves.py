@@ -9,15 +9,13 @@ import stat
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.guarded_files import open_to_read
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.measuring.live_samples import LIVE
-
-if TYPE_CHECKING:
-    from robot_runner.core.storage.layout import ExperimentFolder
 
 #: Points of a curve: more than a phone is wide; each has the least and the largest value of its samples.
 _POINTS = 400

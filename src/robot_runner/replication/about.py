@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
+from robot_runner.core.config.authors import Author
 from robot_runner.core.errors import Finding
 from robot_runner.core.words import shown_commit
 from robot_runner.replication.container import container_commands
 from robot_runner.replication.contents import CRATE, DESCRIBED, SUMS, LeftOut
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.authors import Author
 
 
 @dataclass(frozen=True, slots=True)

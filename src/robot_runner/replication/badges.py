@@ -12,13 +12,14 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.run_table_rows import RunTableRows
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole, TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import counted
@@ -38,9 +39,6 @@ from robot_runner.replication.contents import (
 from robot_runner.replication.opening import open_package
 from robot_runner.replication.run_by_run import statuses_that_count
 from robot_runner.replication.verification import read_text_of
-
-if TYPE_CHECKING:
-    from robot_runner.core.storage.run_table_rows import RunTableRows
 
 _POLICY = "https://www.acm.org/publications/policies/artifact-review-and-badging-current"
 _AVAILABLE = "Artifacts Available"

@@ -9,17 +9,15 @@ from collections import Counter
 from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from robot_runner.core.errors import PackageError, did_you_mean
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.storage.input_files import read_index, shown_input
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.words import one_line
 from robot_runner.replication.redaction import forbidden_name
-
-if TYPE_CHECKING:
-    from robot_runner.core.storage.layout import ExperimentFolder
 
 #: Version of the package's format; readers refuse a newer one.
 FORMAT = 1

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.run_table_rows import RunTableRows
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
-
-if TYPE_CHECKING:
-    from robot_runner.core.storage.run_table_rows import RunTableRows
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from types import FrameType
+from typing import Any, TextIO
 
 from robot_runner.core.errors import PackageError
 from robot_runner.core.execution.interruption import stop_signals_handled
@@ -18,9 +19,6 @@ from robot_runner.core.storage.guarded_files import read_text
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.replication.contents import REQUIREMENTS, WHEELS
 from robot_runner.replication.distributions import installed_distributions, wheel_name, wheel_of, write_wheel
-
-if TYPE_CHECKING:
-    from types import FrameType
 
 _OUR_NAME = "robot-runner"
 _DEADLINE_S = 3600.0

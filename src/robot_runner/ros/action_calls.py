@@ -31,19 +31,15 @@ class ActionDialect(Protocol):
 
     def types(self, action_type: str) -> ActionTypes:
         """Return what an action is made of; raise a `LinkError` where there is no such type."""
-        ...
 
     def actions(self) -> Mapping[str, str]:
         """Return the type of each action that is offered, by full name."""
-        ...
 
     def client(self, action: str, action_type: str, timeout: float) -> ActionClient:
         """Return what sends goals to an action; raise a `LinkError` where it is not offered, or has another type."""
-        ...
 
     def serve(self, action: str, action_type: str, server: GoalServer) -> Subscription:
         """Have goals executed by a server of this link; raise a `LinkError` where the action is offered already."""
-        ...
 
 
 def missing_action(action: str, action_type: str, known: Mapping[str, str]) -> LinkError:

@@ -46,15 +46,12 @@ class Outlet(Protocol):
 
     def tell_feedback(self, execution: Execution, message: Message) -> None:
         """Tell complete feedback of a goal."""
-        ...
 
     def tell_status(self, executions: Sequence[Execution]) -> None:
         """Tell the states of all goals that are remembered."""
-        ...
 
     def tell_result(self, execution: Execution, result: ActionResult) -> None:
         """Tell what came of a goal, with every field of its result."""
-        ...
 
 
 class Execution:

@@ -5,18 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from functools import partial
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.events.context import Clock
 from robot_runner.core.links.robot import RobotLink
+from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros.graph_addresses import DdsSettings
 from robot_runner.ros.graph_link import GraphLink
 from robot_runner.ros.graph_links import check_installed
 from robot_runner.ros.graph_transport import receive_clock
-
-if TYPE_CHECKING:
-    from robot_runner.core.links.robot_name import RobotName
 
 _check_installed = partial(check_installed, ("cyclonedds", "rosbags"), way="over DDS", extra="dds")
 

@@ -10,11 +10,13 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import parse_qsl
 
 from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.events.context import Clock, SystemClock
+from robot_runner.core.events.resources import Resources
+from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.links.kinds import FoundRobot, link_key
 from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.links.robot_name import RobotName
@@ -22,10 +24,6 @@ from robot_runner.core.storage.input_files import InputFile, input_file
 from robot_runner.core.words import enumerated
 from robot_runner.ros.definition_files import SUFFIXES, naming_files
 from robot_runner.ros.graph_clock import GraphClock
-
-if TYPE_CHECKING:
-    from robot_runner.core.events.resources import Resources
-    from robot_runner.core.links.graph_needs import GraphNeed
 
 
 def check_installed(packages: Iterable[str], *, way: str, extra: str) -> None:

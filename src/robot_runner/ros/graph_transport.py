@@ -28,19 +28,15 @@ class GraphTypes(Protocol):
 
     def shape(self, message_type: str) -> Shape:
         """Return what a message type is made of."""
-        ...
 
     def request(self, service_type: str) -> Shape:
         """Return what the request of a service type is made of."""
-        ...
 
     def response(self, service_type: str) -> Shape:
         """Return what the response of a service type is made of."""
-        ...
 
     def definition(self, message_type: str) -> str:
         """Return the text of a type's definition, followed by the types that it is made of."""
-        ...
 
 
 class Reception(Protocol):
@@ -48,11 +44,9 @@ class Reception(Protocol):
 
     def message(self) -> Message:
         """Return the message as a mapping."""
-        ...
 
     def raw(self) -> RawMessage:
         """Return the bytes of the message."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,22 +77,18 @@ class TopicPublisher(Protocol):
 
     def publish(self, message: Message) -> None:
         """Publish a message that has every field of its type."""
-        ...
 
     def reach(self) -> bool:
         """Return whether the subscribers that are there would receive what is published, once they do; False if late.
 
         A subscriber that asks for more than this publisher offers is not counted.
         """
-        ...
 
     def flush(self, seconds: float) -> None:
         """Return once the reachable subscribers have what was published; raise a `LinkError` where one refuses it."""
-        ...
 
     def close(self) -> None:
         """Leave the topic."""
-        ...
 
 
 class TopicSubscription(Protocol):
@@ -106,11 +96,9 @@ class TopicSubscription(Protocol):
 
     def explain(self) -> str:
         """Say what to do where no message came: one imperative, or nothing; raise a `LinkError` for a known cause."""
-        ...
 
     def close(self) -> None:
         """Leave the topic."""
-        ...
 
 
 class Transport(Protocol):
@@ -140,49 +128,38 @@ class Transport(Protocol):
 
     def advertise(self, topic: str, message_type: str, qos: Qos) -> TopicPublisher:
         """Return a publisher, once the subscribers that are there already are reached."""
-        ...
 
     def subscribe(
         self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
     ) -> TopicSubscription:
         """Have `receive` called with each message; `is_raw` says which form of it will be asked for."""
-        ...
 
     def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
         """Call a service and return its response; `timeout` is in seconds."""
-        ...
 
     def serve(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> Subscription:
         """Offer a service; a request at which `answer` raises is refused where the graph has a way to say so."""
-        ...
 
     def topics(self) -> Mapping[str, str]:
         """Return the type of each topic by full name; an empty text where the graph does not tell."""
-        ...
 
     def services(self) -> Mapping[str, str]:
         """Return the type of each service by full name."""
-        ...
 
     def nodes(self) -> Iterable[str]:
         """Return the full names of the nodes."""
-        ...
 
     def publishers(self, topic: str) -> Iterable[GraphEndpoint]:
         """Return who publishes a topic."""
-        ...
 
     def subscribers(self, topic: str) -> Iterable[GraphEndpoint]:
         """Return who subscribes a topic."""
-        ...
 
     def wait(self, event: threading.Event, seconds: float) -> None:
         """Wait for an event that a callback sets, for so long at most; raise a `LinkError` if the graph is lost."""
-        ...
 
     def close(self) -> None:
         """Leave the graph."""
-        ...
 
 
 def is_hidden(name: str) -> bool:

@@ -40,19 +40,15 @@ class ParameterAccess(Protocol):
 
     def names(self, node: str) -> Sequence[str]:
         """Return the names of all parameters of a node, sorted."""
-        ...
 
     def described(self, node: str, names: Sequence[str]) -> Mapping[str, ParameterDescription]:
         """Return what the node tells of these parameters."""
-        ...
 
     def values(self, node: str, names: Sequence[str]) -> Mapping[str, ParameterValue]:
         """Return the values that these parameters have; None for one without a value."""
-        ...
 
     def objections(self, node: str, values: Mapping[str, Any]) -> Sequence[LinkError]:
         """Return why these values cannot be set, as far as that is known beforehand; nothing is set by asking."""
-        ...
 
     def change(self, node: str, values: Mapping[str, Any]) -> None:
         """Set parameters of a node; None takes the value of one away.
@@ -61,7 +57,6 @@ class ParameterAccess(Protocol):
             LinkError: one is read-only, of another kind or out of its limits, and nothing is set; or the node refuses
                 one, and the others are set.
         """
-        ...
 
 
 class ParameterServer(Protocol):
@@ -69,19 +64,15 @@ class ParameterServer(Protocol):
 
     def parameter_names(self) -> Sequence[str]:
         """Return the full names of all parameters."""
-        ...
 
     def parameter(self, name: str) -> Any:
         """Return the value of one, or None where it is not set."""
-        ...
 
     def set_parameter(self, name: str, *, value: Any) -> None:
         """Set one."""
-        ...
 
     def delete_parameter(self, name: str) -> None:
         """Take one away."""
-        ...
 
 
 def parameters_of(link: RobotLink, *, timeout: float = 5.0) -> ParameterAccess:

@@ -6,7 +6,7 @@ import importlib.util
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar, runtime_checkable
+from typing import ClassVar, Protocol, TypeVar, runtime_checkable
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
@@ -15,11 +15,9 @@ from robot_runner.core.links.connect import is_simulated, join_beforehand, resol
 from robot_runner.core.links.graph_names import full_name, namespace_prefix
 from robot_runner.core.links.graph_needs import GraphNeed, GraphPart
 from robot_runner.core.links.robot import Message
+from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.plugin import Circumstances, System
 from robot_runner.ros.shapes import completed, plain_type
-
-if TYPE_CHECKING:
-    from robot_runner.core.links.robot_name import RobotName
 
 _Kept = TypeVar("_Kept")
 

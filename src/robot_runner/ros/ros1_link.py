@@ -5,20 +5,17 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Mapping
 from functools import partial
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.events.context import Clock
 from robot_runner.core.links.robot import RobotLink
+from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros.graph_addresses import check_options
 from robot_runner.ros.graph_link import GraphLink
 from robot_runner.ros.graph_transport import receive_clock
 from robot_runner.ros.ros1_master import Master
 from robot_runner.ros.ros1_node import rospy_missing
 from robot_runner.ros.ros1_transport import Ros1Transport
-
-if TYPE_CHECKING:
-    from robot_runner.core.links.robot_name import RobotName
 
 _OPTIONS = ("master",)
 #: How long a check waits for the master, s.

@@ -7,18 +7,15 @@ import os
 import sys
 from collections.abc import Mapping
 from functools import partial
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.events.context import Clock
 from robot_runner.core.links.robot import RobotLink
+from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros.graph_addresses import check_options, domain_id
 from robot_runner.ros.graph_link import GraphLink
 from robot_runner.ros.graph_transport import is_simulated_time, receive_clock
 from robot_runner.ros.ros_environment import RosEnvironment, find_ros, other_python_of_rclpy
-
-if TYPE_CHECKING:
-    from robot_runner.core.links.robot_name import RobotName
 
 _OPTIONS = ("domain",)
 _WITHOUT_ROS = "or reach the robot without a ROS: robot = 'dds'"

@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterable, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext, SystemClock
@@ -15,14 +15,12 @@ from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.ssh_command import ssh_findings
+from robot_runner.core.plugin import Circumstances
 from robot_runner.measuring.evaluation import note_own_window, publish_measures
 from robot_runner.ros.bag_file import LinkRecorder, began_late, messages_in
 from robot_runner.ros.bag_recorder import PROGRAMS, BagProgram, await_subscriptions, subscriptions_of
 from robot_runner.ros.robot_system import check_numbers
 from robot_runner.ros.topic_statistics import TopicProfiler, TypedTopic, robot_findings, topic_label
-
-if TYPE_CHECKING:
-    from robot_runner.core.plugin import Circumstances
 
 _FIX = "Look at the bag before you use this run."
 #: How long after the mission a bag may begin before that is told, s.

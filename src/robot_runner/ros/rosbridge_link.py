@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from functools import partial
 from ipaddress import ip_address
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.events.context import Clock
 from robot_runner.core.links.robot import RobotLink
+from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros.graph_addresses import RosbridgeAddress
 from robot_runner.ros.graph_link import GraphLink
 from robot_runner.ros.graph_links import check_installed
 from robot_runner.ros.graph_transport import receive_clock
-
-if TYPE_CHECKING:
-    from robot_runner.core.links.robot_name import RobotName
 
 _PACKAGES = ("cbor2", "rosbags", "websockets")
 _check_installed = partial(check_installed, _PACKAGES, way="through a rosbridge", extra="rosbridge")

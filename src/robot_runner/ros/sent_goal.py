@@ -20,19 +20,15 @@ class ActionClient(Protocol):
 
     def send(self, goal: Message, sent: SentGoal, timeout: float) -> None:
         """Send a complete goal, and return once it is accepted; raise a `LinkError` where it is not."""
-        ...
 
     def cancel(self, sent: SentGoal, timeout: float) -> None:
         """Ask for the end of a goal; raise a `LinkError` where the server refuses."""
-        ...
 
     def is_served(self) -> bool:
         """Whether its server is still there."""
-        ...
 
     def close(self) -> None:
         """Leave the action."""
-        ...
 
 
 class SentGoal:

@@ -8,19 +8,17 @@ from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import Clock, RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin, Over
+from robot_runner.core.events.window import Window
 from robot_runner.core.links.robot import RawMessage, RobotLink, Subscription
 from robot_runner.measuring.evaluation import publish_measures
 from robot_runner.measuring.quality import Column, write_quality, write_samples
 from robot_runner.ros.robot_system import check_numbers
 from robot_runner.ros.topic_statistics import HeaderReader, TopicProfiler, TypedTopic, nearest_rank, topic_label
-
-if TYPE_CHECKING:
-    from robot_runner.core.events.window import Window
 
 #: How often we look whether the last answers have come, s.
 _LOOK = 0.01

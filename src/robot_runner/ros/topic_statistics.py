@@ -10,19 +10,17 @@ from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.context import RobotRunnerContext
+from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import Encoding, RawMessage, RobotLink
 from robot_runner.core.plugin import Circumstances, Profiler
 from robot_runner.measuring.quality import Column, SampleQuality, quality_of
 from robot_runner.ros.robot_system import OfTheRobot
-
-if TYPE_CHECKING:
-    from robot_runner.core.events.window import Window
 
 _HEADERS = frozenset({"Header", "std_msgs/Header", "std_msgs/msg/Header"})
 #: How often the graph is asked for topics that are not there yet, s.

@@ -78,7 +78,6 @@ class Rider(Protocol):
 
     def correct(self) -> None:
         """Correct the motors' set points."""
-        ...
 
 
 class Physics:

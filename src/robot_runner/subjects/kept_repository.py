@@ -42,7 +42,7 @@ def is_kept(target: Path, clones: Mapping[str, Path]) -> bool:
         clones: where each commit can be had, by its hash.
     """
     try:
-        if target.is_dir() and all(_has(target, commit) for commit in clones):
+        if target.is_dir() and all(_worked(target, "cat-file", "-e", f"{commit}^{{commit}}") for commit in clones):
             return True
         if not _is_small(clones):
             return False
@@ -118,10 +118,6 @@ def _is_small(clones: Mapping[str, Path]) -> bool:
         if listed.returncode != 0:
             return False
     return sum(sizes.values()) <= _LARGEST
-
-
-def _has(repository: Path, commit: str) -> bool:
-    return _worked(repository, "cat-file", "-e", f"{commit}^{{commit}}")
 
 
 def _worked(folder: Path, *words: str) -> bool:

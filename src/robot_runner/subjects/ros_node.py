@@ -7,17 +7,15 @@ import math
 import re
 import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
 from robot_runner.core.links.graph_names import namespace_prefix
+from robot_runner.core.storage.input_files import InputFile
 from robot_runner.subjects.read_files import with_what_it_names
 from robot_runner.subjects.ros_subject import RosSubject
 from robot_runner.subjects.surroundings import holds_revision, word
-
-if TYPE_CHECKING:
-    from robot_runner.core.storage.input_files import InputFile
 
 _GRAPH_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _PARAMETER = re.compile(r"[A-Za-z0-9_./~-]+")

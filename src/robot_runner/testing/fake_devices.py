@@ -45,6 +45,7 @@ class FakeHostLink:
 
     Attributes:
         is_closed: whether it was closed.
+        is_simulated: what it was made with.
 
     Example:
         >>> from robot_runner.testing import FakeClock, FakeHostLink
@@ -69,12 +70,7 @@ class FakeHostLink:
         self._clock = clock
         self._cpu = cpu
         self._memory = memory
-        self._is_simulated = is_simulated
-
-    @property
-    def is_simulated(self) -> bool:
-        """What it was made with."""
-        return self._is_simulated
+        self.is_simulated = is_simulated
 
     def sample_utilisation(self, rate: float) -> _Sampler:
         """Begin to sample.
@@ -112,6 +108,7 @@ class FakeSerialLine:
     Attributes:
         written: the bytes that were sent to the device.
         is_closed: whether it was closed.
+        is_simulated: what it was made with.
 
     Example:
         >>> from robot_runner.measuring.serial_line import Chunk
@@ -140,12 +137,7 @@ class FakeSerialLine:
         self._coming = sorted(chunks, key=lambda chunk: chunk.received_at)
         self._answer = answer
         self._lost_at = lost_at
-        self._is_simulated = is_simulated
-
-    @property
-    def is_simulated(self) -> bool:
-        """What it was made with."""
-        return self._is_simulated
+        self.is_simulated = is_simulated
 
     def drain(self) -> list[Chunk]:
         """Return what has arrived since the last call.

@@ -11,7 +11,7 @@ import json
 from argparse import Namespace
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.analysis.plan_file import choices_in_words
 from robot_runner.analysis.wording import shown_level
@@ -26,6 +26,7 @@ from robot_runner.cli.console import (
 )
 from robot_runner.cli.parser import Parser, UsageError, add_config, add_json, add_set
 from robot_runner.core.config.dialects import load_config
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.config.registered_config import registration_content, registration_path
@@ -41,9 +42,6 @@ from robot_runner.core.storage.registration import (
 )
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.words import counted, listed
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
 
 #: The exit code where a config differs from its registration.
 _DIFFERS = 1

@@ -216,7 +216,7 @@ def conclusion_of_effect(effect: CombinedEffect, measure: str, unit: str, alpha:
 def _sentences(effect: CombinedEffect, found: Combined, measure: str, unit: str, alpha: float) -> Iterator[str]:
     yield _average(effect, found, measure, unit)
     yield _variation(found, unit, alpha)
-    if found.prediction is not None and effect.is_significant and not _leaves_out_zero(found.prediction):
+    if found.prediction is not None and effect.is_significant and found.prediction.low <= 0 <= found.prediction.high:
         between = _between(found.prediction, unit)
         yield f"A further experiment may find the opposite: its effect is expected between {between}."
     p_value = found.common.p_value
@@ -261,10 +261,6 @@ def _variation(found: Combined, unit: str, alpha: float) -> str:
 
 def _between(interval: Interval, unit: str, word: str = "and") -> str:
     return f"{shown_number(interval.low)} {word} {with_unit(interval.high, unit)}"
-
-
-def _leaves_out_zero(interval: Interval) -> bool:
-    return interval.low > 0 or interval.high < 0
 
 
 def what_so_many_tell(count: int) -> str:

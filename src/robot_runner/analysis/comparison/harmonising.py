@@ -159,7 +159,7 @@ def renamed(
     """Return the experiments with the names that a user gave, each as `NAME=OTHER`, and what is wrong with these."""
     findings: list[Finding] = []
     for text in same:
-        known = {each for experiment in experiments for each in _names(experiment)}
+        known = {each for experiment in experiments for names in _kinds(experiment) for each in names}
         name, equals, other = text.partition("=")
         if not equals or other not in known:
             problem = (
@@ -184,10 +184,6 @@ def _kinds(experiment: Experiment) -> Iterator[tuple[str, ...]]:
     """Yield names that must differ from each other: the factors, and the treatments of each."""
     yield experiment.factors
     yield from map(experiment.treatments, experiment.factors)
-
-
-def _names(experiment: Experiment) -> Iterator[str]:
-    return (name for names in _kinds(experiment) for name in names)
 
 
 def differing_names(experiments: Sequence[Experiment]) -> Iterator[Finding]:

@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.design import CombinationDesign, Design, FullFactorial
 from robot_runner.core.design.factor import Factor, full_size
+from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import DesignError
 from robot_runner.core.inactive import INACTIVE
 from robot_runner.designs.covering import CoveringArray
@@ -19,9 +19,6 @@ from robot_runner.designs.fractional import FractionalFactorial
 from robot_runner.designs.one_at_a_time import OneFactorAtATime
 from robot_runner.designs.optimal import DOptimal
 from robot_runner.designs.split_plot import SplitPlot
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.run_table_model import RunTableModel
 
 #: The column of the whole plots of a split-plot design that is only compared.
 _PLOT = "Whole plot"

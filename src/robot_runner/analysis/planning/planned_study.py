@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import pandas as pd
@@ -16,17 +16,15 @@ from robot_runner.analysis.run_frame import RunFrame
 from robot_runner.analysis.statistics.execution_order import STAMP
 from robot_runner.analysis.statistics.known_design import KnownDesign
 from robot_runner.analysis.statistics.nested_factors import IDLE, NestedFactors, conditions_of
+from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.columns import BATCH, REPETITION, RUN_ID, STATUS
 from robot_runner.core.design.design import CombinationDesign
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.listed_runs import ListedRunTableModel
+from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.analysis_plan import AnalysisPlan
-    from robot_runner.core.design.run_table_model import RunTableModel
 
 #: The order of the runs is the same each time.
 _SEED = 20210525

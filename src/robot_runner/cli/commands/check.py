@@ -8,7 +8,7 @@ from __future__ import annotations
 from argparse import Namespace
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.cli.console import UserConsole, output, print_facts, print_json, quiet_loading, shown_path
 from robot_runner.cli.design_words import (
@@ -22,6 +22,7 @@ from robot_runner.cli.design_words import (
 from robot_runner.cli.findings import as_json, print_findings, tally
 from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.parser import Parser, add_config, add_json, add_set
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import Preparation, prepare
 from robot_runner.core.design.batches import as_configured
@@ -29,9 +30,6 @@ from robot_runner.core.design.precision import rule_in_words
 from robot_runner.core.execution.probe import Probe, probe_experiment
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.words import shown_value
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
 
 
 def add_arguments(parser: Parser) -> None:

@@ -23,7 +23,6 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.text import Text
 
@@ -31,15 +30,13 @@ from robot_runner.cli.console import UserConsole, complaints, is_on_path, output
 from robot_runner.cli.findings import installed_here
 from robot_runner.cli.guard import SOME_FAILED
 from robot_runner.cli.parser import Parser, add_json
+from robot_runner.core.entry_points import EntryPoint
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.late_annotations import signature_of
 from robot_runner.core.links.connect import link_findings
 from robot_runner.core.links.kinds import installed_links
 from robot_runner.core.plugin import Circumstances, installed_plugins, load_plugin
 from robot_runner.core.words import enumerated, one_line
-
-if TYPE_CHECKING:
-    from robot_runner.core.entry_points import EntryPoint
 
 #: It can be used; it is not here, or has to be told something; it is here and cannot be used.
 READY, ABSENT, BROKEN = "ready", "absent", "broken"

@@ -11,20 +11,18 @@ from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.text import Text
 
 from robot_runner.cli.console import UserConsole, output, print_facts, print_folded, print_json
 from robot_runner.cli.findings import as_json, print_findings
 from robot_runner.cli.parser import Parser, add_json
+from robot_runner.core.entry_points import EntryPoint
 from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.events.measure import Measure
 from robot_runner.core.late_annotations import signature_of
 from robot_runner.core.plugin import GROUPS, Plugin, installed_plugins, load_plugin
-
-if TYPE_CHECKING:
-    from robot_runner.core.entry_points import EntryPoint
-    from robot_runner.core.events.measure import Measure
 
 
 @dataclass(frozen=True, slots=True)

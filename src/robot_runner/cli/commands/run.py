@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.cli.byte_code import no_byte_code
 from robot_runner.cli.console import command_line, output, print_json
@@ -23,14 +23,12 @@ from robot_runner.cli.page_beside import page_beside
 from robot_runner.cli.parser import RUNS_HELP, Parser, add_config, add_json, add_set
 from robot_runner.cli.screens.ending import print_outcome
 from robot_runner.cli.screens.plain import terminal_input
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import Finding, RobotRunnerError
 from robot_runner.core.execution.recovery import Resumption, TableChoice, TableDisagreementError, config_changes
 from robot_runner.core.secret_names import shown_assignments
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
 
 #: Options that stand for a static parameter.
 _SHORTCUTS = ("cluster", "workers")

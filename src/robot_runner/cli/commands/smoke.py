@@ -11,7 +11,6 @@ import tempfile
 from argparse import Namespace
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.cli.byte_code import no_byte_code
 from robot_runner.cli.console import output, print_facts, quiet_loading, shown_path
@@ -31,11 +30,9 @@ from robot_runner.cli.smoke_test import (
 from robot_runner.core.config import preparation
 from robot_runner.core.config.dialects import load_config
 from robot_runner.core.config.loader import parse_assignments
+from robot_runner.core.execution.durations import Estimate
 from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.words import counted, shown_duration
-
-if TYPE_CHECKING:
-    from robot_runner.core.execution.durations import Estimate
 
 
 def add_arguments(parser: Parser) -> None:

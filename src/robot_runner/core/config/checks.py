@@ -12,7 +12,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.config.experiment import experiment_folder
 from robot_runner.core.config.loader import LoadedConfig, raised_in
@@ -35,17 +35,14 @@ from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 from robot_runner.core.events.measure import CONFIG_OWNER, ROBOT, Measure, MeasureColumns
 from robot_runner.core.late_annotations import names_in
 from robot_runner.core.links.robot_name import Robots
+from robot_runner.core.plugin import Plugin
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.storage.executed_runs import done_runs
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.vain_parameters import parameters_guarded
 from robot_runner.core.words import counted
-
-if TYPE_CHECKING:
-    from robot_runner.core.plugin import Plugin
-    from robot_runner.core.storage.layout import ExperimentFolder
-
 
 # The measures: that a column is not of a misspelt one.
 

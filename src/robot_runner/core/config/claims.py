@@ -9,10 +9,11 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.config.parameters import Parameters, RunProcess
 from robot_runner.core.config.plugin_checks import failed_check
+from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import RUN_EVENTS, EventManager
 from robot_runner.core.events.measure import CONFIG_OWNER
@@ -20,10 +21,6 @@ from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.plugin import THIS_MACHINE, Plugin
 from robot_runner.core.treatments import built_with, factors_of, values_of
 from robot_runner.core.words import counted, enumerated
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.run_table_model import RunTableModel
-
 
 #: Of a design with more runs than this, the first ones tell what all of them claim.
 _LOOKED_AT = 200

@@ -13,16 +13,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from robot_runner.core.config import loader
+from robot_runner.core.config.loader import LoadedConfig
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.secret_names import is_secret_name
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.loader import LoadedConfig
-
 
 #: The variable of the environment that tells which config was loaded, and what was set from outside.
 LOADED_VARIABLE = "ROBOT_RUNNER_CONFIG"

@@ -8,12 +8,15 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.config.loader import LoadedConfig
+from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.config.plugin_checks import instances_of, with_each_treatment
 from robot_runner.core.design.asking import DECIDED
 from robot_runner.core.design.batches import EXTENDED, REPEATED, GrownRunTableModel, batches_of
 from robot_runner.core.design.columns import WARM_UP
+from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import ConfigError, Finding
 from robot_runner.core.events.manager import EventManager, OwnerKind, methods_of, no_context, takes_a_context
 from robot_runner.core.events.measure import CONFIG_OWNER, MeasureColumns
@@ -22,13 +25,8 @@ from robot_runner.core.plugin import Plugin, System
 from robot_runner.core.storage.input_files import InputFile
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.registration import Registration
 from robot_runner.core.storage.table_columns import OWN_SPELLING, TableLayout, TableSpelling
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.loader import LoadedConfig
-    from robot_runner.core.config.parameters import Parameters
-    from robot_runner.core.design.run_table_model import RunTableModel
-    from robot_runner.core.storage.registration import Registration
 
 
 @dataclass(frozen=True, slots=True)

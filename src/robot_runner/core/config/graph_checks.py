@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
+from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.config.plugin_checks import failed_check, with_each_treatment
+from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents
 from robot_runner.core.links.connect import begin_graph_look, link_findings
 from robot_runner.core.links.graph_names import namespace_prefix
+from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.plugin import Circumstances, Plugin
 from robot_runner.core.words import enumerated
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.parameters import Parameters
-    from robot_runner.core.design.run_table_model import RunTableModel
-    from robot_runner.core.links.graph_needs import GraphNeed
-
 
 #: The callbacks of a config that may start a robot's nodes before its run needs them.
 _BEFORE = (RobotRunnerEvents.BEFORE_EXPERIMENT, RobotRunnerEvents.BEFORE_RUN, RobotRunnerEvents.START_RUN)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 from types import MappingProxyType, ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.config.local_modules import local_modules_among
 from robot_runner.core.config.parameter_kinds import FLAG, Kind, choice
@@ -24,15 +24,12 @@ from robot_runner.core.config.source import ConfigSource, activating_imports, re
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, did_you_mean
 from robot_runner.core.events.manager import RequestedSubscription, recorded_subscriptions
 from robot_runner.core.late_annotations import signature_of
+from robot_runner.core.plugin import Plugin
 from robot_runner.core.secret_names import shown_settings
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.table_columns import OWN_SPELLING, TableSpelling
 from robot_runner.core.treatments import is_waiting
 from robot_runner.core.vain_parameters import CONFIG_MODULE, parameters_guarded
-
-if TYPE_CHECKING:
-    from robot_runner.core.plugin import Plugin
-    from robot_runner.core.storage.layout import ExperimentFolder
-
 
 # Static parameters set from the command line: `--set robot=simulated`.
 

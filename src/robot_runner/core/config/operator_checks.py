@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.config.operator_steps import ANSWER_TYPES, OperatorStep, Question
 from robot_runner.core.design.columns import name_findings
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.numeric_range import is_number
+from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import Finding, did_you_mean
 from robot_runner.core.words import counted, enumerated, listed
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.run_table_model import RunTableModel
-
 
 #: So many runs are shown to a function that says before which runs a step is done.
 _TRIED = 200

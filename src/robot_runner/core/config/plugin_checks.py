@@ -10,20 +10,18 @@ from functools import partial
 from itertools import islice
 from math import prod
 from types import CodeType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from robot_runner.core.config.loader import LoadedConfig, place_in
+from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.design.numeric_range import is_number
+from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.entry_points import EntryPoint, entry_points
 from robot_runner.core.errors import Finding, RobotRunnerError, did_you_mean
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 from robot_runner.core.events.measure import Measure
 from robot_runner.core.plugin import Circumstances, Plugin, refused_name
 from robot_runner.core.treatments import Treatment, bind, built_with, factors_of
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.parameters import Parameters
-    from robot_runner.core.design.run_table_model import RunTableModel
 
 T = TypeVar("T")
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.config.callback_checks import check_callbacks
 from robot_runner.core.config.checks import (
@@ -37,11 +37,14 @@ from robot_runner.core.config.loader import LoadedConfig
 from robot_runner.core.config.notify import check_notify
 from robot_runner.core.config.operator_checks import check_operator_steps
 from robot_runner.core.config.operator_steps import operator_measures
+from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.config.plugin_checks import check_plugins, companions, gather_plugins
 from robot_runner.core.config.registered_config import check_registration, registered
 from robot_runner.core.config.treatment_makers import maker_findings
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.precision import most_repetitions
+from robot_runner.core.design.run_table_model import RunTableModel
+from robot_runner.core.design.warm_up import WarmUp
 from robot_runner.core.errors import ConfigError, DesignError, Finding, LinkError, StorageError
 from robot_runner.core.events.manager import EventManager
 from robot_runner.core.events.measure import (
@@ -54,14 +57,9 @@ from robot_runner.core.events.measure import (
     with_phases,
 )
 from robot_runner.core.links.connect import found_robot, is_simulated, link_findings, looks_for_robot, meant_robot
+from robot_runner.core.plugin import Plugin
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.words import enumerated
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.parameters import Parameters
-    from robot_runner.core.design.run_table_model import RunTableModel
-    from robot_runner.core.design.warm_up import WarmUp
-    from robot_runner.core.plugin import Plugin
 
 
 def choose_robot(loaded: LoadedConfig) -> list[Finding]:

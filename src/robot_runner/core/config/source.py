@@ -16,14 +16,10 @@ from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from importlib.util import decode_source
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import ModuleType
 
 from robot_runner.core.errors import ConfigError, nearest
 from robot_runner.core.plugin import GROUPS, Plugin, find_plugin
-
-if TYPE_CHECKING:
-    from types import ModuleType
-
 
 CONFIG_CLASS = "RobotRunnerConfig"
 _CONFIG_BASE = "ExperimentConfig"

@@ -11,18 +11,15 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 from robot_runner.core.config.plugin_checks import announced_findings
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
-
-if TYPE_CHECKING:
-    from robot_runner.core.storage.layout import ExperimentFolder
-
 
 #: The journal's record of what was made.
 PREPARED = "prepared"

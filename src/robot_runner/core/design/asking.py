@@ -10,15 +10,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from robot_runner.core.design.design import CombinationDesign, Design, IsAllowed
 from robot_runner.core.design.factor import Combination, Factor
+from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import Finding
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.planned_runs import PlannedRun
-
 
 #: The kind of the journal's record of runs that were decided on; see `Decision.kind`.
 DECIDED = "decided"

@@ -13,8 +13,9 @@ from contextlib import suppress
 from dataclasses import asdict, replace
 from itertools import count
 from re import fullmatch
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.design.asking import Decision
 from robot_runner.core.design.batch import Batch, BatchRun, plain_treatment
 from robot_runner.core.design.columns import REPETITION, numbered_run_id
 from robot_runner.core.design.factor import Combination, Factor, factor_places
@@ -24,9 +25,6 @@ from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, arranged
 from robot_runner.core.design.run_table_model import RunTable, RunTableModel
 from robot_runner.core.design.warm_up import WarmUp, with_warm_ups
 from robot_runner.core.errors import DesignError, Finding
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.asking import Decision
 
 #: The kind of the journal's record of an extension: the batch that it added; the first one has the plan before it, too.
 EXTENDED = "extended"

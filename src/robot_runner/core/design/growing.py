@@ -11,20 +11,17 @@ from decimal import Decimal
 from enum import Enum
 from numbers import Real
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.design.asking import decides_order
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.design_findings import MAX_RUNS
 from robot_runner.core.design.factor import Combination, Factor
 from robot_runner.core.design.listed_runs import ListedRunTableModel
+from robot_runner.core.design.planned_runs import PlannedRun
+from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 from robot_runner.core.inactive import INACTIVE
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.planned_runs import PlannedRun
-    from robot_runner.core.design.run_table_model import RunTableModel
-
 
 _WRITTEN_ONE_BY_ONE = "the runs were listed one by one, and no factorial says which are to be added"
 

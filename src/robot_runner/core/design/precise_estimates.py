@@ -8,19 +8,17 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import chain
 from itertools import combinations as pairs_of
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.design.asking import Decision, Told
 from robot_runner.core.design.batches import REPEATED, missing_runs
 from robot_runner.core.design.factor import Combination, Factor
 from robot_runner.core.design.growing import GrownDesign
 from robot_runner.core.design.numeric_range import is_number
+from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.design.precision import PreciseOf, Precision, most_repetitions
 from robot_runner.core.design.repeated_intervals import half_width_of, level_at_each_look
 from robot_runner.core.words import counted
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.planned_runs import PlannedRun
 
 #: At so many looks, one after another, everything has to be precise: an interval may be narrow by chance, and tests at
 #: the first such look err in up to 9 % at 5 %, after three repetitions more in 5 to 6.5 % (`python -m benchmarks

@@ -6,8 +6,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, overload
+from typing import Any, Final, overload
 
+from robot_runner.core.design.batch import Batch
 from robot_runner.core.design.columns import REPETITION, NamedColumn
 from robot_runner.core.design.design import (
     ChosenCombinations,
@@ -23,9 +24,6 @@ from robot_runner.core.design.factor import Combination, Factor, full_factorial
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, garbage_collection_paused, planned_runs
 from robot_runner.core.design.warm_up import WarmUp, warm_up_of, with_warm_ups
 from robot_runner.core.errors import DesignError, Finding
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.batch import Batch
 
 
 class RunTable(Sequence[PlannedRun]):

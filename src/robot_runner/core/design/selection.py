@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from robot_runner.core.design.columns import REPETITION
+from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import ExecutionError, Finding, did_you_mean
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.planned_runs import PlannedRun
-
 
 _MOST_KNOWN = 1000  # ids that are compared with a misspelt one
 

@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice, repeat
-from typing import TYPE_CHECKING
 
 from robot_runner.core.design.columns import numbered_warm_up_id
 from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.planned_runs import PlannedRun
-
 
 #: What `WarmUp.per` is where each combination is warmed up for.
 COMBINATION = "combination"

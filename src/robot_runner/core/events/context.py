@@ -9,24 +9,21 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.early_end import Ending, EndingInPlace
+from robot_runner.core.events.host_access import HostAccess
 from robot_runner.core.events.measure import MeasureValue, Origin
+from robot_runner.core.events.measure_broker import MeasureBroker
+from robot_runner.core.events.outlook import ExperimentEnd, NextRun
+from robot_runner.core.events.resources import Resources
+from robot_runner.core.events.window import MissionTimes, Phase, Window
 from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
 from robot_runner.core.storage.guarded_files import make_experiment_folder, make_folder
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.outliving import program_name, spare
 from robot_runner.core.storage.record_shapes import ClockFacts
-
-if TYPE_CHECKING:
-    from robot_runner.core.events.host_access import HostAccess
-    from robot_runner.core.events.measure_broker import MeasureBroker
-    from robot_runner.core.events.outlook import ExperimentEnd, NextRun
-    from robot_runner.core.events.resources import Resources
-    from robot_runner.core.events.window import MissionTimes, Phase, Window
-
 
 # The clock that a run lives by: the machine's own, or that of a simulated robot.
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from robot_runner.core.errors import Finding
+from robot_runner.core.errors import Finding
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,20 +11,18 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.parameters import RunProcess
 from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents, methods_of
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.execution.executor import begin_run
 from robot_runner.core.execution.patience import Patience, Steps
+from robot_runner.core.execution.places import Watch
 from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
+from robot_runner.core.plugin import Profiler
 from robot_runner.core.storage.layout import ExperimentFolder
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.places import Watch
-    from robot_runner.core.plugin import Profiler
 
 
 def execute_aside(

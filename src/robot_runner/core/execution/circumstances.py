@@ -6,8 +6,9 @@ import hashlib
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.local_modules import editable_code
 from robot_runner.core.design.batches import as_configured, described_design
 from robot_runner.core.design.precision import rules_as_mapping
@@ -24,9 +25,6 @@ from robot_runner.core.storage.manifest import describe_host, describe_software,
 from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.core.treatments import factors_of
 from robot_runner.core.words import listed
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
 
 
 def manifest_of(experiment: Experiment) -> dict[str, Any]:

@@ -7,9 +7,10 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import ExitStack, closing, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.config.claims import Claims, worker_count
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.parameters import Parameters, RunProcess
 from robot_runner.core.entry_points import named_entry_point
 from robot_runner.core.errors import PluginError, RobotRunnerError
@@ -17,19 +18,16 @@ from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.keeper import Keeper, reap_keepers
 from robot_runner.core.execution.open_files import write_inherited
+from robot_runner.core.execution.places import Place, Places, RunInFlight, Watch
 from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.run_records import FINISHED, RecordReader, RecordWriter
 from robot_runner.core.execution.standby import Standby, standby_of
+from robot_runner.core.execution.systems_state import SystemsState
+from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 from robot_runner.core.execution.worker import be_run, become_interpreter
 from robot_runner.core.links.connect import is_simulated, preload_simulation
 from robot_runner.core.secret_names import sentences_without_secrets
 from robot_runner.core.storage.layout import LazyLog
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.places import Place, Places, RunInFlight, Watch
-    from robot_runner.core.execution.systems_state import SystemsState
-    from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 
 #: How long after the grace a keeper that should have ended its run is waited for, s.
 _KEEPER_MARGIN = 10.0

@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.config.treatment_makers import PREPARED
 from robot_runner.core.design.batch import CONFIRMATION
@@ -19,14 +19,11 @@ from robot_runner.core.execution.places import InFlight
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import EXCLUSION_KINDS, ExcludedRuns
 from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.run_table_rows import RunTableRows
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
-
-if TYPE_CHECKING:
-    from robot_runner.core.storage.layout import ExperimentFolder
-    from robot_runner.core.storage.run_table_rows import RunTableRows
-
 
 #: What is written before a session begins, or by other commands after one has ended: no session lasts until then.
 _BETWEEN_SESSIONS = EXCLUSION_KINDS | {EXTENDED, PREPARED}

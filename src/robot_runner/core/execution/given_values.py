@@ -22,8 +22,9 @@ from datetime import UTC, date, datetime, timedelta
 from enum import Enum
 from numbers import Number
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.loader import own_parameters
 from robot_runner.core.config.parameters import PARAMETERS
 from robot_runner.core.config.preparation import prepare
@@ -33,10 +34,6 @@ from robot_runner.core.secret_names import REDACTED, is_secret_name, without_env
 from robot_runner.core.storage.user_folders import home_folder
 from robot_runner.core.treatments import Bindable, Treatment, given_to
 from robot_runner.core.vain_parameters import CONFIG_MODULE
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-
 
 #: Stands for a value that has no faithful text; for a secret, it is what stands for secrets everywhere.
 LEFT_OUT = "(left out)"

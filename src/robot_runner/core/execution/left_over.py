@@ -26,7 +26,6 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.storage.guarded_files import (
@@ -36,6 +35,7 @@ from robot_runner.core.storage.guarded_files import (
     read_text,
     remove,
 )
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock_files import open_to_lock, was_open_to_strangers
 from robot_runner.core.storage.outliving import (
     ancestors,
@@ -44,10 +44,6 @@ from robot_runner.core.storage.outliving import (
     outliving,
     processes,
 )
-
-if TYPE_CHECKING:
-    from robot_runner.core.storage.layout import ExperimentFolder
-
 
 _VARIABLE = "ROBOT_RUNNER_RUN_OF"
 #: How often we look whether a process has ended, and how long those that were killed may take, s.

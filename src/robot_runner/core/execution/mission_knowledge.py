@@ -6,17 +6,14 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import EventManager, RobotRunnerEvents
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.links.connect import is_simulated
+from robot_runner.core.plugin import Plugin
 from robot_runner.core.treatments import built_with
-
-if TYPE_CHECKING:
-    from robot_runner.core.plugin import Plugin
-
 
 #: A combination as the journal keeps it: each factor with the text of its treatment.
 CombinationKey = frozenset[tuple[str, str]]

@@ -8,9 +8,10 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.config.claims import Claims, held_claims
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, StorageError
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.events.measure import OPERATOR_OWNER
@@ -34,13 +35,9 @@ from robot_runner.core.execution.probe import Probe, probe_profilers, probed_pro
 from robot_runner.core.execution.progress_manager import ProgressManager
 from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.execution.side_by_side import SideBySide
+from robot_runner.core.execution.task import RunTask
 from robot_runner.core.storage.claim_locks import HeldClaims
 from robot_runner.core.storage.lock import forget_requests, is_requested
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.task import RunTask
-
 
 _log = logging.getLogger(__name__)
 #: How often a request to stop is looked for, in seconds: it is a file, which wakes nobody.

@@ -220,7 +220,7 @@ class OrchestratorEvents:
             self._progress.note("failure", event=event.value, owner=failure.owner, problem=fields["problem"])
             raise ExecutionError(
                 fields["problem"],
-                where=_place(failure),
+                where=f"{failure.event.value} of {failure.owner}" if failure.owner else failure.event.value,
                 fix="Mend this callback and start the experiment again: it resumes.",
             ) from failure.error
         return [returned for _, returned in emission.returned]
@@ -328,10 +328,6 @@ class OngoingExperiment:
         """Tell what looks odd, now and at the end."""
         self.progress.find(finding)
         self.notify(FindingsNoticed((finding,)))
-
-
-def _place(failure: CallbackFailure) -> str:
-    return f"{failure.event.value} of {failure.owner}" if failure.owner else failure.event.value
 
 
 def _fields(failure: CallbackFailure) -> dict[str, str]:

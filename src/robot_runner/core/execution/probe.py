@@ -6,10 +6,13 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.config.experiment import Experiment
+from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.events.manager import RUN_EVENTS, EventManager, RobotRunnerEvents
+from robot_runner.core.events.measure import MeasureColumn, PublishedMeasure
 from robot_runner.core.execution.aside import execute_aside
 from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.places import Watch
@@ -19,12 +22,6 @@ from robot_runner.core.plugin import Plugin, Profiler
 from robot_runner.core.storage.lock import ExperimentLock
 from robot_runner.core.treatments import built_with, factors_of
 from robot_runner.core.words import enumerated
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.config.parameters import Parameters
-    from robot_runner.core.events.measure import MeasureColumn, PublishedMeasure
-
 
 #: The id of the run that a probe is, in its findings and in the contexts of its callbacks.
 _RUN = "probe"

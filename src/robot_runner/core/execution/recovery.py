@@ -11,10 +11,13 @@ from importlib.util import decode_source
 from itertools import repeat
 from operator import is_
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.source import parsed
 from robot_runner.core.design.columns import BATCH, EXCLUDED, REPETITION, STATUS, WARM_UP
+from robot_runner.core.design.planned_runs import PlannedRun
+from robot_runner.core.design.run_table_model import RunTable
 from robot_runner.core.design.selection import Chosen, RunChooser
 from robot_runner.core.design.warm_up import WarmUp, with_warm_ups_again
 from robot_runner.core.errors import ExecutionError, Finding
@@ -24,12 +27,7 @@ from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.guarded_files import read_bytes
 from robot_runner.core.storage.input_files import input_changes
 from robot_runner.core.storage.manifest import is_damaged, read_manifest
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.design.planned_runs import PlannedRun
-    from robot_runner.core.design.run_table_model import RunTable
-    from robot_runner.core.storage.run_table_rows import RunTableRows
+from robot_runner.core.storage.run_table_rows import RunTableRows
 
 
 class TableDisagreementError(ExecutionError):

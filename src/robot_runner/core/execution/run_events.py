@@ -245,7 +245,8 @@ class _Run:
         try:
             emission = self._call(event, but_not)
         except RunInterrupted as error:  # between two callbacks: whom the event reached is not known, so all are closed
-            emission = Emission((), self._owners(), (CallbackFailure(event, "", error),))
+            owners = (*(plugin.name for plugin in self._experiment.plugins), CONFIG_OWNER)
+            emission = Emission((), owners, (CallbackFailure(event, "", error),))
         self._ending.callback = ("", "")
         for failure in emission.failures:
             self._is_stopped = self._is_stopped or isinstance(failure.error, MissionStopped)
@@ -266,9 +267,6 @@ class _Run:
             return events.emit(event, context_for, but_not=but_not)
         finally:
             gate.disarm()
-
-    def _owners(self) -> tuple[str, ...]:
-        return (*(plugin.name for plugin in self._experiment.plugins), CONFIG_OWNER)
 
     @contextmanager
     def _recorded(self, event: str, owner: str) -> Iterator[None]:

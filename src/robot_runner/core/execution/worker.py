@@ -15,8 +15,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.revision import Revision
@@ -32,9 +33,6 @@ from robot_runner.core.execution.systems_state import SystemsState
 from robot_runner.core.execution.task import RunTask
 from robot_runner.core.storage.layout import print_to_log
 from robot_runner.core.treatments import bind
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
 
 _MODULE = "robot_runner.core.execution.worker"
 

@@ -5,17 +5,15 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.errors import Finding
 from robot_runner.core.storage.cells import RunStatus, measure_text
 from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.storage.run_table_rows import RunTableRows
 from robot_runner.core.words import listed
-
-if TYPE_CHECKING:
-    from robot_runner.core.storage.run_table_rows import RunTableRows
 
 _SETTLE = "Execute the config again: nothing is executed that is done, and each change is settled, on record."
 _MOST_NAMED = 8

@@ -12,7 +12,8 @@ from functools import lru_cache
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from types import TracebackType
+from typing import Any, Self
 
 from robot_runner.core.errors import StorageError
 from robot_runner.core.secret_names import sentences_without_secrets
@@ -28,9 +29,6 @@ from robot_runner.core.storage.guarded_files import (
 from robot_runner.core.storage.lock_files import is_at
 from robot_runner.core.storage.record_shapes import RECORDS, Record
 from robot_runner.core.storage.system_refusals import fsync_file, storage_error
-
-if TYPE_CHECKING:
-    from types import TracebackType
 
 #: `Journal.append` writes the kind first, so that a line's kind is known without parsing it.
 _BEGINNING = '{"kind":"'

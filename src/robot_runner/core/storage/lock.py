@@ -9,7 +9,8 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from types import TracebackType
+from typing import Self
 
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
@@ -18,9 +19,6 @@ from robot_runner.core.storage.guarded_files import MissingFileError, open_descr
 from robot_runner.core.storage.journal import Journal, utc_now
 from robot_runner.core.storage.lock_files import is_at, is_held_exclusively, lock_exclusively, sign, signature_of
 from robot_runner.core.storage.system_refusals import storage_error
-
-if TYPE_CHECKING:
-    from types import TracebackType
 
 
 @dataclass(frozen=True, slots=True)

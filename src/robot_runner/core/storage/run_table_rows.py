@@ -10,7 +10,7 @@ from dataclasses import replace
 from itertools import repeat
 from operator import attrgetter, itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, TextIO
 
 from robot_runner.core.design.columns import BATCH, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.design.factor import Combination
@@ -18,10 +18,7 @@ from robot_runner.core.design.planned_runs import PlannedRun, garbage_collection
 from robot_runner.core.errors import Finding, MeasureError, StorageError, did_you_mean
 from robot_runner.core.storage.cells import CellValue, RunStatus, checked_measure, csv_text
 from robot_runner.core.storage.safe_write import write_beside_and_rename
-
-if TYPE_CHECKING:
-    from robot_runner.core.storage.table_columns import FactorColumn, TableLayout
-
+from robot_runner.core.storage.table_columns import FactorColumn, TableLayout
 
 _ROWS_AT_ONCE = 500  # what fits into a processor's cache
 #: Where a row has what the columns of `MARKS` hold.

@@ -7,16 +7,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.design.columns import BATCH, EXCLUDED, REPETITION, RUN_ID, STAMP_COLUMNS, STATUS, WARM_UP
 from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import DesignError, Finding
 from robot_runner.core.storage.cells import RunStatus
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.run_table_model import RunTableModel
-
 
 # How the file of a run table spells what it holds: the headings, and the words for how far a run has come.
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from itertools import accumulate
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS, numbered_run_id
 from robot_runner.core.errors import Finding, Severity, StorageError, did_you_mean
@@ -22,10 +22,7 @@ from robot_runner.core.storage.cells import (
     typed_value,
     typed_values,
 )
-
-if TYPE_CHECKING:
-    from robot_runner.core.storage.table_columns import ColumnDescription, FactorColumn
-
+from robot_runner.core.storage.table_columns import ColumnDescription, FactorColumn
 
 # What is wrong with a run table's file: every problem, with its line and column, up to a sensible number.
 

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from numbers import Integral
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.errors import StorageError
@@ -22,11 +22,8 @@ from robot_runner.core.storage.declared_shapes import shape_findings, with_short
 from robot_runner.core.storage.file_shapes import Schema
 from robot_runner.core.storage.guarded_files import DamagedFileError, read_json
 from robot_runner.core.storage.guarded_files import replace as replace_file
+from robot_runner.core.storage.run_table_rows import RunTableRows
 from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, ColumnRole, FactorColumn
-
-if TYPE_CHECKING:
-    from robot_runner.core.storage.run_table_rows import RunTableRows
-
 
 _OWN = "robot_runner:"
 _PROFILE = "https://specs.frictionlessdata.io/schemas/table-schema.json"

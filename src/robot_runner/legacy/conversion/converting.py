@@ -7,8 +7,8 @@ import shlex
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.config.source import CONFIG_CLASS, read_source, read_tree
 from robot_runner.core.errors import ConfigError, Finding
@@ -42,9 +42,6 @@ from robot_runner.legacy.earlier_experiment import EarlierExperiment
 from robot_runner.legacy.recognition import Recognised, recognise
 from robot_runner.legacy.session import Session, active_session
 from robot_runner.legacy.syntax import Edits, classes_of, nodes
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
 
 
 def check_neighbours(experiment: Experiment, tree: ast.Module, written: Collection[str | Path]) -> Iterator[Finding]:

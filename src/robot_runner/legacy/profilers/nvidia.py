@@ -218,7 +218,7 @@ class NvidiaML(DeviceSource):
         """Return what a log holds; `remove_errors` leaves out what the library answered with an error."""
         read = json.loads(Path(logfile).read_text(encoding="utf-8"))
         return {
-            name: [(at, value) for at, value in values if not (remove_errors and _is_error(value))]
+            name: [(at, value) for at, value in values if not (remove_errors and str(value).startswith("error: "))]
             for name, values in read.items()
         }
 
@@ -284,7 +284,3 @@ def _unpacked(kind: int, value: Any) -> Any:
     nvml = library()
     members = {getattr(nvml, f"NVML_VALUE_TYPE_{name}"): member for name, member in _MEMBERS.items()}
     return getattr(value, members.get(kind, "ullVal"))
-
-
-def _is_error(value: Any) -> bool:
-    return isinstance(value, str) and value.startswith("error: ")

@@ -6,16 +6,13 @@ import sys
 from collections.abc import Callable, Iterable, MutableMapping
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from types import CodeType
+from typing import Any, ClassVar
 
 from robot_runner.core.config.parameters import OperationType
 from robot_runner.core.errors import ConfigError, did_you_mean, nearest
 from robot_runner.core.events.manager import RobotRunnerEvents as OwnEvents
 from robot_runner.legacy.session import EarlierSubscription, Session, current_session
-
-if TYPE_CHECKING:
-    from types import CodeType
-
 
 #: The events of Robot Runner; DURING_RUN and SIGNAL_SEMI_CONTINUE are those of its first months.
 RobotRunnerEvents = Enum(

@@ -11,7 +11,7 @@ import json
 from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.text import Text
 
@@ -21,14 +21,12 @@ from robot_runner.cli.target import folder_of_target
 from robot_runner.cli.templating import write_new_file
 from robot_runner.core.errors import did_you_mean
 from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import counted, listed, shown_duration
 from robot_runner.meters.power_model.power_model import PowerModel
-
-if TYPE_CHECKING:
-    from robot_runner.core.storage.layout import ExperimentFolder
 
 _NONE = "none"
 #: What the plugins did that tell what power is explained by, and which of them is usual, by the option that names one.
@@ -71,7 +69,7 @@ def execute(arguments: Namespace) -> int:
     """Fit the model, print how well it fits, and write it if a file was named."""
     folder = folder_of_target(arguments.target, arguments.set)
     run_ids, terms = _chosen(_done_runs(folder), arguments.runs), _split(arguments.terms) or None
-    plugins = {name: _optional(getattr(arguments, name)) for name in _PLUGINS}
+    plugins = {name: None if (given := getattr(arguments, name)).casefold() == _NONE else given for name in _PLUGINS}
     model = PowerModel.fit(folder.root, run_ids, power=arguments.power, terms=terms, **plugins)
     if arguments.out:
         text = json.dumps(model, indent=2, ensure_ascii=False) + "\n"
@@ -81,10 +79,6 @@ def execute(arguments: Namespace) -> int:
     else:
         _print(output(), model, arguments.out)
     return 0
-
-
-def _optional(plugin: str) -> str | None:
-    return None if plugin.casefold() == _NONE else plugin
 
 
 def _split(text: str | None) -> list[str]:

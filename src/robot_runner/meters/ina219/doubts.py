@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from statistics import fmean
-from typing import TYPE_CHECKING
 
+from robot_runner.core.events.window import Window
 from robot_runner.measuring.series import Series, within
 from robot_runner.meters.ina219.sample_stream import SampleStream, Trouble
-
-if TYPE_CHECKING:
-    from robot_runner.core.events.window import Window
 
 #: The configuration of a sensor that was without power: 32 V, ±320 mV, single 12-bit conversions.
 POWER_ON_CONFIGURATION = 0x399F

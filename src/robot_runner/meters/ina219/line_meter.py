@@ -33,7 +33,6 @@ class Meter(Protocol):
         Raises:
             LinkError: the sensor cannot be reached.
         """
-        ...
 
     def end(self) -> None:
         """End taking samples; a second call does nothing.
@@ -41,7 +40,6 @@ class Meter(Protocol):
         Raises:
             LinkError: the sensor was lost; the samples until then are kept.
         """
-        ...
 
     def evaluate(self, window: Window | None, part: Window | None = None) -> Evaluation:
         """Return what was measured, after `end`.
@@ -53,7 +51,6 @@ class Meter(Protocol):
         Raises:
             LinkError: there are no samples to be had.
         """
-        ...
 
 
 @runtime_checkable
@@ -66,7 +63,6 @@ class PromptMeter(Protocol):
         Raises:
             LinkError: the sensor was lost.
         """
-        ...
 
 
 #: How long to wait for the first sample, s: a board that was reset by opening its port needs up to two for its boot

@@ -6,11 +6,12 @@ import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.events.measure import Measure, Origin, Over
+from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import SIMULATED, is_simulated
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.ssh_command import ssh_findings
@@ -28,9 +29,6 @@ from robot_runner.meters.ina219.line_meter import LineMeter, Meter, PromptMeter,
 from robot_runner.meters.ina219.registers import DEFAULT_RATE, Evaluation
 from robot_runner.meters.ina219.sysfs import DEFAULT_SYSFS_RATE, SysfsMeter, find_sensor
 from robot_runner.meters.parameter_checks import check_positive
-
-if TYPE_CHECKING:
-    from robot_runner.core.events.window import Window
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,15 +7,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from operator import mul
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.events.window import Window
 from robot_runner.measuring.quality import Column, SampleQuality, quality_of, write_quality, write_samples
 from robot_runner.measuring.series import Series, energy, energy_from_mean_power, within
 from robot_runner.meters.ina219.doubts import power_doubts, settings_doubts, stream_doubts
 from robot_runner.meters.ina219.sample_stream import SampleStream, Trouble
-
-if TYPE_CHECKING:
-    from robot_runner.core.events.window import Window
 
 # Registers become volts, amperes and watts here, on the host, so that raw data stay raw.
 

@@ -41,11 +41,9 @@ class Files(Protocol):
 
     def list_files(self, pattern: str) -> list[str]:
         """Return the paths that match a pattern of the shell, sorted."""
-        ...
 
     def read_files(self, paths: Sequence[str]) -> Sequence[str | None]:
         """Return what stands in each file; None for one that cannot be read."""
-        ...
 
 
 class SystemFiles:

@@ -7,11 +7,12 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from robot_runner.core.errors import AnalysisError, Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin, Over
+from robot_runner.core.events.window import Window
 from robot_runner.core.plugin import Circumstances, Profiler
 from robot_runner.core.storage.input_files import InputFile, input_file
 from robot_runner.measuring.evaluation import publish_measures
@@ -19,9 +20,6 @@ from robot_runner.measuring.quality import MINIMUM_COVERAGE, Column, write_quali
 from robot_runner.meters.power_model.linear_power_model import LinearModel, read_model
 from robot_runner.meters.power_model.measured_runs import read_runs
 from robot_runner.meters.power_model.states import RobotState, Sources, read_states
-
-if TYPE_CHECKING:
-    from robot_runner.core.events.window import Window
 
 #: From what the robot does to the power that it draws, W.
 PowerFunction = Callable[[RobotState], float | None]

@@ -9,15 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import AnalysisError
+from robot_runner.core.events.window import Window
 from robot_runner.meters.counters import unwrapped
 from robot_runner.meters.network import wraps_at
 from robot_runner.meters.power_model.raw_columns import heading_of, number_of, read_numbers, rows_of
-
-if TYPE_CHECKING:
-    from robot_runner.core.events.window import Window
 
 #: Phases in which the robot stands still; every other one is a motion.
 _STILL = frozenset({"", "sleep", "task"})

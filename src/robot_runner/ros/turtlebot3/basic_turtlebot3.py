@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure
 from robot_runner.core.links.connect import connect_robot, robot_namespace
+from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.core.plugin import Circumstances
 from robot_runner.core.treatments import factors_of
 from robot_runner.ros.turtlebot3.mission import CircularMission, Performance, Performer, Phase, PhaseLog
 from robot_runner.ros.turtlebot3.odometry import Odometer
 from robot_runner.ros.turtlebot3.steered_robot import Robot, SteeredSystem, Task, TaskServices, required_services
-
-if TYPE_CHECKING:
-    from robot_runner.core.links.graph_needs import GraphNeed
-    from robot_runner.core.plugin import Circumstances
 
 _KNOWN_TASKS = tuple(task.value.capitalize() for task in Task)
 #: How far from its beginning, m, a mission may end before the run is warned of.

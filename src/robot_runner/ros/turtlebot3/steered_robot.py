@@ -8,15 +8,17 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from enum import Enum
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import Clock, RobotRunnerContext
 from robot_runner.core.events.early_end import raised_in_thread
+from robot_runner.core.events.measure import MeasureValue
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.graph_names import full_name, missing
 from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.links.robot import RobotLink
+from robot_runner.core.plugin import Circumstances
 from robot_runner.measuring.live_samples import LiveSamples
 from robot_runner.ros.graph_look import offer_findings
 from robot_runner.ros.graph_transport import LONGEST_DISCOVERY
@@ -25,10 +27,6 @@ from robot_runner.ros.sole_control import SoleControl
 from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, MAXIMUM_SPEED, MAXIMUM_TURN_RATE, Pilot, Wheels
 from robot_runner.ros.turtlebot3.odometry import ODOMETRY, POSE_TOPIC, Odometer, Trajectory
 from robot_runner.ros.watchdog import HEARTBEAT_TOPIC, HEARTBEAT_TYPE, VELOCITY_COMMANDS
-
-if TYPE_CHECKING:
-    from robot_runner.core.events.measure import MeasureValue
-    from robot_runner.core.plugin import Circumstances
 
 #: The watchdog is patient for 0.4 s: three beats may be lost on the air.
 _PERIOD = 0.1
