@@ -10,6 +10,7 @@ import pytest
 from tests.analysis.made_experiment import make_experiment
 from tests.analysis.statistics.designed_data import designed
 
+from robot_runner import AnalysisPlan, Estimand
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.statistics.effect_coding import coded_columns
 from robot_runner.analysis.statistics.robust_covariance import fit_robustly
@@ -102,6 +103,15 @@ def test_what_the_means_of_equal_values_leave_of_them_is_nothing_that_is_checked
     assert [each for each in found.assumptions if not each.treatments] == []
     assert (found.quantiles, found.drift) == (None, None)
     assert "all values are equal." in {each.why for each in found.not_computed}
+
+
+@pytest.mark.parametrize("estimand", ["mean", "rank"])
+def test_the_same_values_in_another_order_differ_by_nothing(estimand: str) -> None:
+    rows = [("Video", value) for value in (0.1, 0.2, 0.7, 0.4)] + [("Idle", value) for value in (0.1, 0.2, 0.4, 0.7)]
+    plan = AnalysisPlan("y", estimand=Estimand(estimand))
+    found = analyse(designed(rows, ["Task"], {}, plan=plan)).measure("y")
+    assert found.test is not None
+    assert (found.test.effects[0].statistic, found.post_hoc[0].comparisons[0].difference) == (0.0, 0.0)  # not -4e-16
 
 
 @pytest.mark.parametrize(("offset", "spread"), [(1e9, 0.05), (1.7e12, 100.0)])

@@ -48,6 +48,8 @@ _MOST_INVERTED = 12
 
 #: Of the variance that a sum of cells would have if these were independent: what is less is left behind by rounding.
 _ROUNDED = 1e-13
+#: Of means: by so much, some units in the last place, those of the same values differ, and no others.
+_LAST_PLACES = 1e-15
 
 #: A covariance worse conditioned than this cannot be inverted: two and more cells have no spread at all.
 _SINGULAR = 1e12
@@ -128,6 +130,8 @@ def contrast(moments: Moments, weights: Floats, *, is_corrected: bool = False) -
             to 9 % where one combination varies four times as much, and less where one has most of the weight).
     """
     estimate = np.einsum("gc,...gc->...", weights, moments.means)
+    size = np.einsum("gc,...gc->...", np.abs(weights), np.abs(moments.means))
+    estimate = np.where(np.abs(estimate) <= _LAST_PLACES * size, 0.0, estimate)  # of the same values in another order
     parts = np.einsum("gc,...gcd,gd->...g", weights, moments.errors, weights)
     parts = beyond_rounding(parts, np.einsum("gc,...gcc->...g", weights**2, moments.errors))
     variance = parts.sum(axis=-1)
