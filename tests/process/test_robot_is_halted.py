@@ -133,7 +133,7 @@ def test_a_robot_that_a_program_of_all_runs_drives_stands_still_between_two_runs
             wait_until(
                 lambda: not experiment.processes() or experiment.statuses.count("Done") == 2, "both runs are done"
             )
-            assert experiment.end() == 0
+            assert experiment.end() == 0, experiment.output
             said = (
                 "an earlier execution was killed while Planner commanded the robot; it was commanded to stand still now"
             )

@@ -29,7 +29,9 @@ VALUES = (10.0, 11.0, 12.0, 13.0, 11.5, 300.0)
 
 
 def values(treatments: dict[str, Any], repetition: int) -> dict[str, Any]:
-    energy = VALUES[repetition - 1] + (treatments["Task"] == "B") + 0.1 * repetition
+    # A square of additive values would leave nothing but rounding.
+    square = 0.3 * (treatments.get("Day") == 2 and treatments.get("Hour") == 3)
+    energy = VALUES[repetition - 1] + (treatments["Task"] == "B") + 0.1 * repetition + square
     return {"Energy": energy, "Reached": repetition % 2 == 1}
 
 
