@@ -323,6 +323,21 @@ class TestProcess:
         assert gone not in state.nodes
         assert "/move_base" in state.publishers["/lamp"]
 
+    def test_where_a_run_that_was_killed_is_the_only_one_it_is_taken_away_and_the_node_of_another_is_not(
+        self, master_uri, opened, own_nodes
+    ):
+        execute(master_uri, self.LINK.rstrip() + "; os._exit(0)\n")
+        (gone,) = own_nodes()
+        assert [each.node for each in opened().publishers("lamp")] == []  # a robot was said to be out of reach for it
+        assert gone not in Master(master_uri).state().nodes
+        nowhere = f"http://127.0.0.1:{claim_port()}"
+        with xmlrpc.client.ServerProxy(master_uri) as server:
+            server.registerPublisher("/move_base", "/lamp", "std_msgs/String", nowhere)
+        told = [each.node for each in opened().publishers("lamp")]
+        with xmlrpc.client.ServerProxy(master_uri) as server:
+            server.unregisterPublisher("/move_base", "/lamp", nowhere)
+        assert told == ["/move_base"]
+
     def test_a_run_that_was_killed_is_taken_from_the_master_where_another_process_has_its_address(
         self, master_uri, opened
     ):

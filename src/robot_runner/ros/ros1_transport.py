@@ -133,7 +133,8 @@ class Ros1Transport:
         return [
             GraphEndpoint(node, known, node == own)
             for node in nodes
-            if len(nodes) == 1 or node == own or self._is_alive(node)
+            # One of somebody else's that is alone is told as it is: a robot that is out of reach is none that has gone.
+            if node == own or (len(nodes) == 1 and pid_in_name(node) is None) or self._is_alive(node)
         ]
 
     def _is_alive(self, node: str) -> bool:
