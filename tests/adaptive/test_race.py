@@ -104,7 +104,7 @@ def test_who_has_no_value_as_all_were_left_out_stays_and_that_is_said(is_doubtfu
     ("treatments", "how", "repetitions", "problem"),
     [
         ([1, 2], {"at_most": 2}, 5, "at_most is 2"),
-        ([1, 2], {"at_most": 8}, 2, "2 repetitions cannot tell the spread"),
+        ([1, 2], {"at_most": 8}, 2, "2 repetitions cannot show the spread"),
         ([1, 2], {"at_most": 4}, 5, "at_most is 4, and 5 repetitions are planned"),
         ([1], {"at_most": 8}, 5, "no factor has two treatments"),
         (range(101), {"at_most": 8}, 5, "101 combinations are more than the 100"),

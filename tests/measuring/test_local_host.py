@@ -65,7 +65,7 @@ def test_children_of_a_subject_that_come_and_go_between_two_looks_are_counted(ho
 
 @pytest.mark.long
 def test_a_child_that_is_awaited_long_after_it_has_ended_counts_once(host, monkeypatch):
-    monkeypatch.setattr(local_host, "_RESCAN", 0.0)
+    monkeypatch.setattr(local_host, "RESCAN", 0.0)
     monkeypatch.setattr(local_host, "_YOUNG", 1000)
     with busy_family("Planner", program=ZOMBIE) as busy:
         sampler = host.sample_processes(20.0, ["subject:Planner"])
@@ -162,7 +162,7 @@ def test_a_process_stays_the_same_where_the_computers_clock_is_set(monkeypatch):
     psutil = pytest.importorskip("psutil")
     booted = iter(range(1_700_000_000, 1_700_001_000))
     monkeypatch.setattr("psutil._pslinux.boot_time", lambda: float(next(booted)), raising=False)
-    monkeypatch.setattr(local_host, "_RESCAN", 0.0)
+    monkeypatch.setattr(local_host, "RESCAN", 0.0)
     processes = local_host.LocalProcesses(psutil, [f"pid:{os.getpid()}"])
     assert len({one.started for _ in range(4) for one in processes.counters()}) == 1
 

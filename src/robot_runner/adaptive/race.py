@@ -98,7 +98,7 @@ class Race:
             problem = f"{many:,} combinations are more than the {_MOST_COMBINATIONS} that a race is made for"
             yield Finding.error(where, problem, "Search among them: Optimise(...).")
         if repetitions < LEAST_REPETITIONS:
-            problem = f"{counted(repetitions, 'repetition')} cannot tell the spread, by which combinations are dropped"
+            problem = f"{counted(repetitions, 'repetition')} cannot show the spread, by which combinations are dropped"
             yield Finding.error(where, problem, "Plan repetitions=5 or more: the first look comes after them.")
         if self.at_most < repetitions:
             problem = f"at_most is {self.at_most}, and {repetitions} repetitions are planned"

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from typing import TYPE_CHECKING
 
-from robot_runner.measuring.host import ProcessUtilisation, UtilisationSample
+from robot_runner.measuring.host import RESCAN, ProcessUtilisation, UtilisationSample
 
 if TYPE_CHECKING:
     from robot_runner.measuring.device_clock import ClockMap
 
-#: New processes are looked for once a second, and one that lasts two looks is not missed, s.
-_BRIEF = 2.0
+#: One that lasts two looks for new processes is not missed, s.
+_BRIEF = 2 * RESCAN
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +207,7 @@ class _Family:
         self, time: float, now: Mapping[int, ProcessCounters], ended: Mapping[int, tuple[int, float]]
     ) -> None:
         last = self._last or {}
-        lasted = [time - self._since[pid, last[pid].started] for pid in ended]
+        lasted = [time - self._since.pop((pid, last[pid].started)) for pid in ended]
         self.ended, self.brief = len(ended), sum(seconds < _BRIEF for seconds in lasted)
         left = [last[pid] for pid in ended if _reaper(pid, ended) not in now]
         self.reaped = len(ended) - len(left)

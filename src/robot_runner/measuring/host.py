@@ -11,6 +11,9 @@ from robot_runner.core.errors import LinkError, did_you_mean
 if TYPE_CHECKING:
     from robot_runner.measuring.clock_offset import ClockRecord
 
+#: Seconds between two looks for new processes.
+RESCAN = 1.0
+
 
 @dataclass(frozen=True, slots=True)
 class ProcessUtilisation:

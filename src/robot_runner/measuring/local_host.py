@@ -22,11 +22,16 @@ from robot_runner.measuring.cpu_counters import (
     placed_cores,
     utilisation_of,
 )
-from robot_runner.measuring.host import SUBJECT_VARIABLE, FileSample, SamplingReport, UtilisationSample, checked_words
+from robot_runner.measuring.host import (
+    RESCAN,
+    SUBJECT_VARIABLE,
+    FileSample,
+    SamplingReport,
+    UtilisationSample,
+    checked_words,
+)
 from robot_runner.measuring.periodic import PeriodicSampler, Sampling
 
-#: Seconds between two looks for new processes.
-_RESCAN = 1.0
 #: Looks during which a process may still turn into another program.
 _YOUNG = 5
 #: Which cores are switched on, such as `0,3-5`. Source: Linux, Documentation/admin-guide/cputopology.rst.
@@ -54,7 +59,7 @@ class LocalProcesses:
     def counters(self) -> tuple[ProcessCounters, ...]:
         """Return the counters of each process that matches."""
         if time.monotonic() >= self._next_scan:
-            self._next_scan = time.monotonic() + _RESCAN
+            self._next_scan = time.monotonic() + RESCAN
             self._scan()
         return tuple(counters for pid in list(self._matched) for counters in self._of(pid))
 

@@ -11,21 +11,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.events.measure import Measure, Over
+from robot_runner.measuring.host import RESCAN, SamplingReport, UtilisationSample
 from robot_runner.measuring.on_board_session import FORMS
 from robot_runner.measuring.quality import Column, SampleQuality, quality_of, write_quality, write_samples
 from robot_runner.measuring.series import Series, cut, mean, mean_of_intervals
 
 if TYPE_CHECKING:
     from robot_runner.core.events.window import Window
-    from robot_runner.measuring.host import SamplingReport, UtilisationSample
 
 
 #: In steps of how many seconds ps tells what a process has used.
 _PS_STEP = 1.0
 #: Percentage of one core, over the window, above which what ended processes may have used unseen is worth a doubt.
 _UNSEEN_SHARE = 1.0
-#: Seconds between two looks for new processes.
-_RESCAN = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +165,7 @@ class Utilisation:
                 lost = told.ended - told.reaped if has_children else told.ended
                 ended, brief = ended + lost, brief + told.brief
                 unseen += lost * (min(later.time, self.window.end) - max(sooner.time, self.window.start))
-                unseen += told.parents * _RESCAN if has_children else 0.0
+                unseen += told.parents * RESCAN if has_children else 0.0
         if brief and not has_children:
             yield (
                 f"{_processes(brief, selector)} lasted less than 2 s: new ones are looked for once a second, so that "

@@ -133,17 +133,19 @@ class Ros1Transport:
         return [
             GraphEndpoint(node, known, node == own)
             for node in nodes
-            # One of somebody else's that is alone is told as it is: a robot that is out of reach is none that has gone.
-            if node == own or (len(nodes) == 1 and pid_in_name(node) is None) or self._is_alive(node)
+            if node == own or self._is_there(node, is_alone=len(nodes) == 1)
         ]
 
-    def _is_alive(self, node: str) -> bool:
+    def _is_there(self, node: str, *, is_alone: bool) -> bool:
         """Whether a node answers: one that was killed stays registered at the master.
 
         One of ours is taken away then. Otherwise each run that is killed would leave one more, of which the master
-        tells the robot, and which the robot tries to reach, whenever somebody new publishes.
+        tells the robot, and which the robot tries to reach, whenever somebody new publishes. The only one of a topic
+        is there until it was taken away: a robot that is out of reach has not gone.
         """
-        began = pid_in_name(node)
+        began, is_taken_away = pid_in_name(node), False
+        if is_alone and began is None:
+            return True
         try:
             answered = self._master.pid_of(node)
             is_gone = began is not None and answered not in {None, began}  # its address is somebody else's by now
@@ -151,14 +153,15 @@ class Ros1Transport:
             answered, is_gone = None, began is not None and isinstance(error.__cause__, ConnectionRefusedError)
         if is_gone:
             with suppress(LinkError):
-                self._forget_if_here(node)
-        return answered is not None and not is_gone
+                is_taken_away = self._is_forgotten(node)
+        return not is_taken_away if is_alone else answered is not None and not is_gone
 
-    def _forget_if_here(self, node: str) -> None:
+    def _is_forgotten(self, node: str) -> bool:
         """Take a node away that is registered with this machine's address: another's firewall may refuse us as well."""
         hosts = {urlsplit(uri or "").hostname for uri in (self._master.uri_of(node), self._rospy.get_node_uri())}
-        if len(hosts) == 1:
+        if is_here := len(hosts) == 1:
             self._master.forget(node)
+        return is_here
 
     @property
     def parameter_server(self) -> Master:

@@ -329,7 +329,7 @@ def test_validation_names_what_does_not_fit(tmp_path: Path) -> None:
     found: tuple[Finding, ...] = prepare(written_config(tmp_path, body, table=with_two)).findings
     told = {finding.problem for finding in found if "repeat_until" in finding.where}
     assert told == {
-        "2 repetitions cannot tell the spread, by which a mean is precise",
+        "2 repetitions cannot show the spread, on which precision depends",
         "there is no measure 'Enrgy'",
         "half_width is '1 V', and Energy has J",
     }

@@ -32,7 +32,7 @@ def r_script(study: StudyFacts) -> str:
     """Return the script, for R 4.0 and its own packages."""
     return rendered(
         "recompute.R.j2",
-        **_common(study, ", {}", r_literal, ", tolerance = 1e-3", "NULL", "function(groups, contrasts) {}"),
+        **_common(study, ", {}", r_literal, ", tolerance = 1e-4", "NULL", "function(groups, contrasts) {}"),
         table=_r_table,
         keys=lambda reported: r_literal([label for label, _ in reported.rows]),
         separator=lambda is_last: Code("" if is_last else ","),
@@ -110,7 +110,7 @@ def cells_of(study: StudyFacts) -> list[tuple[str, str]]:
     """Return the kind of each cell, `code` or `markdown`, and what it holds."""
     text = rendered(
         "notebook.py.j2",
-        **_common(study, ", level={}", python_literal, ", tolerance=1e-3", "None", "lambda groups, contrasts: {}"),
+        **_common(study, ", level={}", python_literal, ", tolerance=1e-4", "None", "lambda groups, contrasts: {}"),
         table=_python_table,
         mapping=_mapping,
         levels=_levels,

@@ -28,6 +28,8 @@ _LEAST_FOR_VARIANCE = 2
 
 #: Distances that differ by less, beside the values, are the same but for rounding.
 _SAME = 1e-12
+#: Of three values of which two are equal the p-value is 0, and 8e-16 to rounding.
+_ROUNDED = 1e-15
 
 
 def normality(
@@ -63,11 +65,12 @@ def normality(
         result = stats.shapiro(values)
     if not np.isfinite([result.statistic, result.pvalue]).all():
         return NotComputed(what, "the values hardly vary.")
-    holds = bool(result.pvalue >= alpha)
+    p_value = 0.0 if result.pvalue < _ROUNDED else float(result.pvalue)
+    holds = p_value >= alpha
     whose = f"The values of {' / '.join(group.values())}" if group else "The residuals"
     verdict = "may be normally distributed" if holds else "are not normally distributed"
-    conclusion = f"{whose} {verdict} (W = {result.statistic:.3f}, {p_in_words(result.pvalue)})."
-    return AssumptionCheck(SHAPIRO_WILK, group, float(result.statistic), float(result.pvalue), holds, conclusion)
+    conclusion = f"{whose} {verdict} (W = {result.statistic:.3f}, {p_in_words(p_value)})."
+    return AssumptionCheck(SHAPIRO_WILK, group, float(result.statistic), p_value, holds, conclusion)
 
 
 def equal_variances(groups: Sequence[Group], alpha: float, within: Sequence[str] = ()) -> AssumptionCheck | NotComputed:

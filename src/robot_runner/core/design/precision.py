@@ -144,7 +144,7 @@ def precision_findings(
 ) -> Iterator[Finding]:
     """Say where rules do not fit a design of so many repetitions, at least, and of measures in these units."""
     if rules and repetitions < LEAST_REPETITIONS:
-        problem = f"{counted(repetitions, 'repetition')} cannot tell the spread, by which a mean is precise"
+        problem = f"{counted(repetitions, 'repetition')} cannot show the spread, on which precision depends"
         yield Finding.error(where, problem, f"Plan repetitions={_ENOUGH_REPETITIONS} or more: that many are the least.")
     elif rules and repetitions < _ENOUGH_REPETITIONS:
         problem = f"with {repetitions} repetitions at the first look, its interval is very wide"

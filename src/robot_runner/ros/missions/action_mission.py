@@ -322,10 +322,17 @@ class ActionMission(RobotSystem):
 def _cancel_all_goals(
     link: RobotLink, action: str, full_name: str, *, timeout: float, late_seconds: float = 0.0
 ) -> None:
-    """Ask an action server to cancel whatever it executes, whoever sent it, and what it begins so much later, s.
+    """Ask an action server to cancel all of its goals, also those of others; without a server nothing is executed.
 
-    Without a server nothing is executed. No time stamp is sent, by which actionlib would cancel later goals as well:
-    where clocks differ, or the graph's time is simulated, it would go on to cancel the goals of others.
+    No time stamp is sent, by which actionlib would cancel later goals as well: where clocks differ, or the graph's time
+    is simulated, it would go on to cancel the goals of others.
+
+    Args:
+        link: to the robot.
+        action: its name, as the link takes it.
+        full_name: its name on the graph.
+        timeout: how long the server may take to answer, s.
+        late_seconds: for how long to ask again, s: a goal may still be on its way.
     """
     begun = time.monotonic()
     while True:
