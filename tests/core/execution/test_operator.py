@@ -147,6 +147,7 @@ class Preparing:
     def __init__(self, folder: Path, *steps: OperatorStep) -> None:
         self.records: list[dict[str, Any]] = []
         progress = SimpleNamespace(
+            look_after_lock=lambda: None,
             task_of=lambda run: SimpleNamespace(combination={}, repetition=1),
             note=lambda kind, **facts: self.records.append({"kind": kind, **facts}),
             runs_left=lambda _: 1,

@@ -205,6 +205,22 @@ def test_a_journal_that_is_removed_or_replaced_while_it_is_open_is_put_back_whol
     assert kept == ([somebody_wrote] if somebody_wrote else [])
 
 
+def test_a_journal_that_was_removed_does_not_take_the_place_of_one_that_another_process_writes(tmp_path: Path) -> None:
+    path = tmp_path / "journal.jsonl"
+    first = Journal(path, others_execute=lambda: True)
+    first.append("first")
+    path.unlink()
+    with Journal(path) as other:
+        other.append("other")
+        with pytest.raises(StorageError, match="another process has executed the experiment anew") as refused:
+            first.append("second", flush=True)
+        other.append("another")
+    (kept,) = tmp_path.glob("journal.jsonl.removed-*")
+    assert kept.name in refused.value.fix
+    assert [record["kind"] for record in read_journal(kept)] == ["first", "second"]
+    assert [record["kind"] for record in read_journal(path)] == ["other", "another"]
+
+
 def test_a_journal_whose_folder_is_removed_while_it_is_open_is_an_error(tmp_path: Path) -> None:
     path = tmp_path / "experiment" / "journal.jsonl"
     path.parent.mkdir()

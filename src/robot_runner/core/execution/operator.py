@@ -286,6 +286,7 @@ class Operator:
                     self._take_line(line, left, given)
                 if not left:
                     return given
+            self._progress.look_after_lock()  # a request might be for who has begun the experiment anew
             request = take_request(control, asked)
             if request is not None:
                 answers, findings = read_answers(questions, request.answers, given)

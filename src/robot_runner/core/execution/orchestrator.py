@@ -191,7 +191,7 @@ class _Orchestrator:
         found = _findings_of(error)
         try:
             self._end_events(findings, failure=str(found[0]))
-        except ExecutionError as later:
+        except RobotRunnerError as later:
             raise ExecutionError.of_findings([*found, *later.findings]) from error
 
     def _end_events(self, findings: Sequence[Finding], *, failure: str = "") -> None:

@@ -105,7 +105,7 @@ class ProgressManager:
                 if slot:
                     keep_log(self._folder.at_slot(slot), run_id)
                 self._left_behind.add(run_id)
-            self._journal = opened.enter_context(Journal(self._folder.journal))
+            self._journal = opened.enter_context(Journal(self._folder.journal, self._lock.others_hold))
             recovered.keep_deviations(self._journal, self._manifest)
             if prepared:
                 self._journal.append(PREPARED, flush=True, treatments=prepared)
@@ -136,12 +136,11 @@ class ProgressManager:
         return self
 
     def __exit__(self, *raised: object) -> None:
-        with self._resources:
+        # What ended the experiment is told, and not that its folder cannot be written since.
+        with nullcontext() if raised[0] is None else suppress(StorageError), self._resources:
             for slot in self._folder.used_slots():
                 drop_empty_log(self._folder.at_slot(slot))
-            # What ended the experiment is told, and not that its folder cannot be written since.
-            with nullcontext() if raised[0] is None else suppress(StorageError):
-                self._file.bring_up_to_date()
+            self._file.bring_up_to_date()
 
     @property
     def seed(self) -> int:
@@ -262,9 +261,17 @@ class ProgressManager:
             slot=slot,
         )
 
+    def look_after_lock(self) -> None:
+        """See that nobody else executes the experiment meanwhile, as the lock was removed.
+
+        Raises:
+            ExecutionError: somebody does.
+        """
+        self._findings += self._lock.look_after(self._journal)
+
     def begin(self, run: PendingRun, place: str = "", slot: int = 1) -> RunTask:
         """Begin another attempt at a run at a place; what an earlier attempt left is kept elsewhere."""
-        self._findings += self._lock.look_after(self._journal)
+        self.look_after_lock()
         earlier = self._attempts[run.run_id]
         self._attempts[run.run_id] += 1
         if run.run_id in self._left_behind:

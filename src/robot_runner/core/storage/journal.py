@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from functools import lru_cache
 from io import BytesIO
@@ -64,10 +64,16 @@ class Journal:
 
     A torn last line (power failed while it was written) is cut off when the journal is opened. Where the file is
     removed or replaced while it is open, as by `git stash`, it is put back with all that it held.
+
+    Args:
+        path: the file.
+        others_execute: returns whether another process executes the experiment by now, so that what stands in place of
+            a journal that was removed is its.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, others_execute: Callable[[], bool] = lambda: False) -> None:
         self._path = path
+        self._others_execute = others_execute
         self._descriptor = open_descriptor(path, flags=_FLAGS)
         try:
             self._cut_torn_line()
@@ -149,14 +155,23 @@ class Journal:
             self._put_back()
 
     def _put_back(self) -> None:
+        if self._others_execute():
+            kept = self._path.with_name(f"{self._path.name}.removed-{os.getpid()}")
+            self._copy_to(kept)
+            problem = "it was removed, and another process has executed the experiment anew since"
+            fix = f"Leave the folder alone while it is executed. What this process had recorded is in {kept.name}."
+            raise StorageError(problem, where=str(self._path), fix=fix)
         with suppress(FileNotFoundError):
             self._path.replace(self._path.with_name(f"{self._path.name}.replaced"))  # somebody's: it is kept
-        with os.fdopen(os.dup(self._descriptor), "rb") as removed, open_to_write(self._path) as file:
-            removed.seek(0)
-            shutil.copyfileobj(removed, file)
+        self._copy_to(self._path)
         old, self._descriptor = self._descriptor, open_descriptor(self._path, flags=_FLAGS)
         self._end = os.fstat(self._descriptor).st_size
         os.close(old)
+
+    def _copy_to(self, path: Path) -> None:
+        with os.fdopen(os.dup(self._descriptor), "rb") as removed, open_to_write(path) as file:
+            removed.seek(0)
+            shutil.copyfileobj(removed, file)
 
     def _write(self, line: bytes) -> None:
         written = 0

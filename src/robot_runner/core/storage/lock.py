@@ -61,6 +61,10 @@ class ExperimentLock:
         self._let_go()
         self._descriptor = descriptor
 
+    def others_hold(self) -> bool:
+        """Return whether the locked file was removed, and another process has locked the one in its place."""
+        return not is_at(self._descriptor, self._path) and holder_of(self._path) is not None
+
     def look_after(self, journal: Journal) -> list[Finding]:
         """Check that the locked file is still the one that others see, and take the lock again if it is not.
 
@@ -72,13 +76,16 @@ class ExperimentLock:
 
         Raises:
             ExecutionError: another process executes the experiment, or has since the file was removed; or the folder
-                was moved.
+                was moved or removed.
             StorageError: it cannot be locked.
         """
         self.refuse_moved(journal)
         if is_at(self._descriptor, self._path):
             return []
         where, problem = str(self._path.parent), f"{self._path.name} was removed while the experiment was executed"
+        if not self._path.parent.exists():
+            problem = "the experiment's folder was removed while it was executed"
+            raise ExecutionError(problem, where=where, fix="Start the experiment again: it begins anew.")
         again = "start the experiment again: it resumes"
         try:
             self._take()

@@ -1,0 +1,55 @@
+"""A folder is removed while its experiment waits, and the experiment is begun anew at the same place."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from tests.process.conftest import wait_until
+
+from robot_runner.core.storage.journal import read_journal
+
+Start = Callable[..., Any]
+
+WAITING = """
+operator_steps = [OperatorStep("place the robot", first=True)]
+def populate_run_data(self, context): return {"Energy": 1.5}
+"""
+
+
+def records(experiment: Any) -> list[str]:
+    return [record["kind"] for record in read_journal(experiment.folder / "journal.jsonl")]
+
+
+@pytest.mark.long
+def test_the_first_execution_ends_and_leaves_the_second_its_answers_and_its_journal(start: Start) -> None:
+    first = start(WAITING)
+    wait_until(lambda: "waiting" in records(first), "it waits for a person")
+    first.send(signal.SIGSTOP)  # so that it finds the other one there
+    shutil.rmtree(first.folder)
+    second = start(config=first.config)
+    wait_until(lambda: "waiting" in records(second), "the other one waits, too")
+    first.send(signal.SIGCONT)
+    assert first.end() == 2
+    assert f"executed by process {second.process.pid}" in first.output
+    (kept,) = first.folder.glob("journal.jsonl.removed-*")
+    assert "waiting" in kept.read_text()
+    command = [sys.executable, "-m", "robot_runner", "continue", str(second.config)]
+    subprocess.run(command, check=True, capture_output=True)
+    assert second.end() == 0, second.output
+    assert second.statuses == ["Done"] * 4
+    assert records(second).count("attempt_finished") == 4
+
+
+@pytest.mark.long
+def test_an_execution_whose_folder_is_removed_while_it_waits_says_so(start: Start) -> None:
+    experiment = start(WAITING)
+    wait_until(lambda: "waiting" in records(experiment), "it waits for a person")
+    shutil.rmtree(experiment.folder)
+    assert experiment.end() == 2
+    assert "the experiment's folder was removed while it was executed" in experiment.output
