@@ -75,6 +75,24 @@ def test_a_clock_that_went_back_is_not_believed_to_have_drifted():
     assert record.to_run.rate == 1.0
 
 
+def test_a_steady_clock_that_lost_more_than_any_quartz_is_told_as_a_suspended_computer():
+    (doubt,) = ClockRecord("pi", offset(0.0, 500.0, 0.001), offset(95.0, 590.0, 0.001)).doubts()
+    assert doubt.startswith("while 95.000 s went by here, the steady clock of pi went on by 90.000 s")
+    assert "up to 5.000 s" in doubt
+
+
+@pytest.mark.parametrize(
+    "after",
+    [
+        None,
+        offset(95.0, 595.1, 0.001),  # 0.1 % fast
+        offset(95.0, 595.5, 0.4),  # known no better
+    ],
+)
+def test_a_steady_clock_that_goes_as_clocks_do_is_not_doubted(after):
+    assert not list(ClockRecord("pi", offset(0.0, 500.0, 0.001), after).doubts())
+
+
 def test_the_worse_of_both_estimates_is_the_uncertainty():
     record = ClockRecord("pi", offset(0.0, 0.0, 0.001), offset(10.0, 10.0, 0.004))
     assert record.uncertainty == 0.004

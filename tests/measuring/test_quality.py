@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from itertools import accumulate, pairwise
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -65,6 +67,15 @@ def test_what_was_lost_damaged_or_doubled_is_told_in_figures():
 def test_even_samples_have_no_jitter():
     jitter = quality_of(EVEN, Window(0.0, 10.0), 10.0).jitter
     assert (jitter.p50, jitter.p95, jitter.p99) == pytest.approx((0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("count", [2, 5, 7, 12, 21, 60, 113, 150])
+def test_jitter_names_bounds_that_so_many_of_the_times_between_samples_keep(count):
+    times = list(accumulate(1.0 + (number * 0.618) % 1.0 for number in range(count + 1)))
+    between = [later - sooner for sooner, later in pairwise(times)]
+    median, jitter = sorted(between)[round((count - 1) / 2)], jitter_of(times)
+    for bound, percent in ((jitter.p50, 50), (jitter.p95, 95), (jitter.p99, 99)):
+        assert sum(abs(each - median) <= bound for each in between) * 100 >= percent * count
 
 
 @given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=60))

@@ -20,6 +20,7 @@ class FakeGpu:
     memory_used: int = 2 << 30
     memory_total: int = 8 << 30
     has_counter: bool = True
+    has_power: bool = True
     counts: bool = True
     offset: int = 5_000_000
     is_lost: bool = False
@@ -64,6 +65,8 @@ class FakeNvidiaDriver:
         gpu = self._handles[id(handle)]
         if gpu.is_lost:
             return GPU_IS_LOST
+        if not gpu.has_power:
+            return NOT_SUPPORTED
         milliwatts._obj.value = round(1000 * self._watts(gpu))
         return SUCCESS
 

@@ -112,6 +112,14 @@ PMBUS = {
     "power1_label": "pout1",
     "power1_input": "13200000",
 }
+# The battery of a laptop (power_supply_hwmon): its power has no sign, and what it means says the supply's own status.
+BATTERY = {
+    "name": "BAT0",
+    "in0_input": "17280",
+    "power1_input": "14800000",
+    "device/type": "Battery",
+    "device/status": "Discharging",
+}
 ACPI_METER = {"name": "power_meter", "power1_average": "184000000", "power1_average_interval": "1000"}
 # A driver whose power does not belong to the voltage of the same number.
 AMDGPU = {

@@ -86,6 +86,15 @@ def test_a_robot_that_falls_silent_shortly_before_the_end_has_used_no_less(measu
     assert context.measures["Energy"] == pytest.approx(120.0)
 
 
+@pytest.mark.parametrize("zero_until", [0.0, 50.35, 99.0], ids=["never", "at first", "throughout"])
+def test_a_battery_of_no_volt_is_one_whose_voltage_was_not_measured(measure, zero_until):
+    context = measure(lambda time: {"voltage": 12.0 if time > zero_until else 0.0, "current": -0.5, "percentage": 0.5})
+    known = zero_until < 60.0
+    assert context.measures["MinVoltage"] == (12.0 if known else None)
+    assert context.measures["MeanVoltage"] == (pytest.approx(12.0) if known else None)
+    assert context.measures["Energy"] == (pytest.approx(60.0, rel=0.01) if known else None)
+
+
 def test_an_energy_below_nothing_is_doubted(measure):
     context = measure(lambda _: {"voltage": 12.0, "current": 0.5, "percentage": 0.5})
     assert context.measures["Energy"] == pytest.approx(-60.0)
@@ -99,6 +108,21 @@ def test_a_state_of_charge_that_is_told_in_percent_is_doubted(measure):
     assert _problems(context) == [
         "the robot says percentage = 85, where sensor_msgs/BatteryState has 0 to 1: ChargeUsed may be 100-fold"
     ]
+
+
+@pytest.mark.parametrize(("steps", "off"), [(100, "50 %"), (2_000, "")])
+def test_a_state_of_charge_that_is_told_in_coarse_steps_is_doubted(measure, steps, off):
+    def say(time):
+        return {
+            "voltage": 12.0,
+            "current": -0.5,
+            "percentage": math.floor((0.905 - 0.002 * (time - 50.0)) * steps) / steps,
+        }
+
+    context = measure(say)
+    assert context.measures["ChargeUsed"] == pytest.approx(2.0, abs=0.2)
+    told = [each for each in _problems(context) if "steps" in each]
+    assert told == ([f"the charge is told in steps of 1 %: ChargeUsed may be off by {off}"] if off else [])
 
 
 def test_a_robot_that_falls_silent_yields_no_value_and_a_warning(measure):

@@ -183,6 +183,15 @@ def test_a_program_that_dies_half_way_costs_its_values_and_not_the_run(measure):
     assert "the program ended by itself, with exit code 4: the sensor was lost" in problems(context)
 
 
+def test_a_last_row_that_was_torn_within_a_number_is_no_row(measure):
+    # Three cells as in the heading, and a power of 5 W of which 500 W are left.
+    rows = "time,percent,watts\\n0,20,500\\n1,20,500\\n2,20,500\\n"
+    script = f"printf '{rows}'; trap 'printf 3,20,5; exit 0' INT; while :; do sleep 0.05; done"
+    context = measure(command=["bash", "-c", script], columns=COLUMNS[:1])
+    with (context.raw_data_folder / "samples.csv").open(newline="") as file:
+        assert [row["watts"] for row in csv.DictReader(file)] == ["500.000000"] * 3
+
+
 def test_a_program_that_says_nothing_costs_its_values_and_not_the_run(measure):
     context = measure("--silent", startup_s=0.05)
     assert set(context.measures.values()) == {None}

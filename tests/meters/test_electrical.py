@@ -66,6 +66,18 @@ def test_power_that_is_told_for_a_part_of_the_window_is_not_that_of_the_whole(me
     assert problems == ["the power was told in 40 of 101 readings only"]
 
 
+@pytest.mark.parametrize(("every", "is_doubted"), [(5.0, True), (5.07, True), (1.0, False), (0.2, False)])
+def test_power_that_the_meter_seldom_renews_is_doubted(measure, every, is_doubted):
+    def told(time):
+        renewed = time // every * every  # what it said is as old as that
+        return ElectricalReading(8.0 + 0.1 * (renewed * 7 % 3.1))
+
+    values, problems = measure(told, seconds=50.0)
+    assert values["Energy"] == pytest.approx(400.0, rel=0.05)
+    message = f"the meter renews its power every {every:.1f} s only: the energy lacks what changed in between"
+    assert [each for each in problems if "renews" in each] == ([message] if is_doubted else [])
+
+
 def test_a_counter_that_is_told_for_a_part_of_the_window_does_not_stand_for_the_whole(measure):
     measures, problems = measure(
         lambda time: ElectricalReading(None, wobbling(time), joules=8.0 * time if time > 6.0 else None)

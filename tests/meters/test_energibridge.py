@@ -103,6 +103,37 @@ def test_a_row_without_energy_is_bridged_by_the_next(heading, cells, joules):
     assert told == [0.0, None, pytest.approx(joules)]
 
 
+@pytest.fixture
+def doubts(tmp_path):
+    """Executes a run in which these records came, and returns what is doubtful about its energy."""
+
+    def execute(records):
+        program = write(tmp_path / "energibridge", f"#!/bin/sh\ncat >\"$2\" <<'END'\n{records}END\nexec cat")
+        program.chmod(0o755)
+        plugin = EnergiBridge(program=str(program), cores=tmp_path)
+        context = make_context(tmp_path, plugin, robot=None, clock=SystemClock())
+        rehearse(context, plugin, mission=lambda: time.sleep(0.01))
+        return [each.problem for each in context.broker.findings if "reads" in each.problem or "whole" in each.problem]
+
+    return execute
+
+
+def test_the_power_of_a_whole_mac_is_not_taken_for_the_processors(doubts):
+    (problem,) = doubts(RECORDED)
+    assert problem.startswith("the power is that of the whole computer (SYSTEM_POWER (Watts))")
+    assert doubts(RECORDED.replace("SYSTEM_POWER (Watts)", "CPU_POWER (Watts)")) == []
+
+
+def test_of_two_processors_one_is_read_and_that_is_told(tmp_path, doubts):
+    records = "Delta,Time,PACKAGE_ENERGY (J)\n0,0,10\n200,200,12\n"
+    for core, package in enumerate("0011"):
+        write(tmp_path / f"cpu{core}" / "topology" / "physical_package_id", package)
+    assert doubts(records) == ["EnergiBridge reads one processor, and this machine has 2"]
+    for core in (2, 3):
+        write(tmp_path / f"cpu{core}" / "topology" / "physical_package_id", 0)
+    assert doubts(records) == []
+
+
 def test_a_machine_without_a_counter_yields_no_energy():
     records = ["Delta,Time,CPU_USAGE_0", "0,0,10"]
     assert parse_energibridge(records)[-1]["energy_J"] is None

@@ -89,6 +89,17 @@ def test_a_gpu_that_is_lost_half_way_costs_the_values_and_not_the_run(measure, c
     assert any("GPU is lost" in problem for problem in problems(context))
 
 
+def test_power_that_was_told_for_a_part_of_the_time_is_not_taken_for_all_of_it(measure, clock):
+    gpu = FakeGpu(50.0, has_counter=False)
+    clock.at(15.0, lambda: setattr(gpu, "has_power", False))
+    context = measure(gpu)
+    assert context.measures["Energy"] is None
+    assert context.measures["GPU"] == 40.0
+    (problem,) = problems(context)
+    assert problem.startswith("the power of GPU 0 was told in 5")
+    assert problem.endswith("of 201 readings only")
+
+
 def test_a_gpu_that_is_lost_shortly_before_the_end_has_used_no_less(measure, clock):
     gpu = FakeGpu(50.0, has_counter=False)
     clock.at(29.15, lambda: setattr(gpu, "is_lost", True))

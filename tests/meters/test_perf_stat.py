@@ -169,6 +169,29 @@ def test_a_process_that_sleeps_has_counted_nothing():
     assert row == {"span": "0.200336515", "task-clock": "0", "task-clock counted": "100.00"}
 
 
+@pytest.mark.parametrize("event", ["user_time", "system_time:u"])
+def test_a_time_that_perf_knows_of_its_own_child_only_is_unknown_and_not_zero(event):
+    # What perf 6.1 wrote (`--pid`, and `--all-cpus`) while processes kept all cores busy.
+    (row,) = parse_perf([f"     0.200335777;<not counted>;ns;{event};0;100.00;;"])
+    assert row[event] is None
+
+
+@pytest.mark.parametrize(
+    "counts",
+    [
+        (203_227_996, 200_331_791),
+        (812_911_984, 801_327_164),  # what perf 6.1 wrote of a process (`--pid`) with four threads
+        (0, 0),  # what perf 7.2 writes beside other events
+    ],
+)
+def test_how_long_an_interval_took_is_told_by_its_ends_whatever_perf_counts(counts):
+    spans = ("0.203227996", "0.403559787")
+    events = ("task-clock;7;100.00;;", "duration_time;1;100.00;;")
+    records = [f"     {span};{count};;{event}" for span, count in zip(spans, counts, strict=True) for event in events]
+    told = [row["duration_time"] for row in parse_perf(records) if row and "duration_time" in row]
+    assert [float(each) for each in told] == pytest.approx([203_227_996, 200_331_791])
+
+
 def test_an_event_that_had_no_counter_in_an_interval_is_unknown_there_and_doubted():
     plugin = PerfStat(events=["cycles"])
     rows = parse_perf(["  0.2;500;;cycles;200;100.00;;", "  0.4;<not counted>;;cycles;0;0.00;;"])
@@ -205,6 +228,17 @@ def test_what_the_machine_cannot_count_is_a_warning_of_the_check(tmp_path):
     plugin = PerfStat(events=["task-clock", "cycles"], program=stand_in(tmp_path))
     findings = [finding for finding in plugin.check(Circumstances()) if "cycles" in finding.problem]
     assert [finding.is_error for finding in findings] == [False]
+
+
+def test_what_the_kernel_lets_a_user_count_in_user_space_only_is_a_warning_of_the_check(tmp_path):
+    # What perf 6.1 wrote for a user with kernel.perf_event_paranoid at 2: it had put `:u` behind each event by itself.
+    recorded = RECORDED.replace("task-clock", "task-clock:u")
+    plugin = PerfStat(events=["task-clock", "cache-misses"], pid=os.getpid(), program=stand_in(tmp_path, recorded))
+    (finding,) = [each for each in plugin.check(Circumstances()) if "user space" in each.problem]
+    assert "'task-clock'" in finding.problem
+    assert not finding.is_error
+    assert "sysctl kernel.perf_event_paranoid=1" in finding.fix
+    assert "'task-clock:u'" in finding.fix
 
 
 @pytest.mark.parametrize("settings", [{"events": "cycles"}, {"interval_ms": 0}, {"events": []}])

@@ -232,6 +232,22 @@ def test_each_of_several_rails_has_measures_of_its_own(tmp_path, tree, clock):
     assert facts["energy_from"] == {"VDD_IN": "power", "VDD_SOC": "power"}
 
 
+@pytest.mark.parametrize("status", ["Charging", "Full", "Not charging"])
+def test_the_power_of_a_battery_that_is_charged_is_not_taken_for_what_is_drawn(tmp_path, tree, clock, status):
+    folder = tree.hwmon(rail_trees.BATTERY)
+    clock.at(15.0, lambda: write(folder / "device" / "status", status))
+    context = measured(tmp_path, tree, clock, seconds=1.0)
+    assert context.measures["MeanPower"] == pytest.approx(14.8)
+    assert problems(context) == []
+    (doubt,) = (each for each in problems(measured(tmp_path, tree, clock, seconds=5.0)) if "battery" in each)
+    assert doubt.startswith(f"rail 'BAT0:power1' is that of a battery whose status was {status!r}")
+
+
+def test_what_is_no_battery_has_no_status(tmp_path, tree, clock):
+    tree.hwmon({**rail_trees.ACPI_METER, "device/status": "15"})  # as each device of ACPI
+    assert problems(measured(tmp_path, tree, clock, seconds=1.0)) == []
+
+
 def counting(clock, folder, watts, *, first=500.0):
     """Have the counter of a device rise by so many watts from now on."""
     start = clock.now()

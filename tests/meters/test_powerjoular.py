@@ -5,6 +5,7 @@ import sys
 
 import pytest
 from tests.meters.fake_sysfs import FakePowercap, write
+from tests.waiting import wait_until
 
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import Origin
@@ -95,6 +96,61 @@ def test_zero_watts_are_no_power_but_a_counter_that_was_not_found(measure):
     assert context.measures["MeanPower"] is None
     assert context.measures["CPU"] == pytest.approx(100.0)
     assert any("said 0 W" in finding.problem for finding in context.broker.findings)
+
+
+@pytest.fixture
+def doubts(tmp_path):
+    """Executes a run in which these records came, and returns what is doubtful about its energy."""
+
+    def execute(records=RECORDED):
+        plugin = PowerJoular(program=stand_in(tmp_path, records), powercap=tmp_path)
+        plugin.period_s = 0.3
+        context = make_context(tmp_path, plugin, robot=None, clock=SystemClock())
+        written = context.raw_data_folder / "powerjoular.csv"
+        rehearse(context, plugin, mission=lambda: wait_until(lambda: written.read_text().count("\n") > 4))
+        return [
+            finding.problem
+            for finding in context.broker.findings
+            if "reads" in finding.problem or "lack" in finding.problem
+        ]
+
+    return execute
+
+
+# What it reads: intel_rapl_sysfs.adb of PowerJoular 1.1.1.
+def test_a_counter_of_the_whole_platform_is_not_taken_for_the_processors(tmp_path, doubts):
+    FakePowercap(tmp_path)
+    write(tmp_path / "intel-rapl:1" / "name", "psys")
+    write(tmp_path / "intel-rapl:1" / "energy_uj", 0)
+    write(tmp_path / "intel-rapl:1" / "max_energy_range_uj", 10**12)
+    plugin = PowerJoular(program=sys.executable, powercap=tmp_path)
+    (finding,) = plugin.check(Circumstances())
+    assert not finding.is_error
+    assert "the whole platform (psys)" in finding.problem
+    assert doubts() == [finding.problem]
+
+
+def test_of_two_processors_one_is_read_and_that_is_told(tmp_path, doubts):
+    FakePowercap(tmp_path)
+    write(tmp_path / "intel-rapl:1" / "name", "package-1")
+    write(tmp_path / "intel-rapl:1" / "energy_uj", 0)
+    write(tmp_path / "intel-rapl:1" / "max_energy_range_uj", 10**12)
+    plugin = PowerJoular(program=sys.executable, powercap=tmp_path)
+    (finding,) = plugin.check(Circumstances())
+    assert "package-0 alone, and this machine has 2 packages" in finding.problem
+    assert doubts() == [finding.problem]
+
+
+def test_a_machine_with_one_processor_is_not_doubted(tmp_path, doubts):
+    FakePowercap(tmp_path)
+    assert doubts() == []
+
+
+def test_rows_in_which_the_gpu_was_silent_are_doubted(tmp_path, doubts):
+    # nvidia_smi.adb: where nvidia-smi fails or answers no number, PowerJoular adds 0 W.
+    FakePowercap(tmp_path)
+    (problem,) = doubts(RECORDED.replace("12.50000000000000,0.00000000000000", "12.50000000000000,30.00000000000000"))
+    assert problem.startswith("the GPU told no power in ")
 
 
 def test_recorded_rows_are_read():

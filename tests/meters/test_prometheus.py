@@ -135,6 +135,27 @@ def test_a_counter_that_was_set_back_counts_on_and_is_doubted(tmp_path, exporter
     assert any("was set back" in problem for problem in problems(context))
 
 
+@pytest.mark.parametrize(
+    ("every", "joules", "is_doubted"), [(20.0, 340.0, True), (2.0, 34.0, False), (20.0, 1.0, False)]
+)
+def test_a_counter_that_the_exporter_seldom_renews_is_doubted(tmp_path, exporter, every, joules, is_doubted):
+    clock = FakeClock(100.0)
+    for number in range(1, round(90 / every)):
+        clock.at(100.0 + number * every, lambda: exporter.tell(f"inc joules {joules}"))
+    plugin = Prometheus(exporter.url, ["supply_energy_joules_total", "supply_power_watts"])
+    context = measured(tmp_path, plugin, clock, seconds=90.0)
+    told = "supply_energy_joules_total is renewed every 20 s only: its increase may be off by up to 22 %"
+    assert problems(context) == ([told] if is_doubted else [])
+
+
+def test_a_gauge_that_the_exporter_seldom_renews_is_doubted(tmp_path, exporter):
+    clock = FakeClock(100.0)
+    for number in range(1, 4):
+        clock.at(100.0 + number * 25.0, lambda watts=number: exporter.tell(f"set watts {watts}"))
+    context = measured(tmp_path, Prometheus(exporter.url, ["supply_power_watts"]), clock, seconds=100.0)
+    assert problems(context) == ["supply_power_watts is renewed every 25 s only: its mean is that of 4 values or so"]
+
+
 def test_an_exporter_that_dies_blocks_no_mission(tmp_path, exporter):
     clock, plugin = SystemClock(), Prometheus(exporter.url, ["supply_power_watts"], rate_hz=10.0, timeout_s=0.5)
     context = make_context(tmp_path, plugin, robot=None, clock=clock)

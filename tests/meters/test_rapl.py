@@ -84,10 +84,26 @@ def test_energy_is_what_the_packages_have_counted(measure, tmp_path):
 
 
 def test_domains_within_the_package_have_measures_of_their_own(measure, tmp_path):
-    context = measure(FakePowercap(tmp_path / "powercap"), domains=["core", "dram"])
+    cpuinfo = write(tmp_path / "cpuinfo", "processor\t: 0\nvendor_id\t: GenuineIntel")
+    context = measure(FakePowercap(tmp_path / "powercap"), domains=["core", "dram"], cpuinfo=cpuinfo)
     assert context.measures["CoreEnergy"] == pytest.approx(40.0, rel=3e-3)
     assert context.measures["DramEnergy"] == pytest.approx(20.0, rel=3e-3)
     assert context.measures["Energy"] == pytest.approx(160.0, rel=3e-3)
+
+
+def test_the_counter_of_one_core_is_not_taken_for_that_of_all(measure, tmp_path):
+    # MSR_AMD_CORE_ENERGY_STATUS is each core's own, and Linux reads that of one core of the package.
+    cpuinfo = write(tmp_path / "cpuinfo", "processor\t: 0\nvendor_id\t: AuthenticAMD")
+    powercap = FakePowercap(tmp_path / "powercap")
+    (finding,) = Rapl(domains=["core"], root=powercap.root, cpuinfo=cpuinfo).check(Circumstances())
+    assert finding.problem == "the counter `core` of an AMD processor is that of one of its cores: no value"
+    assert not finding.is_error
+    context = measure(powercap, domains=["core", "dram"], cpuinfo=cpuinfo, seconds=2.0)
+    assert context.measures["CoreEnergy"] is None
+    assert context.measures["DramEnergy"] == pytest.approx(2.0, rel=0.03)
+    assert context.measures["Energy"] == pytest.approx(16.0, rel=0.03)
+    assert finding.problem in [each.problem for each in context.broker.findings]
+    assert list(Rapl(domains=["dram"], root=powercap.root, cpuinfo=cpuinfo).check(Circumstances())) == []
 
 
 def test_a_counter_that_begins_anew_several_times_is_followed(measure, tmp_path):

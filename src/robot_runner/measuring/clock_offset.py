@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.measuring.device_clock import ClockMap
+
+#: No steady clock of a computer goes further wrong, parts of one: quartzes are truer than 1e-4, and what sets clocks by
+#: the network hastens or delays them by 5e-4 at most (man adjtimex).
+_MOST_DRIFT = 2e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +139,21 @@ class ClockRecord:
         if self.after is None or self.after.at <= self.before.at:
             return None
         return (self.after.steady - self.before.steady) / (self.after.at - self.before.at) - 1.0
+
+    def doubts(self) -> Iterator[str]:
+        """Yield that the steady clock stood still for a time, as that of a computer which was suspended.
+
+        The line through both offsets is bent then, and samples stand beside their true times by up to what was lost.
+        """
+        if self.after is None:
+            return
+        here, there = self.after.at - self.before.at, self.after.steady - self.before.steady
+        known = self.before.uncertainty + self.after.uncertainty
+        if (off := abs(there - here)) > known + _MOST_DRIFT * here:
+            yield (
+                f"while {here:.3f} s went by here, the steady clock of {self.host} went on by {there:.3f} s, as where "
+                f"a computer is suspended: its samples may stand up to {off:.3f} s beside their true times"
+            )
 
     def facts(self) -> dict[str, Any]:
         """Return it as plain data, for the files and the manifest."""

@@ -29,10 +29,17 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """A piece of output, without the separator that ended it, and when it was there: s on the run's clock."""
+    """A piece of output, without the separator that ended it.
+
+    Attributes:
+        received_at: when it was there, s on the run's clock.
+        text: what it says.
+        is_ended: whether a separator ended it; else the program ended in the middle of it, or writes none at its end.
+    """
 
     received_at: float
     text: str
+    is_ended: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,7 +226,7 @@ class MeterProcess(ChildProgram):
             self._take()
         self._take()
         if self._rest.strip():
-            self._records.append(Record(self._clock.now(), self._rest.decode(errors="replace")))
+            self._records.append(Record(self._clock.now(), self._rest.decode(errors="replace"), is_ended=False))
 
     def _take(self) -> None:
         try:

@@ -187,7 +187,7 @@ class OnBoardSampler(Generic[S_co]):
         """Say how it went; to be asked after `stop`."""
         return SamplingReport(
             rate=self._rate,
-            problems=tuple(self._problems),
+            problems=(*self._problems, *self._clock.doubts()),
             clock=self._clock,
             cpu_seconds=self._cpu_seconds,
             form=FORMS[self._session.form].description,

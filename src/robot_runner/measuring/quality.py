@@ -104,7 +104,7 @@ _OWN_SHARE = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Jitter:
-    """How far the times between two samples are from their median, s: half of them are no further than `p50`.
+    """How far the times between two samples are from their median, s: at least half of them are no further than `p50`.
 
     Example:
         >>> jitter_of([0.0, 1.0, 2.0, 3.5])
@@ -269,10 +269,10 @@ def jitter_of(times: Sequence[float]) -> Jitter | None:
     intervals = sorted(later - sooner for sooner, later in pairwise(times))
     if not intervals:
         return None
-    last = len(intervals) - 1
-    median = intervals[round(last / 2)]
+    count = len(intervals)
+    median = intervals[round((count - 1) / 2)]
     deviations = sorted(abs(interval - median) for interval in intervals)
-    return Jitter(*(deviations[round(last * percent / 100)] for percent in (50, 95, 99)))
+    return Jitter(*(deviations[-(-count * percent // 100) - 1] for percent in (50, 95, 99)))  # the nearest rank
 
 
 _FILE = "quality.json"

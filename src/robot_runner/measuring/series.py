@@ -6,11 +6,16 @@ import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, pairwise
 from operator import le
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.window import Window
+
+#: By how many times between changes a renewal is recognised, and how far these may differ, as a share of their mean.
+_EVEN_CHANGES, _EVENNESS = 2, 0.1
+#: Or how far, in times between two readings, where more of them are.
+_SLACK = 1.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +130,27 @@ def growth(counter: Series, window: Window) -> float | None:
         return None
     seen = counted.times[-1] - counted.times[0]
     return (counted.values[-1] - counted.values[0]) * window.duration / seen
+
+
+def renewed_every(series: Series) -> float | None:
+    """Return how far the changes of a series are apart, s, where they are evenly so; None otherwise, or for too few.
+
+    So is what a meter renews less often than it is read.
+
+    Example:
+        >>> renewed_every(Series([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [7.5, 7.5, 7.6, 7.6, 7.4, 7.4, 7.5]))
+        2.0
+    """
+    times, values = series.times, series.values
+    changes = [times[place] for place in range(1, len(series)) if values[place] != values[place - 1]]
+    apart = [later - sooner for sooner, later in pairwise(changes)]
+    if len(apart) < _EVEN_CHANGES:
+        return None
+    every, spread = math.fsum(apart) / len(apart), max(apart) - min(apart)
+    # A change is seen at the next reading only, so that times between changes may differ by as much.
+    reading = (times[-1] - times[0]) / (len(series) - 1)
+    is_even = spread <= _EVENNESS * every or (len(apart) > _EVEN_CHANGES and spread <= _SLACK * reading)
+    return every if is_even else None
 
 
 def mean(series: Series) -> float | None:

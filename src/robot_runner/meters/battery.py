@@ -6,6 +6,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import ClassVar
 
 from robot_runner.core.errors import Finding
@@ -23,6 +24,8 @@ from robot_runner.meters.parameter_checks import check_positive
 _TYPE = "sensor_msgs/BatteryState"
 #: Above this share a state of charge is told in percent; boards that reckon it from the voltage exceed 1 by little.
 _FULLEST = 1.5
+#: Steps of a state of charge are coarse beyond this share of what was used; they show by so many alike messages.
+_COARSE, _STAYS = 0.1, 3
 _FIX = "Look at the topic, with `ros2 topic hz` or `rostopic hz`, before you use this run."
 _FIX_MESSAGES = "Look at its messages, with `ros2 topic echo` or `rostopic echo`, before you use this run."
 
@@ -58,8 +61,13 @@ class _Heard:
         """Whether any current was told of: boards that do not measure it say NaN, or 0 throughout."""
         return any(math.isfinite(value) and value for value in self.current)
 
+    @property
+    def volts(self) -> list[float]:
+        """The voltages; NaN for 0, which no robot lives on: drivers say so before they have measured, or do not."""
+        return [value or math.nan for value in self.voltage]
+
     def power(self) -> Series:
-        watts = [volts * amperes for volts, amperes in zip(self.voltage, self.current, strict=True)]
+        watts = [volts * amperes for volts, amperes in zip(self.volts, self.current, strict=True)]
         return self.series(watts) if self.measures_current else Series([], [])
 
 
@@ -185,7 +193,7 @@ class Battery(Profiler):
     def _doubts(self, heard: _Heard, window: Window) -> Iterator[tuple[str, Sequence[str]]]:
         """Yield what is doubtful about what the robot says, and about which measures."""
         told = (
-            ("voltage", heard.series(heard.voltage), ("MeanVoltage", "MinVoltage")),
+            ("voltage", heard.series(heard.volts), ("MeanVoltage", "MinVoltage")),
             ("charge", heard.series(heard.charge), ("ChargeUsed",)),
             ("current", heard.power(), ("Energy",)),
         )
@@ -193,14 +201,21 @@ class Battery(Profiler):
         for quantity, series, names in told:
             if is_sufficient and len(series) and not len(sufficient(series, window, self.rate_hz)):
                 missing = len(heard.times) - len(series)
-                yield f"the battery's {quantity} was NaN in {missing} of {len(heard.times)} messages: no value", names
+                what = "NaN or 0" if quantity == "voltage" else "NaN"
+                some = f"{missing} of {len(heard.times)} messages"
+                yield f"the battery's {quantity} was {what} in {some}: no value", names
         fullest = max(heard.series(heard.charge).values, default=0.0) / 100
         if fullest > _FULLEST:
             yield (
                 f"the robot says percentage = {fullest:.3g}, where {_TYPE} has 0 to 1: ChargeUsed may be 100-fold",
                 ("ChargeUsed",),
             )
-        joules = self._values(heard, window).get("Energy")
+        values = self._values(heard, window)
+        used, step = values.get("ChargeUsed"), _step(heard.series(heard.charge).values)
+        if used and step > _COARSE * abs(used):
+            off = f"{100 * step / abs(used):.0f} %"
+            yield f"the charge is told in steps of {step:.2g} %: ChargeUsed may be off by {off}", ("ChargeUsed",)
+        joules = values.get("Energy")
         if joules is not None and joules < 0:
             yield (
                 f"the energy is {joules:.4g} J: the robot tells its current with the wrong sign, or was charged",
@@ -213,7 +228,7 @@ class Battery(Profiler):
             return {}
         voltage, power = (
             cut(sufficient(series, window, self.rate_hz), window, reach=window.duration)
-            for series in (heard.series(heard.voltage), heard.power())
+            for series in (heard.series(heard.volts), heard.power())
         )
         # Beyond the outermost messages it goes on as on average: what is used until the first one counts, too.
         charged = growth(sufficient(heard.series(heard.charge), window, self.rate_hz), window)
@@ -223,6 +238,13 @@ class Battery(Profiler):
             "ChargeUsed": None if charged is None else 0.0 - charged,
             "Energy": integrate(power),
         }
+
+
+def _step(values: Sequence[float]) -> float:
+    """Return in which steps values are told that stay the same for several messages; 0 where they do not."""
+    told = sorted({round(value, 6) for value in values})
+    stays = len(told) > 1 and len(values) >= _STAYS * len(told)
+    return min(later - sooner for sooner, later in pairwise(told)) if stays else 0.0
 
 
 def _finite(values: Sequence[float]) -> list[float | None]:

@@ -302,7 +302,9 @@ class CommandProfiler(Profiler):
         }
 
     def _read(self, records: Sequence[Record], window: Window, sampled: Window, ending: Ending) -> Measured:
-        parsed = self._parse([record.text for record in records])
+        parsed = list(self._parse([record.text for record in records]))
+        if self._separator == "\n" and any(parsed[:-1]) and not records[-1].is_ended:
+            parsed[-1] = None  # half a number would pass for one where the program died in the middle of a line
         pairs = [(row, record) for row, record in zip(parsed, records, strict=True) if row is not None]
         rows = [row for row, _ in pairs]
         received = [record.received_at for _, record in pairs]

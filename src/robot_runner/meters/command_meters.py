@@ -1,4 +1,4 @@
-"""powermetrics, which comes with macOS."""
+"""Programs that measure the energy of this computer: EnergiBridge, PowerJoular, and macOS' powermetrics."""
 
 from __future__ import annotations
 
@@ -11,19 +11,25 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
-from robot_runner.core.errors import Finding
+from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.plugin import Circumstances
 from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_findings
 from robot_runner.meters.command import CommandProfiler, Measured
 from robot_runner.meters.command_output import Aggregate, CommandColumn, Row, TimeColumn, TimeKind, parse_csv
 from robot_runner.meters.parameter_checks import check_list, check_positive
-from robot_runner.meters.rapl import POWERCAP, permission_findings
+from robot_runner.meters.rapl import POWERCAP, find_domains, permission_findings
+
+#: What is not what it is called in a run's values, where CPU and memory are.
+_OF_ENERGY = ("Energy", "MeanPower")
 
 #: Where the energy of the processor is, in the order of EnergiBridge's own summary (src/main.rs): power in W of Apple's
 #: processors, else a counter in J.
 _POWERS = ("CPU_POWER (Watts)", "SYSTEM_POWER (Watts)")
 _COUNTERS = ("CPU_ENERGY (J)", "PACKAGE_ENERGY (J)")
+#: All that the Macs with Apple's own processors tell (src/cpu/apple.rs): the power of the whole computer.
+_WHOLE = "SYSTEM_POWER (Watts)"
 #: A counter that falls by more than this share of itself has begun at 0 again; its range is a power of two in joules.
 _WRAP = 0.5
 #: By itself if it grew by less than this share of what it last showed: in 65536 J that is 16 kJ, in a row or two.
@@ -32,23 +38,23 @@ _INSTALL = "Build it from https://github.com/tdurieux/EnergiBridge (cargo build 
 
 
 def parse_energibridge(records: Sequence[str]) -> list[Row | None]:
-    """Return rows with the time, the energy so far (J), and CPU and memory utilisation (%).
+    """Return rows with the time, the energy so far (J), CPU and memory utilisation (%), and whose energy it is.
 
     Example:
         >>> rows = parse_energibridge(["Delta,Time,CPU_ENERGY (J),CPU_USAGE_0", "0,1000,50.0,20", "200,1200,51.5,30"])
         >>> rows[-1]
-        {'Time': 1200.0, 'energy_J': 1.5, 'cpu_percent': 30.0, 'memory_percent': None}
+        {'Time': 1200.0, 'energy_J': 1.5, 'cpu_percent': 30.0, 'memory_percent': None, 'told': 'CPU_ENERGY (J)'}
     """
     rows: list[Row | None] = []
     sooner: Row | None = None
     joules = 0.0
     for row in parse_csv(records):
         if row is not None:
-            tells_energy = any(row.get(name) for name in (*_POWERS, *_COUNTERS))
-            if tells_energy:
+            told = next((name for name in (*_POWERS, *_COUNTERS) if row.get(name)), None)
+            if told:
                 joules += _joules_between(sooner, row) if sooner is not None else 0.0
                 sooner = row
-            row = _summary(row, joules if tells_energy else None)  # noqa: PLW2901 - the row as it is passed on
+            row = {**_summary(row, joules if told else None), "told": told}  # noqa: PLW2901 - the row as it is passed on
         rows.append(row)
     return rows
 
@@ -96,6 +102,7 @@ class EnergiBridge(CommandProfiler):
         interval_ms: time between two rows, ms; at least 200 for its CPU utilisation to be true.
         program: the program, if it is not on the PATH.
         devices: where the model-specific registers are.
+        cores: where the kernel tells to which processor each core belongs.
 
     Raises:
         PluginError: the interval is not positive.
@@ -122,6 +129,7 @@ class EnergiBridge(CommandProfiler):
         interval_ms: int = 200,
         program: str = "energibridge",
         devices: Path = Path("/dev/cpu"),
+        cores: Path = Path("/sys/devices/system/cpu"),
     ) -> None:
         check_positive(name or "EnergiBridge", interval_ms=interval_ms)
         sources = ("energy_J", "energy_J", "cpu_percent", "memory_percent")
@@ -141,6 +149,7 @@ class EnergiBridge(CommandProfiler):
             install=_INSTALL,
         )
         self.devices = devices
+        self.cores = cores
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no program, or no right to read the registers."""
@@ -151,8 +160,24 @@ class EnergiBridge(CommandProfiler):
             findings.append(Finding.error(f"plugin {self.name}", f"{registers} cannot be read", fix))
         return findings
 
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish the values, and say where the energy is not that of the processor, or not of all of them."""
+        told = {row["told"] for row in self._measured.rows} if self._measured is not None else set()
+        if _WHOLE in told:
+            problem = f"the power is that of the whole computer ({_WHOLE}): this Mac tells none of its processor"
+            context.doubt(problem, fix="Compare it with such values only, or use Powermetrics.", measures=_OF_ENERGY)
+        # It reads the registers of core 0, and on AMD's of further ones, whose last processor stands (src/cpu/*.rs).
+        processors = {
+            file.read_text(encoding="ascii") for file in self.cores.glob("cpu[0-9]*/topology/physical_package_id")
+        }
+        if len(processors) > 1 and told.intersection(_COUNTERS):
+            problem = f"EnergiBridge reads one processor, and this machine has {len(processors)}"
+            context.doubt(problem, fix="Use Rapl, which adds them up.", measures=_OF_ENERGY)
+        super().populate_run_data(context)
 
-_POWER = "Total Power"
+
+_POWER, _GPU_POWER = "Total Power", "GPU Power"
+_USE_RAPL = "Use Rapl, which measures all packages and nothing else."
 _POWERJOULAR_INSTALL = "Build it from https://github.com/joular/powerjoular, and put it on the PATH."
 #: Boards whose device tree has a model: their power is the result of a regression model (PowerJoular's README).
 _BOARD = Path("/proc/device-tree/model")
@@ -172,8 +197,9 @@ def parse_powerjoular(records: Sequence[str]) -> list[Row | None]:
 class PowerJoular(CommandProfiler):
     """Measures power of the processor (and of an NVIDIA GPU) of this machine with PowerJoular, once a second.
 
-    On a Raspberry Pi or an Asus Tinker Board, PowerJoular estimates from CPU utilisation by a regression model; there
-    the values are labelled as estimated.
+    The processor is package 0, with the memory where that is its third domain. On a machine with a counter of the whole
+    platform (psys), as many laptops have, the power is the platform's, and doubted. On a Raspberry Pi or an Asus Tinker
+    Board, PowerJoular estimates from CPU utilisation by a regression model; there the values are labelled as estimated.
 
     Args:
         name: tells several instances apart; the class's name if left out.
@@ -229,7 +255,36 @@ class PowerJoular(CommandProfiler):
         findings = [*super().check(circumstances), *simulation_findings(self.name, circumstances.robot)]
         if self.origin is Origin.MEASURED and "-m" not in self.command:
             findings += permission_findings(self.name, self.powercap, ("package",))
-        return findings
+        where = f"plugin {self.name}"
+        return [*findings, *(Finding.warning(where, problem, _USE_RAPL) for problem in self._misread())]
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish the values, and say where the energy is not the processor's, or not that of all, or lacks the GPU."""
+        for problem in self._misread() if self._measured is not None else ():
+            context.doubt(problem, fix=_USE_RAPL, measures=_OF_ENERGY)
+        rows = self._measured.rows if self._measured is not None else ()
+        powers = CommandColumn(_GPU_POWER, self.measures[1]).values(rows)
+        if any(powers) and (silent := powers.count(0.0)):
+            # It adds 0 W where nvidia-smi fails, or one of several GPUs answers no number (src/nvidia_smi.adb).
+            problem = f"the GPU told no power in {silent} of {len(powers)} rows, which lack it"
+            context.doubt(problem, fix="Look what `nvidia-smi` says.", measures=_OF_ENERGY)
+        super().populate_run_data(context)
+
+    def _misread(self) -> list[str]:
+        """Return where PowerJoular reads another counter than one would think (src/intel_rapl_sysfs.adb)."""
+        try:
+            kinds = [domain.kind for domain in find_domains(self.powercap)]
+            second = self.powercap / "intel-rapl:1" / "name"
+            is_platform = second.exists() and second.read_text(encoding="ascii").strip() == "psys"
+        except (OSError, PluginError):
+            return []
+        if self.origin is not Origin.MEASURED or "-m" in self.command:
+            return []
+        if is_platform:
+            return ["PowerJoular reads the counter of the whole platform (psys) on this machine, not the processor's"]
+        packages = kinds.count("package")
+        told = f"PowerJoular reads package-0 alone, and this machine has {packages} packages"
+        return [told] if packages > 1 else []
 
     def doubts(self, measured: Measured) -> Iterable[str]:
         """Yield what is doubtful, and that it found nothing to measure."""

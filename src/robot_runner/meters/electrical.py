@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.quality import Column, quality_of
-from robot_runner.measuring.series import Series, cut, energy, growth, mean
+from robot_runner.measuring.series import Series, cut, energy, growth, mean, renewed_every
 from robot_runner.meters.counters import fall_count, unwrapped
 from robot_runner.meters.polled import PolledProfiler
 
@@ -22,6 +22,8 @@ _FINE = 0.005
 #: A stretch of equal readings is doubted where it is this long, and fills this share of the window. A converter of ten
 #: bits and more shows its own noise in one of three quantities far sooner.
 _STUCK_READINGS, _STUCK_SHARE = 30, 0.2
+#: Power is renewed seldom where that takes so many readings, and this share of the window.
+_SELDOM_READINGS, _SELDOM_SHARE = 3, 0.05
 
 
 class ElectricalReading(NamedTuple):
@@ -194,6 +196,8 @@ class ElectricalProfiler(PolledProfiler[Readings]):
             yield f"the energy counter{{of}} rose by {counted:.4g} J, and may be behind by {blur:.3g} J at either end"
         if integral is not None and integral < 0:
             yield f"the energy{{of}} is {integral:.4g} J: the meter is the wrong way round, or the load feeds back"
+        if self._energy(sampling, place)[1] == "power":
+            yield from _seldom_renewed(sampling, place)
         yield from _stuck(sampling, place)
         yield from _partly_told(sampling, place)
 
@@ -228,6 +232,12 @@ def _partly_told(sampling: Sampling[Readings], place: int) -> Iterator[str]:
 
 def _falls(sampling: Sampling[Readings], place: int) -> int:
     return fall_count(_series(sampling.within(), place, "joules").values)
+
+
+def _seldom_renewed(sampling: Sampling[Readings], place: int) -> Iterator[str]:
+    every = renewed_every(_series(sampling.within(), place, "power")) or 0.0
+    if every * sampling.rate >= _SELDOM_READINGS and every > _SELDOM_SHARE * sampling.window.duration:
+        yield f"the meter renews its power{{of}} every {every:.1f} s only: the energy lacks what changed in between"
 
 
 def _stuck(sampling: Sampling[Readings], place: int) -> Iterator[str]:

@@ -12,7 +12,7 @@ from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.measured_machine import simulation_findings
-from robot_runner.measuring.quality import Column
+from robot_runner.measuring.quality import Column, sufficient
 from robot_runner.measuring.series import Series, cut, energy, growth, mean
 from robot_runner.meters.counters import fall_count
 from robot_runner.meters.parameter_checks import check_list
@@ -189,8 +189,13 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
         }
 
     def doubts(self, sampling: Sampling[tuple[GpuReading, ...]]) -> Iterator[str]:
-        """Yield where an energy counter stood still while power was drawn."""
+        """Yield where an energy counter stood still while power was drawn, and what was told for a part of the time."""
+        within = sampling.within()
         for place, gpu in enumerate(self.gpus or range(len(self._names))):
+            for quantity, word in _WORDS.items():
+                told, count = len(_known(within, place, quantity)), len(within.readings)
+                if 0 < told < count and not len(_series(sampling, place, quantity)):
+                    yield f"the {word} of GPU {gpu} was told in {told} of {count} readings only"
             if self._counted(sampling, place) == 0 and self._energy(sampling, place):
                 yield f"the energy counter of GPU {gpu} stood still: its energy is the integral of its power"
 
@@ -213,8 +218,17 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
         return mean(cut(_series(sampling, place, quantity), sampling.window))
 
 
-def _series(sampling: Sampling[tuple[GpuReading, ...]], place: int, quantity: str) -> Series:
+#: What the quantities of a reading are called.
+_WORDS = {"power": "power", "joules": "energy", "utilisation": "utilisation", "memory": "memory"}
+
+
+def _known(sampling: Sampling[tuple[GpuReading, ...]], place: int, quantity: str) -> Series:
     return known_series(sampling, lambda reading: getattr(reading[place], quantity))
+
+
+def _series(sampling: Sampling[tuple[GpuReading, ...]], place: int, quantity: str) -> Series:
+    """Return one quantity of a GPU where it was told for enough of the window, else nothing."""
+    return sufficient(_known(sampling, place, quantity), sampling.window, sampling.rate)
 
 
 def _total(values: Sequence[float | None]) -> float | None:

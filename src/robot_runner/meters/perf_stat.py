@@ -28,7 +28,13 @@ _OF_SECOND = MappingProxyType(
     {"task-clock": 1e-3, "cpu-clock": 1e-3, "duration_time": 1e-9, "user_time": 1e-9, "system_time": 1e-9}
 )
 _SEPARATOR = ";"  # events may have commas in their names
+_COUNTED = " counted"
 _NOT_SUPPORTED, _NOT_COUNTED = "<not supported>", "<not counted>"
+#: What perf takes from the resources of its own child once that has ended: in intervals it never knows them, and writes
+#: `<not counted>` with 100 % however busy the machine is (perf 6.1; later ones read them from /proc).
+_OF_ITS_CHILD = ("user_time", "system_time")
+#: perf 6.1 counts it once for each thread of a process, and 7.2 not at all beside other events.
+_DURATION = "duration_time"
 _TRIAL_SECONDS = 10.0
 #: The highest /proc/sys/kernel/perf_event_paranoid with which a user may count on all processors (man perf_event_open).
 _MOST_PARANOID = 0
@@ -39,6 +45,7 @@ def parse_perf(records: Sequence[str]) -> list[Row | None]:
 
     perf writes `<not counted>` in two cases (tools/perf/util/stat-display.c): with 100 %, the process did not execute
     in the interval, and nothing happened; with less, other events had the counters, and nobody knows what happened.
+    Nor does anybody of user_time and system_time, which perf itself does not count in intervals.
 
     Example:
         >>> parse_perf(["     1.000116;2003.19;msec;task-clock;2003192961;100.00;2.000;CPUs utilized"])
@@ -46,7 +53,20 @@ def parse_perf(records: Sequence[str]) -> list[Row | None]:
         >>> parse_perf(["     1.000116;<not supported>;;cycles;0;100.00;;"])
         [{'span': '1.000116', 'cycles': None, 'cycles counted': None}]
     """
-    return [_row(record.split(_SEPARATOR)) for record in records]
+    rows: list[Row | None] = []
+    before = now = 0.0
+    for record in records:
+        row = _row(record.split(_SEPARATOR))
+        if row is not None and (span := float(row["span"] or 0)) != now:
+            before, now = now, span
+        rows.append(row and {**row, **_timed(row, now - before)})
+    return rows
+
+
+def _timed(row: Row, seconds: float) -> Row:
+    """Return how long an interval took where a row tells of that: its ends are right where perf's count is not."""
+    told = [name for name in row if name.startswith(_DURATION) and not name.endswith(_COUNTED)]
+    return dict.fromkeys(told, f"{seconds / _OF_SECOND[_DURATION]:.0f}")
 
 
 def _row(cells: Sequence[str]) -> Row | None:
@@ -55,10 +75,11 @@ def _row(cells: Sequence[str]) -> Row | None:
     time, count, _, event, _, share = (cell.strip() for cell in cells[:6])
     count, share = count.replace(",", "."), share.replace(",", ".")  # perf writes the decimal sign of the language
     if count == _NOT_SUPPORTED:
-        return {"span": time, event: None, f"{event} counted": None}
+        return {"span": time, event: None, event + _COUNTED: None}
     if count == _NOT_COUNTED:
-        return {"span": time, event: "0" if float(share or 0) >= _ALL_TIME else None, f"{event} counted": share}
-    return {"span": time, event: count, f"{event} counted": share}
+        is_nothing = float(share or 0) >= _ALL_TIME and not event.startswith(_OF_ITS_CHILD)
+        return {"span": time, event: "0" if is_nothing else None, event + _COUNTED: share}
+    return {"span": time, event: count, event + _COUNTED: share}
 
 
 class PerfStat(CommandProfiler):
@@ -130,7 +151,7 @@ class PerfStat(CommandProfiler):
         yield from super().doubts(measured)
         for event in self.events:
             told = [row[event] for row in measured.rows if event in row]
-            shares = [float(share) for row in measured.rows if (share := row.get(f"{event} counted"))]
+            shares = [float(share) for row in measured.rows if (share := row.get(event + _COUNTED))]
             if told and not shares:
                 yield f"this machine cannot count {event!r}"
             elif shares and min(shares) < _FULL_TIME:
@@ -167,7 +188,14 @@ class PerfStat(CommandProfiler):
             return [Finding.error(where, f"perf refuses: {said}", "Choose events that `perf list` names.")]
         refused = [event for event in self.events if f"{_NOT_SUPPORTED};;{event};" in trial.stderr]
         problem = "this machine cannot count"
-        return [Finding.warning(where, f"{problem} {event!r}: no value", "Leave it out.") for event in refused]
+        # Where it may count no more, perf puts `:u` behind an event by itself, and so writes of another one.
+        partial = [event for event in self.events if f";{event}:u;" in trial.stderr and event not in refused]
+        in_part = "may be counted in user space only, without the kernel: no value"
+        fix = "Allow it: sudo sysctl kernel.perf_event_paranoid=1. Or ask for that: {!r}."
+        return [
+            *(Finding.warning(where, f"{problem} {event!r}: no value", "Leave it out.") for event in refused),
+            *(Finding.warning(where, f"{event!r} {in_part}", fix.format(f"{event}:u")) for event in partial),
+        ]
 
 
 def _measure_of(event: str) -> Measure:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -23,6 +24,8 @@ from robot_runner.meters.electrical import ElectricalProfiler, Readings
 from robot_runner.meters.polled import Meter, Sampler
 from robot_runner.meters.sysfs_rails import Rail, choose_rails, find_rails
 
+#: What a battery says of itself that feeds the computer. Source: Linux, Documentation/ABI/testing/sysfs-class-power.
+_DISCHARGING = "Discharging"
 #: Samples whose clock is known to less than this share of the window are doubted, as elsewhere.
 _CLOCK_SHARE = 0.01
 
@@ -104,6 +107,7 @@ class PowerRails(ElectricalProfiler):
         # A row for a mission of 95 s takes some 20 bytes of time and 40 of each rail.
         self.bytes_per_run = round(95 * rate_hz * (20 + 40 * len(channels)))
         self._rails: Sequence[Rail] = ()
+        self._states: set[tuple[str, str]] = set()  # of the batteries among them, at the beginning and at the end
         self._report = SamplingReport(rate=rate_hz)
 
     @property
@@ -136,6 +140,7 @@ class PowerRails(ElectricalProfiler):
         if isinstance(host, RemoteHost):
             host.connect()
         self._rails = choose_rails(find_rails(host, self.root), self.rails, where=self.name)
+        self._states = set(self._statuses(host))
 
     def open(self, context: RobotRunnerContext) -> _LocalRails:
         """Return the rails of this machine."""
@@ -152,6 +157,9 @@ class PowerRails(ElectricalProfiler):
         """Fetch what was sampled."""
         is_first = self._sampling is None
         super().stop_measurement(context)
+        if is_first:
+            with suppress(LinkError):  # where the connection is lost, the report tells
+                self._states.update(self._statuses(self._connected(context)))
         if is_first and isinstance(self._sampler, HostSampler):
             self._report = self._sampler.report()
             if self._report.clock is not None:
@@ -160,6 +168,12 @@ class PowerRails(ElectricalProfiler):
     def doubts(self, sampling: Sampling[Readings]) -> Iterator[str]:
         """Yield what is doubtful about the rails, the connection and the computer's clock."""
         yield from super().doubts(sampling)
+        for rail, status in sorted(self._states):
+            if status != _DISCHARGING:
+                yield (
+                    f"rail {rail!r} is that of a battery whose status was {status!r}: its power may be what goes into "
+                    "it, and not what is drawn"
+                )
         if self.host != LOCAL:
             yield from self._report.problems
             clock = self._report.clock
@@ -173,6 +187,13 @@ class PowerRails(ElectricalProfiler):
             for rail in self._rails
         }
         return {**super().details(), "host": self.host, "rails": files, "form": self._report.form}
+
+    def _statuses(self, host: FileHost) -> Iterator[tuple[str, str]]:
+        batteries = [(rail.name, rail.status) for rail in self._rails if rail.status is not None]
+        if batteries:
+            names, paths = zip(*batteries, strict=True)
+            told = zip(names, host.read_files(paths), strict=True)
+            yield from ((name, status.strip()) for name, status in told if status is not None)
 
     def _counted(self, sampling: Sampling[Readings], place: int) -> float | None:
         """Return what the rail's counter counted; None where an INA228 counted as drawn what flowed back.

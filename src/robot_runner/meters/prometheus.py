@@ -9,6 +9,7 @@ import statistics
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -16,7 +17,7 @@ from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_me
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.quality import Column
-from robot_runner.measuring.series import Series, cut, growth, mean
+from robot_runner.measuring.series import Series, cut, growth, mean, renewed_every
 from robot_runner.meters.counters import fall_count, unwrapped
 from robot_runner.meters.http_requests import HttpDevice, Secret, check_url
 from robot_runner.meters.parameter_checks import check_list, check_positive
@@ -51,6 +52,9 @@ _COMBINATIONS: Mapping[str, Callable[[Sequence[float]], float]] = {
     "max": max,
     "min": min,
 }
+#: A series is renewed seldom where that takes so many scrapes, and this share of the window: at each edge a counter
+#: may be behind by as much, and a gauge says nothing of what happens in between.
+_SELDOM_SCRAPES, _SELDOM_COUNTED, _SELDOM_GAUGED = 3, 0.05, 0.2
 _TEXT_FORMAT = "text/plain;version=0.0.4"
 
 #: The labels of one series, sorted.
@@ -293,6 +297,13 @@ class Prometheus(PolledProfiler[Scrape]):
             if metric.counts and any(falls):
                 yield f"{metric.selector} was set back, as by a restart: what it counted shortly before that is lost"
             partial = sum(len(_series(sampling, place, each)) < len(sampling.readings) for each in labels)
+            renewals = [every for each in labels if (every := _renewed_every(_series(sampling, place, each)))]
+            share = max(renewals, default=0.0) / (sampling.window.duration or 1.0)
+            is_seldom = share > (_SELDOM_COUNTED if metric.counts else _SELDOM_GAUGED)
+            if is_seldom and max(renewals) >= _SELDOM_SCRAPES / sampling.rate:
+                off = f"its increase may be off by up to {100 * share:.0f} %"
+                few = f"its mean is that of {round(1 / share)} values or so"
+                yield f"{metric.selector} is renewed every {max(renewals):.0f} s only: {off if metric.counts else few}"
             if partial:
                 yield f"{partial} of {len(labels)} series of {metric.selector} were there for a part of the time only"
 
@@ -324,6 +335,15 @@ def _all_labels(sampling: Sampling[Scrape], place: int) -> list[Labels]:
 
 def _series(sampling: Sampling[Scrape], place: int, labels: Labels) -> Series:
     return known_series(sampling, lambda scrape: scrape[place].get(labels))
+
+
+def _renewed_every(series: Series) -> float | None:
+    """Return how often an exporter renews a series, s, where it does so seldom; None for what counts events one by one.
+
+    Exporters such as DCGM's show what they collected last, by default up to 30 s ago.
+    """
+    steps = {later - sooner for sooner, later in pairwise(series.values) if later != sooner}
+    return None if steps == {1} else renewed_every(series)
 
 
 def _metric_findings(where: str, metric: ScrapedMetric, families: Sequence[Any]) -> Iterator[Finding]:

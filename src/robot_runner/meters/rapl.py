@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -29,7 +30,13 @@ _FOLDER = re.compile(r"intel-rapl:\d+(:\d+)?")
 #: What may be measured besides the packages.
 _KINDS = {"core": "the cores", "uncore": "the graphics unit", "dram": "the memory", "psys": "the whole platform"}
 _MAY_REST = "uncore"
+#: Whose core counters (MSR_AMD_CORE_ENERGY_STATUS) are one for each core. Linux' powercap shows a single one for a
+#: package, as on Intel's processors: that of the core on which it happens to read (drivers/powercap/intel_rapl_msr.c).
+_OF_ONE_CORE = ("AuthenticAMD", "HygonGenuine")
+_LEAVE_OUT = "Leave 'core' out."
+_ONE_CORE = "the counter `core` of an AMD processor is that of one of its cores: no value"
 _MICRO = 1e-6
+_FIRST_LINES = 10  # of /proc/cpuinfo: the vendor stands in the second
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +119,7 @@ class Rapl(PolledProfiler[Counters]):
         domains: what to measure besides the packages: `core`, `uncore`, `dram`, `psys`, as far as the machine has them.
         rate_hz: readings a second, Hz; often enough to notice that a counter began at 0 again.
         root: where the counters are.
+        cpuinfo: the file that tells who made the processor.
 
     Raises:
         PluginError: there is no such domain, or the rate is not positive.
@@ -141,6 +149,7 @@ class Rapl(PolledProfiler[Counters]):
         domains: Sequence[str] = (),
         rate_hz: float = 10.0,
         root: str | Path = POWERCAP,
+        cpuinfo: str | Path = "/proc/cpuinfo",
     ) -> None:
         super().__init__(name=name, rate_hz=rate_hz)
         check_list(self.name, domains=domains)
@@ -149,12 +158,15 @@ class Rapl(PolledProfiler[Counters]):
                 raise PluginError(f"there is no domain {kind!r}", where=self.name, fix=did_you_mean(kind, _KINDS))
         self.domains = tuple(dict.fromkeys(domains))
         self.root = Path(root)
+        self.cpuinfo = Path(cpuinfo)
         self.measures = (*type(self).measures, *map(_measure_of, self.domains))
         self._domains: list[Domain] = []
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no counters, not this domain, or no right to read them."""
         findings = permission_findings(self.name, self.root, ("package", *self.domains))
+        if self._tells_of_one_core():
+            findings.append(Finding.warning(f"plugin {self.name}", _ONE_CORE, _LEAVE_OUT))
         return [*findings, *simulation_findings(self.name, circumstances.robot)]
 
     def open(self, context: RobotRunnerContext) -> FileCounters:
@@ -176,6 +188,12 @@ class Rapl(PolledProfiler[Counters]):
             Column(f"{each.label}_uJ", list(count), "%d") for each, count in zip(self._domains, counts, strict=True)
         ]
 
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish the measures, and say where one has no value whatever is read."""
+        if self._tells_of_one_core():
+            context.doubt(_ONE_CORE, fix=_LEAVE_OUT, measures=[_measure_of("core").name])
+        super().populate_run_data(context)
+
     def values(self, sampling: Sampling[Counters]) -> Mapping[str, float | None]:
         """Return the energy of each kind of domain, and the mean power of the packages."""
         by_kind: dict[str, list[float]] = {kind: [] for kind in ("package", *self.domains)}
@@ -186,6 +204,8 @@ class Rapl(PolledProfiler[Counters]):
             by_kind[domain.kind].append(counted * _MICRO)
         # A counter that stood still is dead, but for the graphics unit's, which may have had nothing to do.
         joules = {kind: sum(each) for kind, each in by_kind.items() if all(each) or kind == _MAY_REST}
+        if self._tells_of_one_core():
+            joules.pop("core", None)
         told = {_measure_of(kind).name: joules.get(kind) for kind in self.domains}
         energy = joules.get("package")
         return {"Energy": energy, "MeanPower": energy and energy / sampling.window.duration, **told}
@@ -198,6 +218,12 @@ class Rapl(PolledProfiler[Counters]):
                 yield f"the counter of {domain.label} stood still at {within[0][place]} uJ: no value"
             if fall_count([reading[place] for reading in within], domain.wraps_at):
                 yield f"the counter of {domain.label} was set back: what it counted shortly before that is lost"
+
+    def _tells_of_one_core(self) -> bool:
+        if "core" not in self.domains or not self.cpuinfo.is_file():
+            return False
+        with self.cpuinfo.open(encoding="utf-8", errors="replace") as file:
+            return any(vendor in line for line in islice(file, _FIRST_LINES) for vendor in _OF_ONE_CORE)
 
     def details(self) -> Mapping[str, Any]:
         """Return which domains were read, and where their counters begin at 0 again."""

@@ -48,6 +48,7 @@ class Rail:
         name: the driver's label such as `VDD_IN`, else the chip's name; unique on its computer.
         chip: the driver's name for the chip, such as `ina3221`.
         files: a file for each quantity that is shown: `power`, `voltage`, `current`, `joules`.
+        status: of the supply of a battery, the file that says whether it is discharged; None for any other.
 
     Example:
         >>> rail = Rail("VDD_IN", "ina3221", {"voltage": RailFile("in1", 1e-3), "current": RailFile("curr1", 1e-3)})
@@ -58,6 +59,7 @@ class Rail:
     name: str
     chip: str
     files: Mapping[str, RailFile]
+    status: str | None = None
 
     @property
     def tells_power(self) -> bool:
@@ -101,8 +103,8 @@ def find_rails(host: FileHost, root: str = "/sys") -> list[Rail]:
     """
     hwmon = _files_of(host, f"{root}/class/hwmon/hwmon*", ("name", "*_input", "*_average", "*_label"))
     iio = _files_of(host, f"{root}/bus/iio/devices/iio:device*", ("name", "in_*", "rail_name_*"))
-    addresses = _addresses(host, root)
-    found: list[tuple[Sequence[str], str, Mapping[str, RailFile]]] = []
+    addresses, batteries = _addresses(host, root), _batteries(host, root)
+    found: list[tuple[Sequence[str], str, Mapping[str, RailFile], str | None]] = []
     for devices, rails_of in ((hwmon, _hwmon_rails), (iio, _iio_rails)):
         for folder, lines in devices.items():
             device = folder.rpartition("/")[2]
@@ -111,9 +113,9 @@ def find_rails(host: FileHost, root: str = "/sys") -> list[Rail]:
             for fallback, label, files in rails:
                 name = label or (chip if len(rails) == 1 else f"{chip}:{fallback}")
                 placed = f"{name}@{addresses.get(device, device)}"
-                found.append(((name, placed, f"{placed}:{fallback}"), chip, files))
+                found.append(((name, placed, f"{placed}:{fallback}"), chip, files, batteries.get(folder)))
     taken = [name for names, *_ in found for name in names]
-    return [Rail(_first_unique(names, taken), chip, files) for names, chip, files in found]
+    return [Rail(_first_unique(names, taken), chip, files, status) for names, chip, files, status in found]
 
 
 def _first_unique(names: Sequence[str], taken: Sequence[str]) -> str:
@@ -168,6 +170,18 @@ def _addresses(host: FileHost, root: str) -> dict[str, str]:
     bus = f"{root}/bus/i2c/devices"
     paths = [*host.list_files(f"{bus}/*/hwmon/hwmon*/name"), *host.list_files(f"{bus}/*/iio:device*/name")]
     return {path.split("/")[-2]: path.removeprefix(f"{bus}/").partition("/")[0] for path in paths}
+
+
+def _batteries(host: FileHost, root: str) -> dict[str, str]:
+    """Return the file that tells the status of each battery, by its folder of hwmon.
+
+    Their power is a magnitude in most drivers: what goes in looks as what goes out. Source: Linux,
+    Documentation/ABI/testing/sysfs-class-power.
+    """
+    types = host.list_files(f"{root}/class/hwmon/hwmon*/device/type")
+    told = zip(types, host.read_files(types) if types else (), strict=True)
+    devices = [path.removesuffix("/type") for path, kind in told if (kind or "").strip() == "Battery"]
+    return {device.removesuffix("/device"): f"{device}/status" for device in devices}
 
 
 #: A rail before it has a name that is its own: what to call it where it has no label, its label, and its files.

@@ -208,6 +208,16 @@ class TransformBuffer:
         found = from_target.inverse().after(to_common)
         return Transform(found.translation, found.rotation, time if moving else None)
 
+    def between(self, target: str, source: str) -> Sequence[str]:
+        """Return the frames whose places in their parents make up where `source` is in `target`.
+
+        Raises:
+            LinkError: they are not connected.
+        """
+        with self._lock:
+            up, down = self._way(source.lstrip("/"), target.lstrip("/"))
+        return [*up, *down]
+
     def can_look_up(self, target: str, source: str, time: float | None = None) -> bool:
         """Whether `look_up` would return a transform."""
         with suppress(LinkError):

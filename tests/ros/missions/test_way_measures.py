@@ -103,6 +103,29 @@ def test_a_scanner_without_a_greatest_range_sees_no_obstacle_at_infinity(tmp_pat
     assert way.end_mission(context) == {"ClosestObstacle": None}
 
 
+@pytest.mark.parametrize("silent_from", [0.0, 4.0, 12.0])
+def test_a_scanner_that_was_silent_for_a_part_of_the_mission_makes_the_closest_obstacle_doubtful(
+    tmp_path: Path, silent_from: float
+) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+    scan = {"range_min": 0.12, "range_max": 3.5, "ranges": [0.5]}
+    clock.every(0.2, lambda: None if silent_from < clock.now() < silent_from + 3.0 else link.deliver("scan", scan))
+    way = WayMeasures(None, "scan", None, where="Go")
+    way.begin(link, context := _context(tmp_path, clock, link), timeout=1.0)
+    way.begin_mission()
+    clock.sleep(15.0)
+    assert way.end_mission(context) == {"ClosestObstacle": 0.5}
+    (doubt,) = context.broker.findings
+    assert "no laser scan came on 'scan' for 3.0 s of the mission" in doubt.problem
+
+
+def test_a_range_of_zero_is_no_obstacle_though_the_scanner_names_no_least_range(tmp_path: Path) -> None:
+    way, link, context = _scanning(tmp_path)  # as drivers that have 0 for no echo
+    link.deliver("scan", {"range_min": 0.0, "range_max": 12.0, "ranges": [0.0, 0.7, 0.0]})
+    assert way.end_mission(context) == {"ClosestObstacle": 0.7}
+
+
 def test_an_obstacle_that_was_too_near_to_measure_makes_the_closest_one_doubtful(tmp_path: Path) -> None:
     way, link, context = _scanning(tmp_path)
     for ranges in ([0.8, 0.5], [0.8, -math.inf]):
@@ -188,7 +211,13 @@ def test_a_way_is_doubted_where_its_time_goes_back_as_by_a_reset_or_a_bag_that_l
     assert "went back by 4.9 s during the mission" in doubt.problem
 
 
-def _way_of(tmp_path: Path, place: Callable[[float], float], *, by_tf: bool = False) -> tuple[Any, Sequence[Finding]]:
+def _way_of(
+    tmp_path: Path,
+    place: Callable[[float], float],
+    *,
+    by_tf: bool = False,
+    is_told: Callable[[float], bool] = lambda time: True,
+) -> tuple[Any, Sequence[Finding]]:
     """Return the way of a robot that is at `place(time)` on the x axis, told 50 times a second, and what is doubted."""
     clock = FakeClock()
     link = FakeRobotLink(clock)
@@ -196,6 +225,8 @@ def _way_of(tmp_path: Path, place: Callable[[float], float], *, by_tf: bool = Fa
     def tell() -> None:
         told = _transform("odom", "base_link", x := place(clock.now()), clock.now())
         pose = {"position": {"x": x, "y": 0.0, "z": 0.0}, "orientation": told["transform"]["rotation"]}
+        if not is_told(clock.now()):
+            return
         link.deliver("/tf", {"transforms": [told]})
         link.deliver("odom", {**told, "pose": {"pose": pose}})
 
@@ -215,9 +246,79 @@ def test_a_way_that_is_the_noise_of_a_standing_robot_is_doubted(tmp_path: Path, 
 
 
 @pytest.mark.parametrize("by_tf", [False, True])
+@pytest.mark.parametrize("width", [0.4, 1.5])
+def test_a_way_that_goes_to_and_fro_all_the_time_is_doubted_however_wide(
+    tmp_path: Path, by_tf: bool, width: float
+) -> None:
+    # As by a place from satellites, or two robots that tell the same frames, one after the other.
+    length, (doubt,) = _way_of(tmp_path, lambda time: width * (round(time * 50) % 2), by_tf=by_tf)
+    assert length == pytest.approx(1000 * width, rel=0.01)
+    assert f"{length:.2f} m are made of steps to and fro: by two places a second the way is " in doubt.problem
+
+
+def test_a_way_of_which_two_parents_tell_is_doubted(tmp_path: Path) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+
+    def tell() -> None:
+        for parent in ("odom", "wheels"):
+            link.deliver("/tf", {"transforms": [_transform(parent, "base_link", 0.2 * clock.now(), clock.now())]})
+        link.deliver("/tf", {"transforms": [_transform("map", "odom", 0.0, clock.now())]})
+        link.deliver("/tf", {"transforms": [_transform("map", "wheels", 0.0, clock.now())]})
+
+    clock.every(0.1, tell)
+    way = WayMeasures(None, None, ("map", "base_link"), where="Go")
+    way.begin(link, context := _context(tmp_path, clock, link), timeout=5.0)
+    way.begin_mission()
+    clock.sleep(5.0)
+    way.end_mission(context)
+    assert any("'base_link' has two parents" in each.problem for each in context.broker.findings)
+
+
+@pytest.mark.parametrize("by_tf", [False, True])
 def test_a_way_with_little_noise_is_not_doubted(tmp_path: Path, by_tf: bool) -> None:
     length, findings = _way_of(tmp_path, lambda time: 0.2 * time + 0.0001 * math.sin(997.0 * time), by_tf=by_tf)
     assert length == pytest.approx(4.0, rel=0.01)
+    assert not findings
+
+
+@pytest.mark.parametrize("by_tf", [False, True])
+def test_a_way_of_which_a_part_was_not_told_is_doubted(tmp_path: Path, by_tf: bool) -> None:
+    length, (doubt,) = _way_of(  # to and fro, 0.4 m each second
+        tmp_path, lambda time: 0.2 * math.sin(math.pi * time), by_tf=by_tf, is_told=lambda time: not 5.0 < time < 9.5
+    )
+    assert length == pytest.approx(6.4, abs=0.02)  # where the robot drove 8 m
+    assert "was not told for 4." in doubt.problem
+    assert "in which it changed by 0.20 m" in doubt.problem
+
+
+def test_odometry_that_waited_in_the_network_has_missed_nothing(tmp_path: Path) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+    waiting: list[float] = []
+
+    def tell() -> None:
+        waiting.append(clock.now())
+        while waiting and not 5.0 < clock.now() < 9.5:
+            told = _transform("odom", "base_link", 0.0, time := waiting.pop(0))
+            pose = {"position": {"x": 0.5 * time, "y": 0.0, "z": 0.0}, "orientation": told["transform"]["rotation"]}
+            link.deliver("odom", {**told, "pose": {"pose": pose}})
+
+    clock.every(0.1, tell)
+    way = WayMeasures("odom", None, None, where="Go")
+    way.begin(link, context := _context(tmp_path, clock, link), timeout=5.0)
+    way.begin_mission()
+    clock.sleep(20.0)
+    assert way.end_mission(context)["PathLength"] == pytest.approx(10.0, abs=0.1)
+    assert not context.broker.findings
+
+
+@pytest.mark.parametrize("by_tf", [False, True])
+def test_a_way_of_a_robot_that_stood_while_nothing_was_told_is_not_doubted(tmp_path: Path, by_tf: bool) -> None:
+    length, findings = _way_of(
+        tmp_path, lambda time: 0.2 * min(time, 5.0), by_tf=by_tf, is_told=lambda time: not 5.1 < time < 9.5
+    )
+    assert length == pytest.approx(1.0, abs=0.02)
     assert not findings
 
 

@@ -108,6 +108,29 @@ def test_a_robot_that_does_not_take_the_first_zero_is_made_safe_all_the_same(
     assert link.stands_still
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.005])
+def test_a_way_that_is_made_of_noise_for_more_than_a_fifth_is_doubted(tmp_path: Path, noise: float) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+    link.known_topics = {"cmd_vel": "geometry_msgs/Twist"}
+    x, side = 0.0, 1.0
+
+    def tell() -> None:
+        nonlocal x, side
+        commands = [each.message for each in link.publications if each.topic == "cmd_vel"]
+        x, side = x + 0.05 * (commands[-1]["linear"]["x"] if commands else 0.0), -side
+        odometry = _odometry(clock.now(), x)
+        odometry["pose"]["pose"]["position"]["y"] = noise * side
+        link.deliver("odom", odometry)
+
+    clock.every(0.05, tell)
+    ahead = Waypoints([(1.0, 0.0)])
+    context = make_context(tmp_path, ahead, robot="dds", links=FakeLinks(robot=link), clock=clock)
+    measured = rehearse(context, ahead)
+    doubts = [each.problem for each in context.broker.findings if "small steps to and fro" in each.problem]
+    assert bool(doubts) == (measured["Distance"] > 1.2) == bool(noise)
+
+
 def test_a_robot_that_tells_no_direction_is_not_driven(tmp_path: Path) -> None:
     clock = FakeClock()
     link = FakeRobotLink(clock)

@@ -262,11 +262,7 @@ class ProgressManager:
         )
 
     def look_after_lock(self) -> None:
-        """See that nobody else executes the experiment meanwhile, as the lock was removed.
-
-        Raises:
-            ExecutionError: somebody does.
-        """
+        """See that nobody else executes the experiment meanwhile, see `ExperimentLock.look_after`."""
         self._findings += self._lock.look_after(self._journal)
 
     def begin(self, run: PendingRun, place: str = "", slot: int = 1) -> RunTask:
@@ -340,15 +336,8 @@ class ProgressManager:
 
     def _keep_outcome(self, task: RunTask, outcome: RunOutcome, facts: dict[str, Any], *, flush: bool = True) -> None:
         self._last_outcomes[task.place] = outcome
-        self._journal.append(
-            "attempt_finished",
-            flush=flush,
-            run=task.run_id,
-            attempt=task.attempt,
-            **facts,
-            **outcome.fields(),
-            **self._left(),
-        )
+        told = {**facts, **outcome.fields(), **self._left()}
+        self._journal.append("attempt_finished", flush=flush, run=task.run_id, attempt=task.attempt, **told)
         if self._table.take_outcome(task.run_id, outcome):
             # From here on the schema tells the types: without it a text such as "1" would come back as a number.
             self._table.write_schema(self._folder.schema)

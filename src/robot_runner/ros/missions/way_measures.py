@@ -16,7 +16,7 @@ from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.links.robot import Message, RobotLink
 from robot_runner.ros.sole_control import sole_publisher_findings
 from robot_runner.ros.transform_buffer import TransformBuffer
-from robot_runner.ros.turtlebot3.odometry import ODOMETRY, CoarseWay, Odometer
+from robot_runner.ros.turtlebot3.odometry import ODOMETRY, CoarseLengths, CoarseWay, Odometer, Unseen, noise_finding
 
 if TYPE_CHECKING:
     from robot_runner.ros.transforms import Transform
@@ -25,15 +25,14 @@ PATH_LENGTH = Measure("PathLength", "m", "Way covered during the mission, by odo
 CLOSEST_OBSTACLE = Measure("ClosestObstacle", "m", "The shortest range of the laser scanner during the mission.")
 _SCAN, _TRANSFORMS = "sensor_msgs/LaserScan", "tf2_msgs/TFMessage"
 _FIX = "Look whether the robot publishes it, or leave the parameter out."
+_FIX_SILENCE = "Look at the network, and whether what publishes it kept up: `ros2 topic hz` or `rostopic hz`."
 _PAIR = 2
-#: How long the robot's place may not have been told when the mission ends, s, before its way is doubted.
+#: How long the robot's place may not have been told, s, before its way is doubted.
 _SILENCE = 2.0
 #: So far may its stamps go back, s: messages overtake each other; a simulator that is reset goes back by more.
 _SET_BACK = 1.0
 #: Nothing drives or flies faster, m/s: the odometry was set anew, or the robot was put elsewhere in a simulation.
 _FASTEST = 100.0
-#: A way may be longer than its coarse one by this share and so many m before it is said to be noise.
-_NOISE_SHARE, _NOISE_ROOM = 0.2, 0.2
 
 
 class WayMeasures:
@@ -76,9 +75,11 @@ class WayMeasures:
         self.measures: Sequence[Measure] = (*path, *([CLOSEST_OBSTACLE] if scan else []))
         self._way: Odometer | _WayOfFrame | None = None
         self._way_before: float | None = None
-        self._coarse_before = 0.0
+        self._coarse_before = CoarseLengths()
         self._closest: float | None = None
         self._scans = self._too_near = 0
+        self._clock: Clock | None = None
+        self._scanned_at = self._longest_pause = 0.0
         self._rivals: Callable[[], Iterable[Finding]] = tuple
         self._closing = ExitStack()
 
@@ -98,6 +99,7 @@ class WayMeasures:
             LinkError: that is not known in time.
         """
         self._closing.close()
+        self._clock = context.clock
         self._way_before = self._closest = None
         if self._odometry is not None:
             odometer = Odometer(
@@ -116,9 +118,10 @@ class WayMeasures:
     def begin_mission(self) -> None:
         """Measure from now on."""
         self._closest, self._scans, self._too_near = None, 0, 0
+        self._scanned_at, self._longest_pause = 0.0 if self._clock is None else self._clock.now(), 0.0
         if self._way is not None:
-            self._way_before, self._way.set_back = self._way.travelled, 0.0
-            self._coarse_before = self._way.coarse.length
+            self._way_before, self._way.set_back, self._way.unseen = self._way.travelled, 0.0, Unseen()
+            self._coarse_before = self._way.coarse.lengths
 
     def end_mission(self, context: RobotRunnerContext) -> dict[str, float | None]:
         """Return what was measured since `begin_mission`; a value that is not known is doubted."""
@@ -136,11 +139,15 @@ class WayMeasures:
                     "mission: whatever lies between the places before and after counts as its way"
                 )
                 doubts.append(Finding.warning(self._where, problem, "See that nothing resets it while a run goes on."))
-            coarse = self._way.coarse.length - self._coarse_before
-            if (noise := length - coarse) > _NOISE_ROOM + _NOISE_SHARE * coarse:
-                problem = f"{noise:.2f} m are made of small steps to and fro: without them the way is {coarse:.2f} m"
-                fix = "Take a source without noise, such as the odometry of wheels, or leave the parameter out."
-                doubts.append(Finding.warning(self._where, problem, fix))
+            if (unseen := self._way.unseen).seconds > _SILENCE:
+                problem = (
+                    f"the robot's place was not told for {unseen.seconds:.1f} s, in which it changed by "
+                    f"{unseen.step:.2f} m: whatever the way was between counts as a straight line"
+                )
+                doubts.append(Finding.warning(self._where, problem, _FIX_SILENCE))
+            noise = noise_finding(self._where, length, self._coarse_before, self._way.coarse.lengths)
+            doubts += [] if noise is None else [noise]
+            doubts += self._way.findings if isinstance(self._way, _WayOfFrame) else []
             for each in doubts:
                 context.doubt(each.problem, fix=each.fix, measures=[PATH_LENGTH.name])
         if self._scan is not None:
@@ -148,6 +155,9 @@ class WayMeasures:
             if not self._scans:
                 problem = f"no laser scan came on {self._scan!r} during the mission"
                 context.doubt(problem, fix=_FIX, measures=[CLOSEST_OBSTACLE.name])
+            elif (pause := max(self._longest_pause, context.clock.now() - self._scanned_at)) > _SILENCE:
+                problem = f"no laser scan came on {self._scan!r} for {pause:.1f} s of the mission"
+                context.doubt(problem, fix=_FIX_SILENCE, measures=[CLOSEST_OBSTACLE.name])
             if self._too_near:
                 problem = f"{self._too_near} of {self._scans} laser scans saw something too near to measure"
                 fix = "Take the closest obstacle of this run to be nearer than the scanner's least range (range_min)."
@@ -160,11 +170,14 @@ class WayMeasures:
 
     def _take_scan(self, message: Message) -> None:
         self._scans += 1
+        if self._clock is not None:
+            now = self._clock.now()
+            self._longest_pause, self._scanned_at = max(self._longest_pause, now - self._scanned_at), now
         near, far = message["range_min"], message["range_max"]
         # Beyond its bounds a range says nothing, but that -inf is what is too near (REP 117); NaN compares as False.
         self._too_near += -math.inf in message["ranges"]
-        # A scanner may name no greatest range: inf is nothing seen then, too.
-        seen = min((each for each in message["ranges"] if near <= each <= far and each < math.inf), default=None)
+        # A scanner may name no greatest range, or no least one: inf and 0 are nothing seen then, too.
+        seen = min((each for each in message["ranges"] if near <= each <= far and 0 < each < math.inf), default=None)
         if seen is not None and (self._closest is None or seen < self._closest):
             self._closest = float(seen)
 
@@ -179,11 +192,13 @@ class _WayOfFrame:
     Attributes:
         travelled: the way so far, m. Where localisation mends the place of the robot, that counts as a way, too.
         set_back: the most by which the stamps went back from one place to the next, s.
-        coarse: the same way without small steps.
+        unseen: the longest time between two places that differ.
+        coarse: the same way, measured coarsely.
     """
 
     def __init__(self, topic: str, fixed: str, moving: str) -> None:
         self.travelled = self.set_back = 0.0
+        self.unseen = Unseen()
         self.coarse = CoarseWay()
         self._topic, self._fixed, self._moving = topic, fixed, moving
         self._buffer = TransformBuffer()
@@ -206,6 +221,16 @@ class _WayOfFrame:
             raise LinkError(problem, where="tf", fix="Look whether localisation and odometry are alive.")
         return self._buffer.look_up(self._fixed, self._moving)
 
+    @property
+    def findings(self) -> Sequence[Finding]:
+        """What was wrong with what was told of frames between both, but that stamps went back (`set_back`)."""
+        try:
+            between = self._buffer.between(self._fixed, self._moving)
+        except LinkError:
+            return ()
+        told = [each for each in self._buffer.findings if "jump back" not in each.problem]
+        return [each for each in told if any(repr(frame) in each.problem for frame in between)]
+
     def _take(self, message: Message) -> None:
         del message  # the buffer has it
         try:
@@ -214,8 +239,9 @@ class _WayOfFrame:
             return
         if self._clock is not None and (self._last is None or now.time is None or now.time != self._last.time):
             self._told_at = self._clock.now()
-        self.coarse.take(now.translation)
+        self.coarse.take(now.time or 0.0, now.translation)
         if self._last is not None:
-            self.travelled += math.dist(now.translation, self._last.translation)
-            self.set_back = max(self.set_back, (self._last.time or 0.0) - (now.time or 0.0))
+            self.travelled += (step := math.dist(now.translation, self._last.translation))
+            later = (now.time or 0.0) - (self._last.time or 0.0)
+            self.set_back, self.unseen = max(self.set_back, -later), self.unseen.after(later, step)
         self._last = now

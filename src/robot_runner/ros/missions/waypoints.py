@@ -16,7 +16,7 @@ from robot_runner.core.links.connect import connect_robot, is_simulated, robot_n
 from robot_runner.ros.robot_system import check_numbers
 from robot_runner.ros.simulators.simulation_system import Simulation
 from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, Ramp
-from robot_runner.ros.turtlebot3.odometry import POSE_TOPIC, Odometer, Pose, wrapped
+from robot_runner.ros.turtlebot3.odometry import POSE_TOPIC, Odometer, Pose, noise_finding, wrapped
 from robot_runner.ros.turtlebot3.steered_robot import Robot, SteeredSystem
 
 if TYPE_CHECKING:
@@ -192,6 +192,7 @@ class Waypoints(SteeredSystem):
         """Drive the whole way, and return a value for each measure."""
         clock, odometer = context.clock, robot.odometer
         start, way_before, legs = odometer.pose(), odometer.travelled, [clock.now()]
+        coarse_before = odometer.coarse.lengths
         for number, waypoint in enumerate(self.waypoints, start=1):
             context.share(leg=number, leg_count=len(self.waypoints))
             with context.phase(f"leg_{number}"):
@@ -202,7 +203,10 @@ class Waypoints(SteeredSystem):
         error = math.dist((here.x, here.y), (target.x, target.y))
         yaw_error = [] if target.yaw is None else [abs(wrapped(here.heading - target.yaw))]
         seconds = [later - earlier for earlier, later in pairwise(legs)]
-        return [legs[-1] - legs[0], odometer.travelled - way_before, error, *yaw_error, *seconds]
+        way = odometer.travelled - way_before
+        if noise := noise_finding(self.name, way, coarse_before, odometer.coarse.lengths):
+            context.doubt(noise.problem, fix=noise.fix, measures=["Distance"])
+        return [legs[-1] - legs[0], way, error, *yaw_error, *seconds]
 
     def _go_to(self, robot: Robot, target: _Waypoint, number: int, context: RobotRunnerContext) -> None:
         for _ in range(_MOST_TRIES):

@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-from robot_runner.core.errors import LinkError
+from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.events.context import Clock
 from robot_runner.core.links.robot import Message
 from robot_runner.measuring.quality import Column, write_samples
@@ -30,6 +30,10 @@ _FASTEST = 5 * 0.26
 _ROOM = 0.1
 #: Steps of a way that are more than noise, m.
 _COARSE = 0.05
+#: A way may be longer than its coarse one by this share and so many m before it is said to be noise.
+_NOISE_SHARE, _NOISE_ROOM = 0.2, 0.2
+#: Nor does a robot go to and fro in so short a time, s, that its way is so many times what it is from moment to moment.
+_MOMENT, _MOST_TIMES = 0.5, 2.0
 #: A clock that is set, or a message that is overtaken, steps back now and then; two robots on one topic do always.
 _MOST_STEPS_BACK = 5
 #: What makes a pose useless, and its remedy.
@@ -81,30 +85,93 @@ class Pose:
         return Pose(self.x, self.y, self.heading + angle)
 
 
-class CoarseWay:
-    """A way that is measured by steps of 5 cm, to which the noise of a robot that stands adds nothing.
+class Unseen(NamedTuple):
+    """The longest time in which the place of a robot was not told, though it changed.
 
     Attributes:
-        length: of the way so far, m.
+        seconds: by the stamps or the arrivals, whichever is less.
+        step: how far the places before and after are apart, m.
+    """
+
+    seconds: float = 0.0
+    step: float = 0.0
+
+    def after(self, seconds: float, step: float) -> Unseen:
+        """Return the longer one of this and of what came then; a robot that stood is not said to have driven.
+
+        Example:
+            >>> Unseen(1.0, 0.2).after(3.0, 0.4).after(9.0, 0.01)
+            Unseen(seconds=3.0, step=0.4)
+        """
+        return Unseen(seconds, step) if step >= _COARSE and seconds > self.seconds else self
+
+
+class CoarseLengths(NamedTuple):
+    """How long a way is that is measured coarsely, m: by steps of 5 cm, and from place to place each half second."""
+
+    by_steps: float = 0.0
+    by_moments: float = 0.0
+
+
+class CoarseWay:
+    """A way that is measured coarsely, to which noise adds little.
 
     Example:
         >>> way = CoarseWay()
-        >>> for x in (0.0, 0.01, -0.01, 0.01, 0.06):
-        ...     way.take((x, 0.0, 0.0))
-        >>> way.length
-        0.06
+        >>> for time, x in enumerate((0.0, 0.01, -0.01, 0.01, 0.06)):
+        ...     way.take(time / 10, (x, 0.0, 0.0))
+        >>> way.lengths
+        CoarseLengths(by_steps=0.06, by_moments=0.06)
     """
 
     def __init__(self) -> None:
-        self.length = 0.0
-        self._last: Sequence[float] | None = None
+        self._by_steps = self._by_moments = 0.0
+        self._step_from: Sequence[float] | None = None
+        self._moment = 0.0
+        self._moment_from: Sequence[float] = ()
+        self._place: Sequence[float] = ()
 
-    def take(self, place: Sequence[float]) -> None:
-        """Go on to a place, m."""
-        step = _COARSE if self._last is None else math.dist(self._last, place)
-        if step >= _COARSE:
-            self.length += 0.0 if self._last is None else step
-            self._last = place
+    @property
+    def lengths(self) -> CoarseLengths:
+        """How long it has been so far."""
+        since = math.dist(self._moment_from, self._place) if self._place else 0.0
+        return CoarseLengths(self._by_steps, self._by_moments + since)
+
+    def take(self, time: float, place: Sequence[float]) -> None:
+        """Go on to a place, m, where it was at a time, s."""
+        if self._step_from is None:
+            self._step_from, self._moment, self._moment_from = place, time, place
+        if (step := math.dist(self._step_from, place)) >= _COARSE:
+            self._by_steps, self._step_from = self._by_steps + step, place
+        if not 0 <= time - self._moment < _MOMENT:
+            self._by_moments += math.dist(self._moment_from, place)
+            self._moment, self._moment_from = time, place
+        self._place = place
+
+
+def noise_finding(where: str, length: float, before: CoarseLengths, after: CoarseLengths) -> Finding | None:
+    """Return that much of a way is noise; None where it is not.
+
+    Args:
+        where: the plugin.
+        length: of the way, m.
+        before: by `CoarseWay`, when it began.
+        after: when it ended.
+
+    Example:
+        >>> noise_finding("Go", 4.1, CoarseLengths(1.0, 1.0), CoarseLengths(5.0, 5.0)) is None
+        True
+    """
+    by_steps, by_moments = (end - begin for begin, end in zip(before, after, strict=True))
+    if (noise := length - by_steps) > _NOISE_ROOM + _NOISE_SHARE * by_steps:
+        problem = f"{noise:.2f} m are made of small steps to and fro: without them the way is {by_steps:.2f} m"
+    elif length > _NOISE_ROOM + _MOST_TIMES * by_moments:
+        told = f"by two places a second the way is {by_moments:.2f} m"
+        problem = f"{length:.2f} m are made of steps to and fro: {told}"
+    else:
+        return None
+    fix = "Take a source without noise, such as the odometry of wheels, or do without this value."
+    return Finding.warning(where, problem, fix)
 
 
 class Odometer:
@@ -120,7 +187,8 @@ class Odometer:
     Attributes:
         on_pose: called with each pose and its moment on the clock; None for no call.
         set_back: the most by which the stamps went back from one message to the next, s.
-        coarse: the same way without small steps.
+        unseen: the longest time without a message in which the place changed.
+        coarse: the same way, measured coarsely.
     """
 
     def __init__(
@@ -128,6 +196,7 @@ class Odometer:
     ) -> None:
         self.on_pose: Callable[[float, Pose], None] | None = None
         self.set_back = 0.0
+        self.unseen = Unseen()
         self.coarse = CoarseWay()
         self._fastest = fastest
         self._needs_heading = needs_heading
@@ -161,9 +230,12 @@ class Odometer:
             step = math.hypot(self._pose.distance_to(pose), height - self._height)
             self._travelled += step
             self.set_back = max(self.set_back, -later)
+            # After a pause of the network arrivals are far apart, where a clock was set stamps are.
+            silence = now - self._received_at
+            self.unseen = self.unseen.after(min(later, silence) if later > 0 else silence, step)
             if self._jump is None and step > _ROOM + self._fastest * seconds:
                 self._jump = step, seconds
-        self.coarse.take((pose.x, pose.y, height))
+        self.coarse.take(stamp * 1e-9 if stamp else now, (pose.x, pose.y, height))
         self._pose, self._height, self._received_at = pose, height, now
         self._steps_back += stamp < self._stamp
         self._stamp = stamp
