@@ -15,7 +15,8 @@ def names_of_tests_in(*folders: str) -> set[str]:
 
 
 def test_every_test_that_the_table_names_exists() -> None:
-    assert NAMED - names_of_tests_in("process", "cli", "core/execution", "core/config", "subjects", "cluster") == set()
+    folders = ("process", "cli", "core/execution", "core/config", "subjects", "cluster", "ros")
+    assert NAMED - names_of_tests_in(*folders) == set()
 
 
 def test_every_injected_fault_stands_in_the_table() -> None:

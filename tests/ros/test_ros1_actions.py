@@ -21,6 +21,7 @@ from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.goals import ActionCanceled, GoalStatus
 from robot_runner.plugins.systems import ActionMission, TopicMission
 from robot_runner.ros.ros1_link import open_ros1_link
+from robot_runner.ros.ros1_master import Master
 from robot_runner.testing import FakeLinks, make_context
 
 # Its names are no other test's: the master that they share remembers the types of topics that are no more.
@@ -56,6 +57,7 @@ class OtherNode:
 def other(master_uri):
     with closing(OtherNode()) as node:
         yield node
+    Master(master_uri).forget("/counter")  # it was killed, and for other tests no robot is on the graph
 
 
 @pytest.fixture

@@ -193,8 +193,6 @@ def _other(shape: Shape, where: str, why: str) -> LinkError:
     )
 
 
-#: How long, s, the other side may be silent before it is asked whether it is there, and how long it may think about it.
-_PING_INTERVAL, _PING_TIMEOUT = 3.0, 5.0
 _CLOSE_TIMEOUT = 2.0
 
 
@@ -220,8 +218,7 @@ def connect(address: RosbridgeAddress, timeout: float, closing: ExitStack, *, wh
         additional_headers=security.headers(),
         open_timeout=timeout,
         close_timeout=_CLOSE_TIMEOUT,
-        ping_interval=_PING_INTERVAL,
-        ping_timeout=_PING_TIMEOUT,
+        ping_interval=None,  # the session asks: it has something to say before it gives up
         compression=None,  # it would cost more on the robot than it saves on the network
         max_size=LARGEST_FRAME,
         max_queue=_MOST_FRAMES,
@@ -295,9 +292,3 @@ def send_errors() -> tuple[type[Exception], ...]:
     from websockets.exceptions import ConnectionClosed  # noqa: PLC0415  # an extra, loaded by now
 
     return (ConnectionClosed, OSError, EOFError)
-
-
-def closed_reason(error: Exception) -> str:
-    """Return why a connection is gone."""
-    text = str(error)
-    return "the robot does not answer any more" if "keepalive" in text else text

@@ -7,14 +7,15 @@ import logging
 import queue
 import socket
 import threading
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.ros.graph_transport import link_closed, service_timeout
-from robot_runner.ros.rosbridge_frames import LARGEST_FRAME, FrameReader, as_json, closed_reason, connect, send_errors
+from robot_runner.ros.rosbridge_frames import LARGEST_FRAME, FrameReader, as_json, connect, send_errors
 
 if TYPE_CHECKING:
     from robot_runner.ros.graph_addresses import RosbridgeAddress
@@ -23,6 +24,9 @@ _logger = logging.getLogger(__name__)
 
 #: How long the server may take to answer what it answers itself, s.
 ANSWER = 5.0
+#: How long, s, the server may be silent before it is asked whether it is there, how long it may think about it, and how
+#: often it is looked whether it has answered.
+_PING_INTERVAL, _PING_TIMEOUT, _PING_LOOK = 3.0, 5.0, 0.1
 #: Called to learn that the server has dealt with all that was sent before: it answers for each service, if only that
 #: there is none, and takes operations in their order.
 _BARRIER = "/rosapi/get_time"
@@ -66,6 +70,8 @@ class Session:
         on_request: called, in the same thread, with an operation that calls a service that is offered here.
         on_action: called, in the same thread, with an operation about a goal of an action.
         on_lost: called once with the error that the connection is lost.
+        last_words: returns what is sent to a server that does not answer any more, before the connection is given up:
+            where only its answers are lost, it hears that.
 
     Raises:
         LinkError: it cannot be reached, or is no rosbridge.
@@ -77,20 +83,27 @@ class Session:
         self.on_request: Callable[[Mapping[str, Any]], None] = lambda _operation: None
         self.on_action: Callable[[Mapping[str, Any]], None] = lambda _operation: None
         self.on_lost: Callable[[LinkError], None] = lambda _error: None
+        self.last_words: Callable[[], Iterable[dict[str, Any]]] = tuple
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
+        self._sending = threading.Lock()  # nothing is sent behind the last words
         self._pending: dict[str, _Pending] = {}
         self._complaints: dict[str, str] = {}
         self._waiting: set[threading.Event] = set()
         self._lost: LinkError | None = None
         self._is_closed = False
+        self._is_over = threading.Event()
         self._todo: queue.SimpleQueue[tuple[Callable[[], None], int] | None] = queue.SimpleQueue()
         self._size, self._waiting_bytes = 0, 0
         self._closing = ExitStack()
         self._connection = connect(address, ANSWER, self._closing, where=self.where)
         self._threads = [
             threading.Thread(target=target, name=f"rosbridge {name}", daemon=True)
-            for name, target in (("receiver", self._receive), ("callbacks", self._call_back))
+            for name, target in (
+                ("receiver", self._receive),
+                ("callbacks", self._call_back),
+                ("pings", self._keep_asking),
+            )
         ]
         for thread in self._threads:
             thread.start()
@@ -111,11 +124,13 @@ class Session:
 
     def send(self, operation: dict[str, Any]) -> None:
         """Send an operation that nothing comes back for."""
-        self.check_open(self.where)
+        text = as_json(operation)
         try:
-            self._connection.send(as_json(operation))
+            with self._sending:
+                self.check_open(self.where)
+                self._connection.send(text)
         except send_errors() as error:
-            self._lose(closed_reason(error))
+            self._lose(str(error))
             raise (self._lost or self._loss(str(error))) from error
 
     def flush(self, *, where: str) -> None:
@@ -204,6 +219,7 @@ class Session:
         if self._is_closed:
             return
         self._is_closed = True
+        self._is_over.set()
         self._todo.put(None)
         with suppress(*send_errors()):
             self._closing.close()
@@ -270,9 +286,39 @@ class Session:
                 if self._lost is not None:
                     break  # what the server has still to send waits there
         except send_errors() as error:
-            self._lose(closed_reason(error))
+            self._lose(str(error))
         finally:
             self._lose("the server closed the connection")
+
+    def _keep_asking(self) -> None:
+        """Ask the server again and again whether it is there, and give the connection up where it does not answer.
+
+        A server that is stopped or behind a network that is cut closes nothing.
+        """
+        with suppress(*send_errors()):  # it is closed: who receives tells why
+            while not self._is_over.wait(_PING_INTERVAL):
+                if not self._is_answered(self._connection.ping()):
+                    self._give_up()
+                    break
+
+    def _is_answered(self, pong: threading.Event) -> bool:
+        asked = time.monotonic()
+        while not pong.wait(_PING_LOOK) and not self._is_over.is_set():
+            if time.monotonic() - asked >= _PING_TIMEOUT:
+                return False
+        return True
+
+    def _give_up(self) -> None:
+        """Say the last words to a server that does not answer, and close the connection."""
+        can_send = self._sending.acquire(timeout=_PING_LOOK)  # else the network takes nothing more
+        try:
+            for operation in self.last_words() if can_send and self.is_usable else ():
+                self._connection.send(as_json(operation))
+        finally:
+            self._lose("the robot does not answer any more")
+            if can_send:
+                self._sending.release()
+        self._connection.close()
 
     def _take(self, operation: dict[str, Any]) -> None:
         match operation["op"]:

@@ -20,6 +20,8 @@ from robot_runner.ros.rosbridge_actions import RosbridgeActions
 from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
 from robot_runner.ros.rosbridge_session import Reply, Session
 from robot_runner.ros.rosbridge_types import RobotTypes, Rosapi, RosapiParameters
+from robot_runner.ros.shapes import completed
+from robot_runner.ros.watchdog import VELOCITY_COMMANDS
 
 if TYPE_CHECKING:
     from robot_runner.ros.action_calls import ActionDialect
@@ -81,6 +83,7 @@ class RosbridgeTransport:
         )
         self._session.on_message = self._take_message
         self._session.on_request = self._take_request
+        self._session.last_words = self._stops
 
     @property
     def encoding(self) -> Encoding:
@@ -204,6 +207,10 @@ class RosbridgeTransport:
             self._idle.append(caller)
         return reply
 
+    def _stops(self) -> list[dict[str, Any]]:
+        """Return what commands zero on each topic on which velocities are published here."""
+        return [each.stop() for each in list(self._publishers.values()) if each.message_type in VELOCITY_COMMANDS]
+
     def _told_type(self, topic: str) -> list[str]:
         told = self._rosapi.topic_type(topic)
         return [] if told is None else [told]
@@ -317,8 +324,14 @@ class _Publisher:
         self._since = time.monotonic()
 
     def publish(self, message: Message) -> None:
-        operation = {"op": "publish", "topic": self._topic, "msg": to_protocol(self._shape, message)}
-        self._session.send(operation)
+        self._session.send(self._operation(message))
+
+    def stop(self) -> dict[str, Any]:
+        """Return the operation that publishes a message without any field: zero, where it is a velocity."""
+        return self._operation(completed(self._shape, {}, where=self._topic))
+
+    def _operation(self, message: Message) -> dict[str, Any]:
+        return {"op": "publish", "topic": self._topic, "msg": to_protocol(self._shape, message)}
 
     def reach(self) -> bool:
         """Whether the server has published the topic for so long that it is connected: it does not tell."""

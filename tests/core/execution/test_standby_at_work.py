@@ -13,6 +13,7 @@ import pytest
 
 import robot_runner.core.execution.standby as standby_module
 from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.errors import LinkError
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.progress_manager import ProgressManager
 from robot_runner.core.execution.recovery import Resumption
@@ -121,10 +122,35 @@ def test_a_robot_is_told_until_it_is_reached_and_one_that_never_is_may_be_moving
     monkeypatch.setattr(standby_module, "connect_robot", lambda _context: robot)
     monkeypatch.setattr(commanded_topics, "_TELLING", 0.2)
     monkeypatch.setattr(commanded_topics, "_REACHING", 60.0 if care is Care.MADE_SAFE else 0.5)
+    monkeypatch.setattr(standby_module, "_RETRYING", 0.0)
     with after_death(experiment, ("/alice/cmd_vel", "geometry_msgs/Twist"), care=care):
         told = (folder / "told").read_text(encoding="utf-8").splitlines()
     assert told[0].endswith("and is not heard")
     assert told[-1].endswith("and is not heard") is (care is Care.OUT_OF_REACH)
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+def test_a_robot_whose_server_or_network_is_back_some_seconds_after_the_run_s_death_is_made_safe(
+    write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment = prepare_or_refuse(write_config("", head=HEAD, table=TABLE))
+    folder = experiment.config_path.parent
+    tries = folder / "tries"
+
+    def connect(_context: object) -> Told:
+        with tries.open("a", encoding="utf-8") as file:
+            file.write("x")
+        if tries.stat().st_size < 10:
+            raise LinkError("connection refused", where="robot", fix="Start its server.")
+        return Told(folder)
+
+    monkeypatch.setattr(standby_module, "connect_robot", connect)
+    monkeypatch.setattr(standby_module, "_RETRYING", 60.0)
+    monkeypatch.setattr(standby_module, "_AGAIN", 0.01)
+    monkeypatch.setattr(commanded_topics, "_TELLING", 0.0)
+    with after_death(experiment, ("/alice/cmd_vel", "geometry_msgs/Twist")):
+        told = (folder / "told").read_text(encoding="utf-8").splitlines()
+    assert set(told) == {"/alice/cmd_vel geometry_msgs/Twist {}"}
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")

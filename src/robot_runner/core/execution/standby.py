@@ -19,7 +19,7 @@ from contextlib import ExitStack, closing, suppress
 from copy import copy as shallow_copy
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from robot_runner.core.errors import ExecutionError, Finding, StorageError
+from robot_runner.core.errors import ExecutionError, Finding, LinkError, StorageError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.events.resources import Resources
@@ -43,8 +43,11 @@ if TYPE_CHECKING:
 
 #: How long the standby may take from the run's death on, s. Finding a robot's nodes takes tenths, or up to 8 s where
 #: one is switched off; telling the robot to stand still takes 4 to 12 s; and where something fails, all of it is done
-#: twice.
+#: twice at least.
 _LONGEST = 40.0
+#: For how long after the run's death, and how often, it is begun anew where the robot cannot be reached, s: what has
+#: killed the run may have taken a server or the network along, and both come back.
+_RETRYING, _AGAIN = 15.0, 0.5
 #: How long it may take to die once it was killed, s.
 _DYING = 5.0
 #: Enough for any process's id.
@@ -150,6 +153,7 @@ class Standby:
 
     def _act(self, connection: _Connection) -> None:
         self.state.set(Care.STANDBY)
+        deadline = time.monotonic() + _RETRYING
         try:
             with suppress(Exception):  # no log is worth a robot that drives on
                 print_to_log(self._experiment.folder)
@@ -157,12 +161,22 @@ class Standby:
             try:
                 self._make_safe(connection)
             except Exception:  # noqa: BLE001 - the connection may have been lost since: what fails again is told
-                with closing(_Connection(self._experiment, self._task)) as another:
-                    self._make_safe(another)
+                self._make_safe_anew(deadline)
         except BaseException as error:  # noqa: BLE001 - whatever it is, a person has to know that nobody stopped the robot
             self.state.set(Care.OUT_OF_REACH, failure_fields(error)["problem"])
         else:
             self.state.set(Care.MADE_SAFE)
+
+    def _make_safe_anew(self, deadline: float) -> None:
+        """Do it over a connection of its own, and, until then, again where the robot cannot be reached."""
+        while True:
+            try:
+                with closing(_Connection(self._experiment, self._task)) as another:
+                    return self._make_safe(another)
+            except LinkError:
+                if time.monotonic() >= deadline:
+                    raise
+            time.sleep(_AGAIN)
 
     def _make_safe(self, connection: _Connection) -> None:
         """Stop the robot where it was commanded, make each system safe, and stop it again, whatever fails of that."""

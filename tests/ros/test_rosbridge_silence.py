@@ -1,0 +1,73 @@
+"""A rosbridge that answers no more, and closes nothing: its network is cut, in one direction or both, or it hangs."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from contextlib import ExitStack, closing, contextmanager, suppress
+
+import pytest
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.ros import rosbridge_session
+from robot_runner.ros.rosbridge_link import open_rosbridge_link
+from robot_runner.testing import RosbridgeServer
+
+
+@contextmanager
+def answers_lost(server):
+    """Yield the address of a proxy of the server, and what makes it forward no answer any more, only what is sent."""
+    are_lost = threading.Event()
+
+    def forward(source, target, way):
+        with suppress(OSError):
+            while data := source.recv(1 << 16):
+                if not (way == "answers" and are_lost.is_set()):
+                    target.sendall(data)
+        with suppress(OSError):
+            target.shutdown(socket.SHUT_WR)
+
+    def take():
+        near = listening.accept()[0]
+        far = opened.enter_context(socket.create_connection(("127.0.0.1", int(server.url.rpartition(":")[2]))))
+        opened.enter_context(near)
+        for each in ((near, far, "requests"), (far, near, "answers")):
+            threading.Thread(target=forward, args=each, daemon=True).start()
+
+    with ExitStack() as opened, socket.create_server(("127.0.0.1", 0)) as listening:
+        threading.Thread(target=take, daemon=True).start()
+        yield f"rosbridge://127.0.0.1:{listening.getsockname()[1]}", are_lost
+
+
+def until(claim):
+    deadline = time.monotonic() + 60.0
+    while not claim():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_a_robot_of_which_nothing_is_heard_any_more_is_told_to_stand_still_as_it_may_hear_us(monkeypatch):
+    monkeypatch.setattr(rosbridge_session, "_PING_INTERVAL", 0.05)
+    monkeypatch.setattr(rosbridge_session, "_PING_TIMEOUT", 60.0)
+    heard = []
+    with (
+        closing(RosbridgeServer()) as server,
+        answers_lost(server) as (url, are_lost),
+        closing(open_rosbridge_link(server.url, SystemClock())) as robot,
+        ExitStack() as leaving,
+    ):
+        robot.subscribe("cmd_vel", "geometry_msgs/Twist", lambda message: heard.append(message["linear"]["x"]))
+        link = open_rosbridge_link(url, SystemClock())
+        leaving.push(lambda *_: True)  # that the robot could not be told to stand still
+        leaving.callback(link.close)
+        link.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
+        until(lambda: heard == [0.2])
+        are_lost.set()
+        monkeypatch.setattr(rosbridge_session, "_PING_TIMEOUT", 0.1)
+        until(lambda: heard == [0.2, 0.0])
+        until(lambda: not link._transport._session.is_usable)
+        with pytest.raises(LinkError, match="the robot does not answer any more"):
+            link.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
+    assert heard == [0.2, 0.0]
