@@ -96,6 +96,28 @@ def held(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "holder_of", lambda _: Holder(1, "lab", AT))
 
 
+def test_a_message_of_a_run_turns_the_direction_of_no_writing(root: Path) -> None:
+    followed = FollowedExperiment(root)
+    settled(followed)
+    with (root / "journal.jsonl").open("a") as journal:
+        journal.write(line("finding", run="r_1", owner="Ina219", problem="\u202eit is odd", fix="Look."))
+        journal.flush()
+        findings = settled(followed)["findings"]
+    assert findings["last"][-1]["problem"] == "\\u202eit is odd"
+
+
+def test_measures_that_are_no_numbers_have_no_means(tmp_path: Path) -> None:
+    rows = [("a", 1.0, True, "left"), ("b", 2.0, False, "right")]
+    measures = {"Energy": "J", "Success": "", "Side": ""}
+    folder = experiment_folders.Folder(tmp_path / "trial", {"Task": ["a", "b"]}, rows, measures)
+    folder.write()
+    followed = FollowedExperiment(folder.root)
+    settled(followed)
+    [means] = followed.snapshot()["means"]
+    assert [each["name"] for each in means["measures"]] == ["Energy"]
+    assert [row["cells"] for row in means["rows"]] == [[[1, 1.0, None]], [[1, 2.0, None]]]
+
+
 def means_of(parts: dict[str, Any]) -> list[Any]:
     """Return how many runs the means of each task are of, and these means."""
     task = next(each for each in parts["means"] if each["factor"] == "Task")

@@ -335,9 +335,10 @@ class FollowedExperiment:
             return {"total": 0, "last": [], "failures": []}
         findings = [*self._status.findings][-_MOST_FINDINGS:]
         told = [
-            {name: getattr(each, name)[:_LONGEST_TEXT] for name in ("where", "problem", "fix")} for each in findings
+            {name: harmless(getattr(each, name)[:_LONGEST_TEXT]) for name in ("where", "problem", "fix")}
+            for each in findings
         ]
-        failures = [each[:_LONGEST_TEXT] for each in self._status.failures[-_MOST_FINDINGS:]]
+        failures = [harmless(each[:_LONGEST_TEXT]) for each in self._status.failures[-_MOST_FINDINGS:]]
         return {"total": len(self._status.findings), "last": told, "failures": failures}
 
     def _of_runs_in_flight(self) -> dict[str, Any]:

@@ -64,6 +64,8 @@ class MeansSoFar:
     def told(self, excluded: Collection[int]) -> list[dict[str, Any]]:
         """Return the means as plain data, a mapping for each factor, and for all of them together.
 
+        A measure of which no run has a number is left out: what is yes or no, or text, has no mean.
+
         Args:
             excluded: the places of runs that are left out.
         """
@@ -78,9 +80,10 @@ class MeansSoFar:
                 if key not in self._cells:
                     self._cells[key] = [self._cell(runs, measure, excluded) for measure in numeric]
                 rows.append({"treatment": ", ".join(treatments), "cells": self._cells[key]})
-            measures = [
-                {"name": table.measures[each], "unit": table.units.get(table.measures[each], "")} for each in numeric
-            ]
+            there = [place for place in range(len(numeric)) if any(row["cells"][place][0] for row in rows)]
+            rows = [{**row, "cells": [row["cells"][place] for place in there]} for row in rows]
+            names = [table.measures[numeric[place]] for place in there]
+            measures = [{"name": each, "unit": table.units.get(each, "")} for each in names]
             told.append({"factor": name, "measures": measures, "rows": rows, "confidence": CONFIDENCE})
         return told
 

@@ -7,7 +7,7 @@ import json
 import sys
 
 import pytest
-from tests.analysis.experiment_folders import two_tasks
+from tests.analysis.experiment_folders import Folder, two_tasks
 
 
 @pytest.fixture
@@ -29,6 +29,17 @@ def test_it_says_where_the_report_is(robot_runner, experiment):
 def test_figures_are_made_in_the_formats_that_were_asked_for(robot_runner, experiment):
     assert robot_runner("report", "trial", "--figures", "svg,png").code == 0
     assert {path.suffix for path in (experiment / "report" / "figures").iterdir()} == {".svg", ".png"}
+
+
+@pytest.mark.long
+def test_letters_that_are_boxes_in_figures_are_told(robot_runner, tmp_path):
+    rows = [(name, 1.0 + place) for place, name in enumerate("\U00012000bb\U00012000")]
+    Folder(tmp_path / "trial", {"Task": ["\U00012000", "b"]}, rows, {"Energy": "J"}).write()
+    answer = robot_runner("report", "trial", "--format", "md", "--figures", "none")
+    assert answer.code == 0
+    assert "no font of theirs is installed for \U00012000: in figures these are boxes" in answer.err
+    assert "Noto Sans CJK" in answer.err
+    assert robot_runner("report", "trial", "--format", "json").err == ""
 
 
 def test_json_goes_to_a_file_as_the_other_formats_do(robot_runner, experiment, tmp_path):

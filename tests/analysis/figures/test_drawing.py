@@ -42,7 +42,16 @@ from robot_runner.analysis.figures.missions import (
     draw_timeline,
     draw_trajectories,
 )
-from robot_runner.analysis.figures.style import COLUMN, PAGE, FigureFormat, figure_bytes, file_name, looks, verbatim
+from robot_runner.analysis.figures.style import (
+    COLUMN,
+    PAGE,
+    FigureFormat,
+    figure_bytes,
+    file_name,
+    letters_without_font,
+    looks,
+    verbatim,
+)
 from robot_runner.analysis.statistics.outcome import Proportion
 from robot_runner.analysis.statistics.tested import Interval
 
@@ -310,3 +319,58 @@ def test_a_long_name_of_a_measure_fits_beneath_many_groups():
     figure.draw_without_rendering()
     ends = figure.axes[0].xaxis.label.get_window_extent()
     assert 0 <= ends.x0 < ends.x1 <= figure.bbox.width
+
+
+LONG = [
+    f"planner {name} with a global map, recovery and C:\\new_50%_é" for name in ("A*", "D*", "RRT", "PRM", "θ*", "TEB")
+]
+LONG_MEASURE = "Acceleration_of_the_mobile_platform_along_its_longitudinal_axis_filtered (m·s⁻²)"
+
+
+def long_interaction():
+    cells = {name: Group(name, (1.0,), ("r_1",)) for name in LONG[:3]}
+    return draw_interaction(
+        {"fast": cells, "slow": cells}, treatments=LONG[:3], value_label=LONG_MEASURE, along="Planner", across="Speed"
+    )
+
+
+def long_order():
+    return draw_run_order(range(6), [0.1, -0.2] * 3, LONG, order=LONG, value_label=LONG_MEASURE, slope=0.1)
+
+
+def long_timeline():
+    spans = [AttemptSpan(f"r_{n}", name, n, n + 1, None, is_done=True) for n, name in enumerate(LONG)]
+    return draw_timeline(spans, order=LONG)
+
+
+@pytest.mark.parametrize("draw", [long_order, long_timeline])
+def test_a_legend_of_long_names_is_not_cut_off(draw):
+    figure = draw()
+    figure_bytes(figure, FigureFormat.SVG)
+    [legend] = figure.legends
+    ends = legend.get_window_extent()
+    assert 0 <= ends.x0 < ends.x1 <= figure.bbox.width
+    assert 0 <= ends.y0 < figure.axes[0].get_window_extent().y0
+    assert len({text.get_text() for text in legend.get_texts()}) == len(LONG)
+
+
+def test_long_names_of_treatments_do_not_hide_each_other():
+    names = long_interaction().axes[0].get_xticklabels()
+    assert {name.get_rotation() for name in names} == {30}
+    assert [name.get_rotation() for name in DRAWINGS["interaction"]().axes[0].get_xticklabels()] == [0, 0]
+
+
+@pytest.mark.parametrize("draw", [long_order, long_interaction])
+def test_a_long_name_of_a_measure_is_not_cut_off_beside_a_low_figure(draw):
+    figure = draw()
+    figure_bytes(figure, FigureFormat.SVG)
+    figure.set_dpi(300)  # letters are wider than at 100
+    label = figure.axes[0].yaxis.label
+    ends = label.get_window_extent()
+    assert -1 <= ends.y0 < ends.y1 <= figure.bbox.height + 1
+    assert label.get_fontsize() >= 5
+
+
+def test_letters_that_would_be_boxes_are_known():
+    assert letters_without_font(["Énergie (µJ·s⁻¹)", "θ* …", "two\nlines"]) == ""
+    assert letters_without_font(["sign \U00012000", "\U00012000 and \U00012001"]) == "\U00012000\U00012001"

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_runner.analysis.report.blocks import Cell, Chart, Column, Document, Paragraph, Place, Section, Table
+from robot_runner.analysis.report.blocks import Cell, Chart, Code, Column, Document, Paragraph, Place, Section, Table
 from robot_runner.analysis.report.rendering import (
     SafeNames,
     csv_of,
@@ -172,6 +172,21 @@ def test_a_name_turns_the_direction_of_no_number_beside_it():
     page = html_of(Document("k", "t", "", (), (section,)), {})
     assert "\u202e" not in page
     assert " abc: 17 J" in page
+
+
+def test_a_caption_begins_or_ends_its_figure_as_the_standard_of_html_asks_for():
+    table = Table("t", "c", (Column("a"),), ((Cell(1, "1"),),))
+    page = html_of(Document("k", "t", "", (), (Section("s", "S", (Chart("c", "points", "d", {}), table)),)), {})
+    figures = re.findall(r"<figure[^>]*>(.*?)</figure>", page, re.DOTALL)
+    assert len(figures) == 2
+    for figure in figures:
+        before, after = re.split(r"<figcaption>.*</figcaption>", figure.strip(), flags=re.DOTALL)
+        assert not (before and after)
+
+
+def test_what_is_scrolled_can_be_reached_by_keys():
+    page = html_of(Document("k", "t", "", (), (Section("s", "S", (Code("pip install " * 40),)),)), {})
+    assert '<pre class="code" tabindex="0" role="region" aria-label="Code">' in page
 
 
 def test_a_table_in_markdown_is_one():

@@ -183,6 +183,23 @@ def test_a_narrow_screen_is_not_wider_than_itself(browser, sampled_page, width):
     assert browser.complaints == []
 
 
+def test_names_without_a_blank_and_great_numbers_fit_on_a_phone(browser, make_folder):
+    name = "Acceleration_of_the_mobile_platform_along_its_longitudinal_axis"
+    rows = [(kind, 1_200_000.0 + 10_000 * place) for place, kind in enumerate("aaabbb")]
+    folder = make_folder(factors={f"Planner_{name}": ["a", "b"]}, rows=rows, measures={name: "m·s⁻²"})
+    browser.open(write_report(folder.root, figures=()).document, width=390, height=800, is_phone=True)
+    browser.evaluate("document.querySelectorAll('details').forEach(each => { each.open = true; })")
+    assert browser.evaluate("document.documentElement.scrollWidth") <= 390
+    left = "(chart => chart.querySelector('.u-over').getBoundingClientRect().x - chart.getBoundingClientRect().x)"
+    assert browser.evaluate(f"{left}(document.querySelector('figure[data-chart=points] .plot'))") >= 90
+    reached = (
+        "[...document.querySelectorAll('main *')].filter(e => e.scrollWidth > e.clientWidth + 1 && e.tabIndex < 0)"
+    )
+    scrolled = f"{reached}.filter(e => ['auto', 'scroll'].includes(getComputedStyle(e).overflowX))"
+    assert browser.evaluate(f"{scrolled}.map(e => e.className)") == []  # keys scroll what has the focus
+    assert browser.complaints == []
+
+
 def test_paper_shows_figures_that_a_screen_folds_away(browser, sampled_page):
     browser.open(sampled_page)
     assert browser.evaluate("document.querySelectorAll('details[open]').length") == 0

@@ -8,27 +8,30 @@ an R script beside it computes every number again from the run table alone.
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.declared_design import with_declared_design
 from robot_runner.analysis.libraries import require_libraries
 from robot_runner.analysis.plan_file import PlanFile, read_plan
-from robot_runner.cli.console import output, print_facts, shown_path
+from robot_runner.cli.console import complaints, output, print_facts, shown_path
+from robot_runner.cli.findings import print_findings
 from robot_runner.cli.parser import Parser, UsageError, add_set, add_target
 from robot_runner.cli.screens.progress_bars import step_progress
 from robot_runner.cli.target import folder_of_target, only_experiment
-from robot_runner.core.errors import did_you_mean
+from robot_runner.core.errors import Finding, did_you_mean
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from robot_runner.analysis.figures.style import FigureFormat
     from robot_runner.analysis.report.writing import WrittenReport
+    from robot_runner.analysis.results import Results
 
 _FORMATS = ("html", "md", "json")
 _FIGURES = ("svg", "pdf", "png")
 _NO_FIGURES = "none"
+_MOST_LETTERS = 8  # in a message
 
 
 def add_arguments(parser: Parser) -> None:
@@ -91,7 +94,24 @@ def execute(arguments: Namespace) -> int:
         written = write_report(results, ReportFormat(kind), figures=figures, **chosen, on_step=on_step)
     kinds = [Recomputation.NOTEBOOK] * arguments.notebook + [Recomputation.R] * arguments.r
     _print(written, write_recomputations(results, kinds, **chosen) if kinds else ())
+    if kind != ReportFormat.JSON.value:
+        print_findings(complaints(), list(_boxes(results)))
     return 0
+
+
+def _boxes(results: Results) -> Iterator[Finding]:
+    """Say which letters of the names nobody will be able to read in the figures."""
+    from robot_runner.analysis.figures.style import letters_without_font  # noqa: PLC0415 - slow, and an extra
+
+    treatments = (str(each) for factor in results.factors for each in results.all_runs[factor].unique())
+    if missing := letters_without_font([*results.factors, *results.measures, *treatments]):
+        yield Finding.warning(
+            "figures",
+            f"no font of theirs is installed for {', '.join(missing[:_MOST_LETTERS])}"
+            f"{' and others' if len(missing) > _MOST_LETTERS else ''}: in figures these are boxes",
+            "Install a font that has them, such as Noto Sans CJK (Debian and Ubuntu: fonts-noto-cjk), and write the "
+            "report again.",
+        )
 
 
 def _print(written: WrittenReport, recomputations: Sequence[Path]) -> None:

@@ -17,6 +17,7 @@ from robot_runner.analysis.figures.style import (
     GREY,
     HIGHEST,
     INK,
+    UPRIGHT_LINE,
     Look,
     add_legend,
     draw_points,
@@ -24,6 +25,7 @@ from robot_runner.analysis.figures.style import (
     label_axes,
     looks,
     looks_by,
+    name_places,
     new_axes,
     shortened,
     verbatim,
@@ -43,7 +45,6 @@ _MOST_NAMED_OUTLIERS = 6
 #: How far apart names must be so that none hides another, as a share of the range of all values.
 _APART_UPRIGHT, _APART_ALONG = 0.05, 0.3
 _ROW = 0.17  # height of a group that lies, inches
-_LETTERS_BESIDE = 46  # of names along the axis
 _BESIDE_NAMES = 30  # letters of a line beneath the half of the figure that names of groups leave
 _MANY_POINTS = 60
 _MOST_NAMES = 60
@@ -92,7 +93,7 @@ def draw_distribution(
         if group.size:
             _draw_group(axes, place, group, look, is_upright=is_upright)
     _name_outliers(axes, groups, outliers, is_upright=is_upright)
-    _name_groups(axes, [group.label for group in groups], value_label, group_label)
+    _name_groups(figure, axes, [group.label for group in groups], value_label, group_label)
     return figure
 
 
@@ -112,21 +113,20 @@ def draw_proportions(groups: Sequence[Proportion], *, value_label: str, group_la
         else:
             axes.errorbar([group.percent], [place], xerr=reach, **drawn)
     (axes.set_ylim if is_upright else axes.set_xlim)(-3, 103)  # so that 0 and 100 % are seen
-    _name_groups(axes, [group.label for group in groups], value_label, group_label)
+    _name_groups(figure, axes, [group.label for group in groups], value_label, group_label)
     return figure
 
 
-def _name_groups(axes: Axes, labels: Sequence[str], value_label: str, group_label: str) -> None:
+def _name_groups(figure: Figure, axes: Axes, labels: Sequence[str], value_label: str, group_label: str) -> None:
     """Name the groups of a figure, beside each other where they are few."""
-    names, step = list(map(shortened, labels)), -(-max(1, len(labels)) // _MOST_NAMES)
-    ticks = range(0, len(names), step)
+    names = list(map(shortened, labels))
     if len(names) <= _MOST_UPRIGHT:
-        is_crowded = sum(map(len, names)) > _LETTERS_BESIDE
-        axes.set_xticks(ticks, names, rotation=30 if is_crowded else 0, ha="right" if is_crowded else "center")
+        name_places(figure, axes, labels)
         axes.set_xlim(-0.6, len(names) - 0.4)
         label_axes(axes, group_label, value_label, grid="y")
     else:
-        axes.set_yticks(ticks, names[::step])
+        step = -(-len(names) // _MOST_NAMES)
+        axes.set_yticks(range(0, len(names), step), names[::step])
         axes.set_ylim(len(names) - 0.4, -0.6)
         label_axes(axes, "", group_label, grid="x")
         axes.set_xlabel(wrapped(value_label, _BESIDE_NAMES))
@@ -243,7 +243,7 @@ def draw_run_order(
         ends = np.array([x.min(), x.max()])
         axes.plot(ends, middle + slope * ends, color=INK, linestyle=DASHED, linewidth=1.0)
     label_axes(axes, place_label, grid="y")
-    axes.set_ylabel(f"{wrapped(value_label)}\nresidual")
+    axes.set_ylabel(f"{wrapped(value_label, UPRIGHT_LINE)}\nresidual")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     add_legend(figure, len(order), most=6, handlelength=1.0)
     return figure

@@ -22,6 +22,7 @@ from robot_runner.analysis.figures.style import (
     label_axes,
     looks,
     looks_by,
+    name_places,
     new_axes,
     shortened,
     verbatim,
@@ -66,7 +67,7 @@ def draw_interaction(
         for at, group in points:
             if group.mean_low is not None and group.mean_high is not None:
                 axes.plot([at, at], [group.mean_low, group.mean_high], color=look.colour, linewidth=0.8)
-    axes.set_xticks(range(len(treatments)), [verbatim(name) for name in treatments])
+    name_places(figure, axes, treatments)
     axes.set_xlim(-0.4, len(treatments) - 0.6)
     label_axes(axes, along, value_label, grid="y")
     add_legend(figure, len(groups), title=verbatim(across), title_fontsize=6.5)

@@ -29,8 +29,16 @@ PAGE = 7.16
 #: What a page holds, inches.
 HIGHEST = 8.5
 
-#: Letters of an axis's label that fit beside a figure as high as most are.
-_LINE = 42
+#: Letters of an axis's label that fit beneath a column's figure, and beside one as high as most are.
+_LINE, UPRIGHT_LINE = 42, 34
+#: Letters of names along the axis that fit beside each other.
+_LETTERS_BESIDE = 46
+#: Letters of a name that fit beneath a column's figure.
+_LETTERS_IN_LEGEND = 50
+#: What a line of a legend takes, and a letter of a slanted name, inches.
+_LEGEND_LINE, _SLANTED = 0.13, 0.02
+#: What can still be read in print, points.
+_SMALLEST = 5.0
 
 INK = "#1f2933"
 GREY = "#8a94a0"
@@ -137,13 +145,30 @@ def looks_by(order: Iterable[str]) -> dict[str, Look]:
     return dict(zip(names, looks(len(names)), strict=True))
 
 
+def _families() -> list[str]:
+    """Return the families of fonts of all figures, those that are installed."""
+    fonts = {font.name for font in font_manager.fontManager.ttflist}
+    return [_FONT, *(name for name in _FONTS_OF_OTHER_SCRIPTS if name in fonts)]
+
+
+def letters_without_font(texts: Iterable[str]) -> str:
+    """Return the letters of texts that no font of the figures has, each once: in figures they are boxes.
+
+    Example:
+        >>> letters_without_font(["Énergie (µJ·s⁻¹)"])
+        ''
+    """
+    fonts = [font_manager.get_font(font_manager.findfont(family)) for family in _families()]
+    letters = sorted({letter for text in texts for letter in verbatim(text)})
+    return "".join(letter for letter in letters if not any(font.get_char_index(ord(letter)) for font in fonts))
+
+
 @contextmanager
 def figure_style() -> Iterator[None]:
     """While it is entered, matplotlib draws and saves in the style of this module."""
-    fonts = {font.name for font in font_manager.fontManager.ttflist}
-    style = _STYLE | {"font.family": [_FONT, *(name for name in _FONTS_OF_OTHER_SCRIPTS if name in fonts)]}
+    style = _STYLE | {"font.family": _families()}
     with mpl.rc_context(style), warnings.catch_warnings():
-        # A letter that no font has becomes a box; the name stands in full beside the figure.
+        # A letter that no font has becomes a box: `letters_without_font` tells which.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         yield
 
@@ -165,19 +190,42 @@ def draw_points(axes: Axes, x: Any, y: Any, look: Look, *, edge: float = 0.3, **
     axes.plot(x, y, linestyle="none", marker=look.marker, color=look.colour, **settings)
 
 
+def name_places(figure: Figure, axes: Axes, names: Sequence[str]) -> None:
+    """Name the places 0, 1, 2, ... along a figure; at a slant, and the figure higher, where names would touch."""
+    shown = [shortened(name) for name in names]
+    longest = max(map(len, shown), default=0)
+    is_crowded = sum(map(len, shown)) > _LETTERS_BESIDE or longest * len(shown) > _LETTERS_BESIDE
+    slant: dict[str, Any] = {"rotation": 30, "ha": "right"} if is_crowded else {}
+    axes.set_xticks(range(len(shown)), shown, **slant)
+    if is_crowded:
+        figure.set_figheight(figure.get_figheight() + _SLANTED * longest)
+
+
 def label_axes(axes: Axes, x: str = "", y: str = "", *, grid: Literal["both", "x", "y"]) -> None:
     """Name the axes of a figure that have a name, and draw a grid."""
     if x:
         axes.set_xlabel(wrapped(x))
     if y:
-        axes.set_ylabel(wrapped(y))
+        axes.set_ylabel(wrapped(y, UPRIGHT_LINE))
     axes.grid(visible=True, axis=grid)
 
 
 def add_legend(figure: Figure, count: int, *, most: int | None = None, columns: int = 3, **settings: Any) -> None:
-    """Name the treatments beneath a figure, unless there is one or there are more than `most`."""
-    if 1 < count <= (most or count):
-        figure.legend(loc="outside lower center", ncols=min(count, columns), **settings)
+    """Name the treatments beneath a figure, unless there is one or there are more than `most`.
+
+    Names that do not fit beside each other stand in fewer columns than `columns`, and the figure is higher.
+    """
+    if not 1 < count <= (most or count):
+        return
+    columns = min(count, columns)
+    for beside in range(columns, 0, -1):
+        legend = figure.legend(loc="outside lower center", ncols=beside, **settings)
+        for name in legend.get_texts():
+            name.set_text(shortened(name.get_text(), _LETTERS_IN_LEGEND))
+        if beside == 1 or legend.get_window_extent().width <= figure.bbox.width:
+            figure.set_figheight(figure.get_figheight() + _LEGEND_LINE * (-(-count // beside) - -(-count // columns)))
+            return
+        legend.remove()
 
 
 def shortened(label: str, longest: int = 28) -> str:
@@ -252,10 +300,26 @@ def _settle(figure: Figure) -> None:
     if engine is None:
         return
     engine.execute(figure)
+    if _shrink_long_labels(figure):
+        engine.execute(figure)
     figure.set_layout_engine(None)  # and not "none", which keeps a stand-in for which all is drawn once more
     for axes in figure.axes:
         left, bottom, width, height = (round(edge, _DIGITS) for edge in axes.get_position().bounds)
         axes.set_position((left, bottom, width, height))
+
+
+def _shrink_long_labels(figure: Figure) -> bool:
+    """Write labels smaller that would reach beyond the figure's upper or lower edge; return whether there are any."""
+    found = False
+    for axes in figure.axes:
+        label = axes.yaxis.label
+        extent = label.get_window_extent()
+        middle = (extent.y0 + extent.y1) / 2
+        room = 1.8 * min(middle, figure.bbox.height - middle)  # letters are a little wider at other resolutions
+        if label.get_text() and 0 < room < extent.height:
+            label.set_fontsize(max(_SMALLEST, label.get_fontsize() * room / extent.height))
+            found = True
+    return found
 
 
 def _flatten_crowds(figure: Figure) -> None:

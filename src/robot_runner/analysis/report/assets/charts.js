@@ -25,11 +25,18 @@
     return made;
   }
 
-  function axes(xLabel, yLabel) {
+  // Marks such as 1,200,000 need more room than most, or the name of the axis is written over them.
+  function roomForMarks(plot, marks) {
+    return Math.max(54, 12 + 7 * Math.max(0, ...(marks || []).map((mark) => String(mark || "").length)));
+  }
+
+  const WHOLE = [1, 2, 5].concat(...[1, 2, 3, 4, 5, 6].map((zeros) => [1, 2, 5].map((step) => step * 10 ** zeros)));
+
+  function axes(xLabel, yLabel, steps) {
     const common = { stroke: INK, font: FONT, labelFont: FONT, ticks: { stroke: LINE, size: 4 }, labelSize: 22 };
     return [
-      Object.assign({ label: xLabel, size: 34, grid: { show: false } }, common),
-      Object.assign({ label: yLabel, size: 54, grid: { stroke: LINE, width: 1 } }, common),
+      Object.assign({ label: xLabel, size: 34, grid: { show: false } }, steps ? { incrs: steps } : {}, common),
+      Object.assign({ label: yLabel, size: roomForMarks, grid: { stroke: LINE, width: 1 } }, common),
     ];
   }
 
@@ -279,7 +286,7 @@
       const chart = new uPlot({
         width: width, height: Math.round(height * 0.8),
         series: [{}, { label: measure.label, stroke: "transparent", width: 0, points: { show: false } }],
-        axes: axes(data.place, measure.label),
+        axes: axes(data.place, measure.label, WHOLE),
         scales: {
           x: { time: false, range: function (u, low, high) { return [low - 0.6, high + 0.6]; } },
           y: { range: function (u, low, high) { const by = (high - low || Math.abs(high) || 1) * 0.12; return low === null ? [0, 1] : [low - by, high + by]; } },
