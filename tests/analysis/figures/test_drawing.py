@@ -321,6 +321,15 @@ def test_a_long_name_of_a_measure_fits_beneath_many_groups():
     assert 0 <= ends.x0 < ends.x1 <= figure.bbox.width
 
 
+def test_a_power_of_ten_beneath_an_axis_is_not_written_over_its_label():
+    groups = [Group(f"a planner with a long name, {at}", (1e6 + at, 1.004e6), ("r_1", "r_2")) for at in range(12)]
+    figure = draw_distribution(groups, value_label="Energy of the whole robot and its computer", group_label="Planner")
+    figure_bytes(figure, FigureFormat.PNG)
+    axis = figure.axes[0].xaxis
+    assert axis.get_offset_text().get_text() == "1e6"
+    assert axis.label.get_window_extent().y1 <= axis.get_offset_text().get_window_extent().y0
+
+
 LONG = [
     f"planner {name} with a global map, recovery and C:\\new_50%_é" for name in ("A*", "D*", "RRT", "PRM", "θ*", "TEB")
 ]

@@ -300,7 +300,8 @@ def _settle(figure: Figure) -> None:
     if engine is None:
         return
     engine.execute(figure)
-    if _shrink_long_labels(figure):
+    changed = [_shrink_long_labels(figure), _clear_multipliers(figure)]
+    if any(changed):
         engine.execute(figure)
     figure.set_layout_engine(None)  # and not "none", which keeps a stand-in for which all is drawn once more
     for axes in figure.axes:
@@ -318,6 +319,17 @@ def _shrink_long_labels(figure: Figure) -> bool:
         room = 1.8 * min(middle, figure.bbox.height - middle)  # letters are a little wider at other resolutions
         if label.get_text() and 0 < room < extent.height:
             label.set_fontsize(max(_SMALLEST, label.get_fontsize() * room / extent.height))
+            found = True
+    return found
+
+
+def _clear_multipliers(figure: Figure) -> bool:
+    """Keep labels off the power of ten by which the numbers of an axis are multiplied; return whether there is any."""
+    found = False
+    for axes in figure.axes:
+        multiplier = axes.xaxis.get_offset_text()
+        if multiplier.get_text() and axes.get_xlabel():
+            axes.xaxis.labelpad += multiplier.get_fontsize()
             found = True
     return found
 
