@@ -40,17 +40,17 @@ BODY = """
     plugins = [Lamp()]
     grace_in_s = 5
     def create_run_table(self):
-        return RunTableModel([Factor("Task", ["Video"])])
+        return RunTableModel([Factor("Task", [TASKS])])
 """
 LONG = "time.sleep(60)"
 
 
 @pytest.fixture
 def lamp(start: Start, write_config: Callable[..., Path]) -> Callable[..., Any]:
-    def light(*, mission: str = LONG, make_safe: str = "pass", more: str = "") -> Any:
+    def light(*, mission: str = LONG, make_safe: str = "pass", more: str = "", tasks: str = '"Video"') -> Any:
         lamp = LAMP.format(mission=mission, make_safe=make_safe)
         head = HEAD.replace("import *\n", f"import *\n{lamp}", 1)
-        experiment = start(config=write_config(BODY + more, head=head, table=""))
+        experiment = start(config=write_config(BODY.replace("TASKS", tasks) + more, head=head, table=""))
         experiment.wait_for("launched")
         return experiment
 
@@ -127,10 +127,16 @@ def test_a_restart_waits_for_the_process_that_makes_the_systems_of_the_killed_ru
 
 
 @pytest.mark.long
-def test_a_system_that_nobody_could_make_safe_is_told_in_capitals(lamp: Callable[..., Any]) -> None:
-    experiment = lamp(make_safe="raise OSError('the cable is out')")
+def test_a_system_that_nobody_could_make_safe_is_told_in_capitals_and_no_further_run_begins(
+    lamp: Callable[..., Any],
+) -> None:
+    experiment = lamp(
+        make_safe="raise OSError('the cable is out')", more="    attempts = 2\n", tasks='"Video", "Network"'
+    )
     kill(experiment.run_process())
     assert experiment.end() == 1
+    assert experiment.statuses == ["Failed", "-"]
+    assert "Stopped by a robot that may be moving: 0 of 2 runs done, 1 failed, 1 to do" in experiment.output
     output = " ".join(experiment.output.split())
     assert "THE ROBOT MAY BE MOVING: Lamp could not be made safe: OSError: the cable is out" in output
     assert "Stop it by hand" in output
@@ -180,7 +186,11 @@ def test_what_the_standby_has_opened_beforehand_makes_safe_and_is_opened_anew_wh
     start: Start, write_config: Callable[..., Path], is_torn: bool
 ) -> None:
     systems = LAMP.format(mission=LONG, make_safe="pass") + CABLE
-    experiment = start(config=write_config(BODY, head=HEAD.replace("import *\n", f"import *\n{systems}", 1), table=""))
+    experiment = start(
+        config=write_config(
+            BODY.replace("TASKS", '"Video"'), head=HEAD.replace("import *\n", f"import *\n{systems}", 1), table=""
+        )
+    )
     for name in ("launched", "ready"):
         experiment.wait_for(name)
     standby = experiment.standby()

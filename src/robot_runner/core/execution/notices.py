@@ -221,8 +221,8 @@ class ExperimentFinished:
             to do.
         failed: the ids of the runs that failed.
         interrupted: whether the user asked for the end.
-        stopped_by_policy: whether the config ended it before its last run.
-        stopped_by: by what: `on_failure`, `a gate` or `a guard`.
+        stopped_by_policy: whether it was ended before its last run, by the config or for safety.
+        stopped_by: by what: `on_failure`, `a gate`, `a guard`, or `a robot that may be moving`.
         findings: what looked odd.
         seconds: real time.
         excluded: the ids of the runs that are left out.

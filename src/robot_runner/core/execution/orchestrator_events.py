@@ -301,8 +301,8 @@ class OngoingExperiment:
         notify: tells the screens.
         patience: what goes on while something is awaited.
         has_one_place: whether no run ever goes on beside another one.
-        stopped_by: why no more runs begin, `on_failure`, `a gate` or `a guard`; those in flight come to their end.
-            Empty while it goes on.
+        stopped_by: why no more runs begin, `on_failure`, `a gate`, `a guard` or `a robot that may be moving`; those in
+            flight come to their end. Empty while it goes on.
     """
 
     experiment: Experiment

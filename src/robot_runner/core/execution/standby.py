@@ -27,7 +27,7 @@ from robot_runner.core.execution.failures import failure_fields
 from robot_runner.core.execution.left_over import has_locked
 from robot_runner.core.execution.processes import forked, settle_streams
 from robot_runner.core.execution.run_events import made_safe, run_contexts
-from robot_runner.core.execution.systems_state import Care, SystemsState
+from robot_runner.core.execution.systems_state import MAY_BE_MOVING, Care, SystemsState
 from robot_runner.core.links.commanded_topics import keep_commanding_zero
 from robot_runner.core.links.connect import connect_robot, is_simulated, join_beforehand, preload_robot
 from robot_runner.core.plugin import System
@@ -130,8 +130,9 @@ class Standby:
         reason = self.state.reason or "the process that stood by for this died, too"
         return {
             "owner": "standby",
-            "problem": f"THE ROBOT MAY BE MOVING: {names} could not be made safe: {reason}",
-            "fix": "Stop it by hand. A watchdog on the robot stops it when the laptop falls silent.",
+            "problem": f"{MAY_BE_MOVING}: {names} could not be made safe: {reason}",
+            "fix": "Stop it by hand, and start the experiment again: it resumes. A watchdog on the robot stops it when "
+            "the laptop falls silent.",
         }
 
     def _stand_by(self, run: int) -> NoReturn:
