@@ -1,24 +1,26 @@
-"""What the R script computes by formulas of its own is what scipy computes."""
+"""What the R script and the notebook compute by formulas of their own is what scipy computes."""
 
 from __future__ import annotations
 
 import shutil
 import subprocess
 from importlib.resources import files
+from typing import Any
 
+import numpy as np
 import pytest
-from scipy import stats
+from scipy import special, stats
 
-TEMPLATE = files("robot_runner.analysis.recomputing") / "templates" / "sizes.R.j2"
+TEMPLATES = files("robot_runner.analysis.recomputing") / "templates"
+#: F, degrees of freedom and noncentralities; simulated measures may hardly vary: their effects have F in the millions.
+CASES = [(5.0, 2.0, 3.3, 0.0), (5.0, 1.0, 30.0, 10.0), (15e3, 1.3, 3.3, 25e3), (1.2e8, 1.24, 3.07, 1e8)]
 
 
 @pytest.mark.skipif(shutil.which("Rscript") is None, reason="R is not installed (Debian: apt install r-base-core)")
 def test_the_noncentral_f_distribution_is_known_however_large_an_effect_is() -> None:
-    # Simulated measures may hardly vary: their effects have F in the millions.
-    cases = [(5.0, 2.0, 3.3, 0.0), (5.0, 1.0, 30.0, 10.0), (15e3, 1.3, 3.3, 25e3), (1.2e8, 1.24, 3.07, 1e8)]
-    template = TEMPLATE.read_text(encoding="utf-8")
+    template = (TEMPLATES / "sizes.R.j2").read_text(encoding="utf-8")
     formula = template[template.index("below_f <-") : template.index("noncentralities_of_f <-")]
-    asked = [f'cat(format(below_f({", ".join(map(str, case))}), digits = 15), "\\n")' for case in cases]
+    asked = [f'cat(format(below_f({", ".join(map(str, case))}), digits = 15), "\\n")' for case in CASES]
     finished = subprocess.run(
         ["Rscript", "--vanilla", "-"],
         input="\n".join([formula, *asked]),
@@ -28,5 +30,16 @@ def test_the_noncentral_f_distribution_is_known_however_large_an_effect_is() -> 
         timeout=300,
     )
     assert [float(line) for line in finished.stdout.split()] == pytest.approx(
-        [stats.ncf.cdf(*case) for case in cases], rel=1e-8
+        [stats.ncf.cdf(*case) for case in CASES], rel=1e-8
     )
+
+
+def test_the_notebook_knows_the_noncentral_f_distribution_as_well_and_as_soon() -> None:
+    template = (TEMPLATES / "sizes.py.j2").read_text(encoding="utf-8")
+    formula = template[template.index("def below_f(") : template.index("def noncentralities_of_f(")]
+    space: dict[str, Any] = {"np": np, "special": special}
+    exec(formula, space)  # noqa: S102 - the point
+    # Of F in the thousand millions every Poisson weight would fill the memory.
+    expected = [stats.ncf.cdf(*case) for case in CASES]
+    assert [space["below_f"](*case) for case in CASES] == pytest.approx(expected, rel=1e-7)
+    assert 0.4 < space["below_f"](4e10, 1.0, 300.0, 4e10) < 0.6

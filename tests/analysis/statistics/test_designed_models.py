@@ -11,6 +11,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import stats
 from tests.analysis.statistics import designed_data as data
@@ -20,9 +21,12 @@ from robot_runner.analysis import analyse
 from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, covariate_column, design_of
 from robot_runner.analysis.statistics.designed_columns import residuals_of
 from robot_runner.analysis.statistics.designed_models import designed_model_of
+from robot_runner.analysis.statistics.known_design import before_column, role_column
 from robot_runner.analysis.statistics.lenth_test import LenthContrast, pseudo_error
 from robot_runner.analysis.statistics.tested import TestMethod
-from robot_runner.core.design.analysis_plan import Estimand, Statistic
+from robot_runner.analysis.statistics.tests import model_of
+from robot_runner.core.design.analysis_plan import AnalysisPlan, Estimand, Statistic
+from robot_runner.core.design.columns import EXCLUDED, RUN_ID
 
 
 def effects_of(results, measure="y"):
@@ -50,6 +54,29 @@ def test_a_split_plot_has_two_errors():
     # Whole plots that are numbered anew in each replicate are the same ones.
     again = [(rep, int(method[1:]), method, *rest) for rep, method, *rest in data.PAPER]
     assert effects_of(designed(again, ["Replicate", "Batch", "Method", "Temperature"], facts))[1] == effects
+
+
+def test_a_split_plot_that_lost_a_run_is_still_adjusted_for_its_replicates_and_covariates():
+    names, facts, rows, values = made_tables()["split_plot_in_replicates"]
+    voltage = [float(place * place % 7) for place in range(len(rows))]
+    lines = [[*row, value, volt] for row, value, volt in zip(rows, values, voltage, strict=True)][1:]
+    plan = AnalysisPlan(measures=["y"], covariates=["U"])
+    found = analyse(designed(lines, names, facts, ["y", "U"], plan)).measure("y")
+    assert found.test.method is TestMethod.MIXED_MODEL
+    # nlme 3.1: anova(lme(y ~ Hard * Easy + Replicate + U, random = ~ 1 | Plot, contrasts = sums), type = "marginal").
+    assert {each.label: figures(each) for each in found.test.effects} == {
+        "Hard": pytest.approx((12.753703, 2, 6), rel=1e-6),
+        "Easy": pytest.approx((17.553167, 2, 16), rel=1e-6),
+        "Hard x Easy": pytest.approx((1.1118665, 4, 16), rel=1e-6),
+    }
+    assert "each block with a random mean, beside Replicate and U." in found.test.reason
+    # Replicates that were added later tell the batches: what either adds is taken out once.
+    data = design_of(designed(lines, names, facts, ["y", "U"], plan)).data("y")
+    batches = 1 + (data.frame[role_column("Replicate")] > "r1").astype(int)
+    extended = replace(data, frame=data.frame.assign(**{BATCH: batches}), is_extended=True)
+    apart, added = (list(model_of(each, Estimand.MEAN).effects()) for each in (data, extended))
+    assert [each.freedom for each in added] == [each.freedom for each in apart]
+    assert [each.statistic for each in added] == pytest.approx([each.statistic for each in apart])
 
 
 @pytest.mark.long
@@ -102,6 +129,32 @@ def test_a_crossover_is_the_one_of_the_textbook():
     # Washed out: the same without residual effects, of 6.
     _, effects = effects_of(designed(rows, ["Cow", "Period", "Method"], facts | {"washout": True}))
     assert figures(effects["Method"]) == pytest.approx((2276.78 / 2 / ((616.19 + 199.25) / 6), 2, 6), rel=1e-5)
+
+
+def without_run(results, run_id):
+    """The same results after `exclude`: a column has the reason."""
+    frame = results.table
+    reasons = pd.array([None if each != run_id else "the robot was pushed" for each in frame[RUN_ID]], dtype="str")
+    return replace(results, table=frame.assign(**{EXCLUDED: reasons}))
+
+
+def test_a_run_that_is_excluded_was_there_for_what_it_carries_over():
+    names, facts, rows, values = made_tables()["crossover"]
+    lines = [[*row, value] for row, value in zip(rows, values, strict=True)]
+    left = analyse(without_run(designed(lines, names, facts), "r_2")).measure("y")
+    # R: crossover of designs_in_r.R, whose treatments before are told first, without the second run.
+    lost = design_of(without_run(designed(lines, names, facts), "r_2")).data("y").frame
+    before = dict(zip(lost[RUN_ID], lost[before_column("Treatment")], strict=True))
+    assert (before["r_1"], before["r_3"], before["r_4"]) == ("", rows[1][2], rows[2][2])
+    assert figures(left.test.effects[0]) == pytest.approx((3.578584816, 3, 14), rel=1e-6)
+
+
+def test_excluding_a_run_changes_the_test_no_more_than_a_run_that_fails():
+    complete = [(day, task, float(place % 4)) for place, (day, task) in enumerate(product("MDWTF", "abc"))]
+    results = designed(complete, ["Day", "Task"], {"kind": "blocks", "block": ["Day"]})
+    failed = replace(results, table=results.table.assign(y=results.table["y"].where(results.table[RUN_ID] != "r_2")))
+    methods = {analyse(each).measure("y").test.reason for each in (failed, without_run(results, "r_2"))}
+    assert len(methods) == 1
 
 
 @pytest.mark.long

@@ -329,7 +329,7 @@ def _clear_multipliers(figure: Figure) -> bool:
     for axes in figure.axes:
         multiplier = axes.xaxis.get_offset_text()
         if multiplier.get_text() and axes.get_xlabel():
-            axes.xaxis.labelpad += multiplier.get_fontsize()
+            axes.xaxis.labelpad += float(multiplier.get_fontsize())
             found = True
     return found
 

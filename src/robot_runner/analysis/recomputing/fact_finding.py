@@ -7,18 +7,18 @@ import hashlib
 import io
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from robot_runner.analysis.recomputing.designed_facts import Designed, designed_facts
 from robot_runner.analysis.recomputing.measure_facts import facts_of_measure
+from robot_runner.analysis.recomputing.reported import Number, Reported
 from robot_runner.analysis.recomputing.study_facts import (
     Adjustment,
     FactorColumn,
     MeasureFacts,
-    Number,
-    Reported,
     StudyFacts,
     TableSource,
 )
@@ -79,6 +79,9 @@ def facts_of_study(
     facts = dict(_measures(design, statistics, plan))
     cells = Cells(ExperimentFolder.found_at(results.folder).run_table, results)
     block = design.block or ""
+    designs = tuple(_correlated_designs(shown, design))
+    measured = {name for each in shown.correlations for name in (each.first, each.second)}
+    is_known = design.known.is_plain or len(designs) == len(measured)
     return StudyFacts(
         name=results.name,
         made=made,
@@ -87,7 +90,7 @@ def facts_of_study(
         source=source_of(results, design, cells, folder),
         factors=factor_columns(design, cells),
         varied=design.factors,
-        numbers=tuple(dict.fromkeys(each.name for each in facts.values() if each.answered is None)),
+        numbers=tuple(dict.fromkeys(_numbers(facts.values(), results))),
         block=block,
         blocks_are_of_batches=bool(block) and BATCH in design.frame and block == results.repetition,
         units=() if block else design.known.unit_columns,
@@ -97,11 +100,20 @@ def facts_of_study(
         families=tuple(_families(statistics, plan, facts)),
         adjusted=_adjusted(statistics, facts),
         correlated=tuple(_correlated(shown, design)),
-        correlations=_correlations(shown, is_plain=design.known.is_plain),
-        without_within=0 if design.known.is_plain else len(shown.correlations),
+        correlations=_correlations(shown, is_known=is_known),
+        without_within=0 if is_known else len(shown.correlations),
+        correlated_designs=designs if is_known else (),
         conditional=tuple(name for name in design.factors if name in design.conditions),
         possible=design.possible if design.conditions else None,
     )
+
+
+def _numbers(facts: Iterable[MeasureFacts], results: Results) -> Iterator[str]:
+    """Yield the columns that are read as numbers: measures, and those that they are adjusted for."""
+    for each in facts:
+        if each.answered is None:
+            yield each.name
+        yield from (name for name in each.covariates if name in results.measures)
 
 
 def _measures(
@@ -220,7 +232,18 @@ def _correlated(statistics: ExperimentStatistics, design: Design) -> Iterator[tu
         yield tuple((name, () if data is None else data.factors) for name, data in several)
 
 
-def _correlations(statistics: ExperimentStatistics, *, is_plain: bool) -> Reported:
+def _correlated_designs(
+    statistics: ExperimentStatistics, design: Design
+) -> Iterator[tuple[str, tuple[str, ...], Designed]]:
+    """Yield the measures that are correlated, with their factors and the model of their design, where it is known."""
+    for name in dict.fromkeys(name for each in statistics.correlations for name in (each.first, each.second)):
+        data = design.data(name)
+        found = None if data is None else designed_facts(data, design.results, keeps_together=False)
+        if data is not None and found is not None:
+            yield name, data.factors, found
+
+
+def _correlations(statistics: ExperimentStatistics, *, is_known: bool) -> Reported:
     """Return the correlations; within treatments where the scripts know the model whose residuals they are of."""
     rows: list[tuple[str, dict[str, Number]]] = []
     for each in statistics.correlations:
@@ -233,7 +256,7 @@ def _correlations(statistics: ExperimentStatistics, *, is_plain: bool) -> Report
             "Spearman's rho": each.spearman,
             "p": each.p_value,
             "adjusted p": each.adjusted_p_value,
-            "r within treatments": each.within if is_plain else None,
+            "r within treatments": each.within if is_known else None,
         }
         rows.append((f"{each.first} and {each.second}", row))
     return Reported.of(rows)

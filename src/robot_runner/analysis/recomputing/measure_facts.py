@@ -3,39 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from itertools import combinations
+from math import prod
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robot_runner.analysis.recomputing.designed_facts import Designed, designed_facts, surface_facts
+from robot_runner.analysis.recomputing.reported import (
+    Reported,
+    about_residuals,
+    contrasts_table,
+    described_row,
+    freedom_row,
+    pair_row,
+    tested_table,
+)
 from robot_runner.analysis.recomputing.study_facts import (
     LEVEL,
     Answered,
     Compared,
     Contrasted,
     MeasureFacts,
-    Number,
     Paired,
-    Reported,
     TestedEffect,
 )
 from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.known_precision import level_of_looks
+from robot_runner.analysis.statistics.lenth_test import LENTH, LenthModel
 from robot_runner.analysis.statistics.linear_model import FittedModel
 from robot_runner.analysis.statistics.nested_factors import NestedFactors
-from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics, Proportion
-from robot_runner.analysis.statistics.tested import Comparison, Effect, EffectSize, Interval, NotComputed, PostHoc
+from robot_runner.analysis.statistics.strata_model import StrataModel
+from robot_runner.analysis.statistics.surface_model import SurfaceModel
+from robot_runner.analysis.statistics.tested import Effect, NotComputed, PostHoc
 from robot_runner.analysis.statistics.tests import Choices, check_estimand, model_of
 from robot_runner.core.design.analysis_plan import Estimand
 from robot_runner.core.design.columns import RUN_ID
 
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.analysed_design import Design, MeasureData
+    from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics, Proportion
     from robot_runner.core.design.hypothesis import Hypothesis
 
-    Model = CellMeans | FittedModel
-    Row = dict[str, Number]
+    Model = CellMeans | FittedModel | StrataModel | LenthModel | SurfaceModel
 
 #: The procedure that carries out each test of the report, by what the report calls it.
 _PROCEDURES = {
@@ -50,11 +62,16 @@ _PROCEDURES = {
     "Huynh-Feldt": "huynh_feldt",
     "linear model with one variance": "model",
     "linear mixed model": "model",
+    "analysis of variance beside blocks": "model",
+    "analysis of variance of a crossover": "model",
+    "analysis of variance of a split-plot design": "model",
+    "response surface": "model",
+    LENTH: "lenth",
 }
 #: The models that scripts know how to fit again; of others they take the p-values from the report.
-_KNOWN = (CellMeans, FittedModel)
-#: What tables call the degrees of freedom and the p-value of a test.
-_TEST = {"df": "degrees_of_freedom", "p": "p_value"}
+_KNOWN = (CellMeans, FittedModel, StrataModel, LenthModel, SurfaceModel)
+#: Combinations of the factors of a fraction that scripts go through.
+_MOST_CELLS = 5_000
 _OF_BLOCKS, _BOOTSTRAP = " of blocks", ", parametric bootstrap"
 
 
@@ -77,14 +94,16 @@ def facts_of_measure(
     effect_keys = {effect.factors: key_of(f"{label}: {effect.label}") for effect in effects}
     contrast_keys = {each.statement: key_of(f"{label}: {each.statement}") for each in measure.contrasts}
     levels = level_of_looks(design.results, measure.name)
-    about_residuals = _about_residuals(measure)
+    residuals = about_residuals(measure)
     compared, left, taken = None, [], {}
-    if measure.proportions is None and (data.covariates or not data.known.is_plain):
+    together = measure.drift is not None and bool(measure.drift.within)
+    designed = designed_facts(data, design.results, keeps_together=together) if measure.proportions is None else None
+    if measure.proportions is None and designed is None and (data.covariates or not data.known.is_plain):
         # Scripts do not know their residuals.
-        left = [*about_residuals.values(), *_left(measure)]
-        about_residuals = dict.fromkeys(about_residuals, Reported())
+        left = [*residuals.values(), *_left(measure)]
+        residuals = dict.fromkeys(residuals, Reported())
     elif measure.proportions is None and measure.test is not None:
-        compared = _compared(data, measure, choices, hypotheses, effect_keys, contrast_keys)
+        compared = _compared(data, measure, choices, hypotheses, effect_keys, contrast_keys, designed)
         left = [] if compared is not None else _left(measure)
     if left:
         p_values = {effect_keys[each.factors]: each.p_value for each in effects}
@@ -97,11 +116,11 @@ def facts_of_measure(
         factors=data.factors,
         left_out=tuple(sorted(design.without & set(design.frame[RUN_ID]))),
         described=tuple(
-            (names, Reported.of([(each.label, _described(each)) for each in of])) for names, of in _groups(measure)
+            (names, Reported.of([(each.label, described_row(each)) for each in of])) for names, of in _groups(measure)
         ),
         is_extended=data.is_extended,
-        distributed=measure.assumptions if about_residuals["distribution"] else (),
-        **about_residuals,
+        distributed=measure.assumptions if residuals["distribution"] else (),
+        **residuals,
         compared=compared,
         effect_keys=effect_keys,
         contrast_keys=contrast_keys,
@@ -109,6 +128,7 @@ def facts_of_measure(
         skipped=sum(len(each.numbers) for each in left),
         level=LEVEL if levels is None else levels,
         answered=_answered(data, measure, effect_keys),
+        designed=designed,
     )
 
 
@@ -121,47 +141,6 @@ def _groups(measure: MeasureStatistics) -> Iterator[tuple[tuple[str, ...], list[
     for each in (*described.by_treatment, *described.by_combination):
         groups.setdefault(tuple(each.treatments), []).append(each)
     yield from groups.items()
-
-
-def _numbers(of: Any, *names: str, **others: str) -> Row:
-    """Return attributes by their names, with blanks for underscores, or by other names that are given."""
-    return {name.replace("_", " "): getattr(of, name) for name in names} | {
-        name: getattr(of, attribute) for name, attribute in others.items()
-    }
-
-
-def _ends(interval: Interval | None, of: str = "") -> Row:
-    low, high = (None, None) if interval is None else (interval.low, interval.high)
-    return {f"{of}low": low, f"{of}high": high}
-
-
-def _described(of: Description | Proportion) -> Row:
-    if isinstance(of, Proportion):
-        return _numbers(of, "n", "missing", "count", "percent") | _ends(of.interval)
-    row = _numbers(of, "n", "missing", "mean", "sd", "minimum", "first_quartile", "median", "third_quartile", "maximum")
-    found = {"outliers": len(of.outliers), "extreme": sum(each.is_extreme for each in of.outliers)}
-    return row | _ends(of.mean_interval) | found
-
-
-def _about_residuals(measure: MeasureStatistics) -> dict[str, Reported]:
-    """Return what the report says of the distribution and the order of residuals, and of the power."""
-    checks = [
-        (
-            f"{each.name}, {' / '.join(each.treatments.values()) or 'all groups'}",
-            _numbers(each, "statistic", p="p_value"),
-        )
-        for each in measure.assumptions
-    ]
-    tables = {"distribution": Reported.of(checks), **dict.fromkeys(("quantiles", "drift", "power"), Reported())}
-    if (line := measure.quantiles) is not None:
-        tables["quantiles"] = Reported.of([("reference line", _numbers(line, "slope", "intercept"))])
-    if (drift := measure.drift) is not None:
-        row = _numbers(drift, rho="correlation", p="p_value", slope="slope") | _ends(drift.slope_interval)
-        tables["drift"] = Reported.of([("over the order of execution", row)])
-    if (power := measure.power) is not None:
-        row = {f"runs for {each.effect_size:g}": each.repetitions for each in power.needed}
-        tables["power"] = Reported.of([(power.effect_name, _numbers(power, "detectable_effect") | row)])
-    return tables
 
 
 def _answered(
@@ -177,7 +156,7 @@ def _answered(
     rows = [
         (
             each.label,
-            {"statistic": each.statistic, **_freedom(each.degrees_of_freedom, ""), "p": each.p_value},
+            {"statistic": each.statistic, **freedom_row(each.degrees_of_freedom, ""), "p": each.p_value},
         )
         for each in known
     ]
@@ -202,7 +181,9 @@ def _answered(
 def _left(measure: MeasureStatistics) -> list[Reported]:
     """Return the tables of tests that are not computed again."""
     pairs = (_paired(each, "", "ranks", None).reported for each in measure.post_hoc)
-    return [_tested(measure, "ranks"), _contrasts(measure), *pairs]
+    surface = None if measure.surface is None else surface_facts(measure.surface)
+    of_surface = () if surface is None else (surface.reported, surface.whole)
+    return [tested_table(measure, "ranks"), contrasts_table(measure), *pairs, *of_surface]
 
 
 def _compared(
@@ -212,6 +193,7 @@ def _compared(
     hypotheses: Sequence[Hypothesis],
     effect_keys: Mapping[tuple[str, ...], str],
     contrast_keys: Mapping[str, str],
+    designed: Designed | None,
 ) -> Compared | None:
     """Return what is compared of a measure, and how; None where that is not known here."""
     used, _, _ = comparable(data)
@@ -220,6 +202,8 @@ def _compared(
     if isinstance(nested := used.treatments, NestedFactors) and not _is_known(model):
         return None
     if measure.test is None or not isinstance(model, _KNOWN) or not isinstance(beside, (*_KNOWN, NotComputed)):
+        return None
+    if designed is not None and not _is_designed(model, measure):
         return None
     tested, checked = (_procedures(each) for each in (model, beside))
     effects = [
@@ -236,7 +220,7 @@ def _compared(
     of_cells = "blocks" if is_blocked else "runs"
     rest = set(used.frame[RUN_ID])
     return Compared(
-        kind=of_cells if isinstance(model, CellMeans) else "linear" if model.blocks is None else "mixed",
+        kind=of_cells if isinstance(model, CellMeans) else _kind(model),
         factors=tuple((name, tuple(treatments)) for name, treatments in levels.items()),
         between=model.layout.between if isinstance(model, CellMeans) and is_blocked else (),
         estimand=choices.estimand.value,
@@ -244,13 +228,13 @@ def _compared(
         dropped=tuple(run for run in data.frame[RUN_ID] if run not in rest),
         left_out=_left_out(used, model),
         effects=tuple(known),
-        tested=_tested(measure, of),
+        tested=tested_table(measure, of),
         pairs=tuple(_paired(each, effect_keys[each.factors], of, used) for each in measure.post_hoc),
         contrasts=tuple(
             _contrasted(by_statement[each.statement], levels, choices, contrast_keys[each.statement])
             for each in measure.contrasts
         ),
-        contrasted=_contrasts(measure),
+        contrasted=contrasts_table(measure),
         of=of,
         d_name="robust d" if choices.estimand is Estimand.TRIMMED_MEAN else "Cohen's d",
         has_check=not isinstance(beside, NotComputed),
@@ -259,7 +243,23 @@ def _compared(
         nested=tuple((name, tuple(of.items())) for name, of in nested.conditions.items())
         if isinstance(nested, NestedFactors)
         else (),
+        units=used.known.columns if isinstance(model, StrataModel) else (),
+        has_plots=isinstance(model, StrataModel) and len(model.fits) > 1,
+        surface=None if measure.surface is None else surface_facts(measure.surface),
     )
+
+
+def _kind(model: FittedModel | StrataModel | LenthModel | SurfaceModel) -> str:
+    if isinstance(model, FittedModel):
+        return "linear" if model.blocks is None else "mixed"
+    return "strata" if isinstance(model, StrataModel) else "lenth" if isinstance(model, LenthModel) else "surface"
+
+
+def _is_designed(model: Model, measure: MeasureStatistics) -> bool:
+    """Return whether scripts know the model of a design."""
+    if isinstance(model, CellMeans):
+        return prod(map(len, model.layout.factors.values())) <= _MOST_CELLS
+    return not (isinstance(model, LenthModel | SurfaceModel) and measure.contrasts)
 
 
 def _is_known(model: object) -> bool:
@@ -292,8 +292,8 @@ def _effect(effect: Effect, key: str, tested: str, checked: str, data: MeasureDa
         factors=effect.factors,
         test=_PROCEDURES[test],
         check=_PROCEDURES.get(check, ""),
-        drawn=effect.p_value if tested.endswith(_BOOTSTRAP) else None,
-        check_is_drawn=has_check and checked.endswith(_BOOTSTRAP),
+        drawn=effect.p_value if tested.endswith(_BOOTSTRAP) or test == LENTH else None,
+        check_is_drawn=has_check and (checked.endswith(_BOOTSTRAP) or check == LENTH),
         levels=_levels_of(effect, data),
     )
 
@@ -303,20 +303,6 @@ def _levels_of(effect: Effect, data: MeasureData) -> tuple[tuple[str, tuple[str,
     if not isinstance(nested := data.treatments, NestedFactors):
         return ()
     return tuple(zip(effect.factors, map(tuple, nested.levels(effect.factors)), strict=True))
-
-
-def _tested(measure: MeasureStatistics, of: str) -> Reported:
-    if measure.test is None:
-        return Reported.of([])
-    return Reported.of([(each.label, _effect_row(each, measure.test.spread, of)) for each in measure.test.effects])
-
-
-def _contrasts(measure: MeasureStatistics) -> Reported:
-    rows = [
-        (each.statement, _numbers(each, "estimate") | _ends(each.interval) | _numbers(each, "statistic", **_TEST))
-        for each in measure.contrasts
-    ]
-    return Reported.of(rows)
 
 
 def _procedures(model: Model | NotComputed) -> dict[tuple[str, ...], str]:
@@ -337,45 +323,21 @@ def _left_out(data: MeasureData, model: Model) -> tuple[str, ...]:
     return tuple(data.frame[RUN_ID].iloc[list(rows)])
 
 
-def _effect_row(effect: Effect, spread: float | None, of: str) -> Row:
-    row: Row = {"statistic": effect.statistic, **_freedom(effect.degrees_of_freedom, ""), "p": effect.p_value}
-    row |= {"spread": spread}
-    for at, part in enumerate(effect.parts):
-        row |= {f"p of {part.name}": part.p_value}
-        if at:  # the first is the statistic itself
-            row |= {f"statistic of {part.name}": part.statistic}
-            row |= _freedom(part.degrees_of_freedom, f" of {part.name}")
-    for size in effect.effect_sizes:
-        if size.name.endswith("omega squared"):
-            row |= _size(size, "omega squared")
-    if effect.check is not None:
-        row |= {f"statistic of {of}": effect.check.statistic}
-        row |= {**_freedom(effect.check.degrees_of_freedom, f" of {of}"), f"p of {of}": effect.check.p_value}
-    return row
-
-
-def _freedom(freedom: Sequence[float], of: str) -> Row:
-    return {f"df{'' if place == 0 else ' 2'}{of}": each for place, each in enumerate(freedom)}
-
-
-def _size(size: EffectSize, name: str) -> Row:
-    return {name: size.value, **_ends(size.interval, f"{name} ")}
-
-
 def _paired(post_hoc: PostHoc, key: str, of: str, data: MeasureData | None) -> Paired:
     pairs = [(f"{each.first} and {each.second}", each) for each in post_hoc.comparisons]
     adjusted = Reported.of([(label, {"adjusted p": each.adjusted_p_value}) for label, each in pairs])
-    reported = Reported.of([(label, _pair(each, of)) for label, each in pairs])
+    reported = Reported.of([(label, pair_row(each, of)) for label, each in pairs])
     others = () if data is None else tuple(data.others(post_hoc.factors))
-    return Paired(key, post_hoc.factors, others, reported, adjusted)
+    return Paired(key, post_hoc.factors, others, reported, adjusted, _chosen(post_hoc, data))
 
 
-def _pair(pair: Comparison, of: str) -> Row:
-    row = _numbers(pair, "difference") | _ends(pair.interval) | _numbers(pair, "statistic", **_TEST)
-    row |= {f"p of {of}": pair.check_p_value}
-    for size in pair.effect_sizes:
-        row |= _size(size, size.name)
-    return row
+def _chosen(post_hoc: PostHoc, data: MeasureData | None) -> tuple[int, ...]:
+    """Return which of all pairs of treatments are compared, from 1; nothing where all are."""
+    if data is None or not data.known.is_one_at_a_time:
+        return ()
+    compared = {(each.first, each.second) for each in post_hoc.comparisons}
+    every = enumerate(combinations(data.levels(post_hoc.factors[0]), 2), start=1)
+    return tuple(place for place, pair in every if pair in compared)
 
 
 def _contrasted(hypothesis: Hypothesis, levels: Mapping[str, Sequence[str]], choices: Choices, key: str) -> Contrasted:

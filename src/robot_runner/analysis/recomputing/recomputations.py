@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from enum import Enum
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.recomputing.fact_finding import facts_of_study
 from robot_runner.analysis.recomputing.literals import Code, python_literal, r_literal, rendered
@@ -17,7 +17,6 @@ from robot_runner.analysis.recomputing.study_facts import (
     LEVEL,
     Compared,
     Contrasted,
-    Reported,
     StudyFacts,
     TestedEffect,
 )
@@ -26,6 +25,9 @@ from robot_runner.analysis.results import Results, results_of
 from robot_runner.analysis.statistics.nested_factors import IDLE
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.storage.guarded_files import make_folder, replace
+
+if TYPE_CHECKING:
+    from robot_runner.analysis.recomputing.reported import Reported
 
 
 def r_script(study: StudyFacts) -> str:
@@ -38,7 +40,7 @@ def r_script(study: StudyFacts) -> str:
         separator=lambda is_last: Code("" if is_last else ","),
         chosen=_chosen,
         which_of=_which_of,
-        terms=_r_terms,
+        coding=_r_coding,
         weights=_weights,
         treatments=_r_treatments,
         conditions=_r_conditions,
@@ -51,6 +53,10 @@ def r_script(study: StudyFacts) -> str:
 
 def _r_treatments(of: Sequence[tuple[str, Sequence[str]]]) -> Code:
     return Code(f"list({', '.join(f'{r_literal(name)} = {r_literal(list(levels))}' for name, levels in of)})")
+
+
+def _r_coding(of: Mapping[str, tuple[float, float]]) -> Code:
+    return Code(f"list({', '.join(f'{r_literal(name)} = {r_literal(ends)}' for name, ends in of.items())})")
 
 
 def _r_conditions(of: Sequence[tuple[str, Sequence[tuple[str, Sequence[str]]]]]) -> Code:
@@ -76,12 +82,6 @@ def _chosen(treatments: Mapping[str, str]) -> Code:
 def _which_of(effect: TestedEffect, names: Sequence[str]) -> Code:
     """Return whether an effect is one of each of some factors."""
     return r_literal([name in effect.factors for name in names]) if names else Code("logical()")
-
-
-def _r_terms(it: Compared) -> Code:
-    """Return the effects as terms of a formula, whose factors are F1, F2 and so on."""
-    terms = [[f"F{at}" for at, name in enumerate(it.names, 1) if name in effect.factors] for effect in it.effects]
-    return r_literal([":".join(term) for term in terms])
 
 
 def _weights(contrast: Contrasted, it: Compared) -> Code:

@@ -7,34 +7,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from robot_runner.analysis.recomputing.designed_facts import Designed, SurfaceFacts
+    from robot_runner.analysis.recomputing.reported import Number, Reported
     from robot_runner.analysis.statistics.tested import AssumptionCheck
-
-Number = float | int | None
 
 #: Of the interval of a mean.
 LEVEL = 0.95
-
-
-@dataclass(frozen=True, slots=True)
-class Reported:
-    """A table of the report: rows of numbers, each with a label; what could not be computed is None."""
-
-    columns: tuple[str, ...] = ()
-    rows: tuple[tuple[str, tuple[Number, ...]], ...] = ()
-
-    @classmethod
-    def of(cls, rows: Sequence[tuple[str, Mapping[str, Number]]]) -> Reported:
-        """Return a table whose columns are those that some row has a number for."""
-        names = dict.fromkeys(name for _, row in rows for name, value in row.items() if value is not None)
-        return cls(tuple(names), tuple((label, tuple(row.get(name) for name in names)) for label, row in rows))
-
-    def __bool__(self) -> bool:
-        return bool(self.rows)
-
-    @property
-    def numbers(self) -> list[float]:
-        """All numbers that it has."""
-        return [float(value) for _, row in self.rows for value in row if value is not None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +84,7 @@ class Paired:
 
     Attributes:
         others: the factors in which runs are alike that are compared.
+        chosen: which of all pairs, from 1; none where the report has all of them.
     """
 
     key: str
@@ -113,6 +92,7 @@ class Paired:
     others: tuple[str, ...]
     reported: Reported
     adjusted: Reported
+    chosen: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +118,8 @@ class Compared:
     """What is compared of a measure, and how.
 
     Attributes:
-        kind: `runs` of their own, `blocks`, a `linear` model, or a `mixed` one.
+        kind: `runs` of their own, `blocks`, a `linear` model, or a `mixed` one; of designs of their own `strata`, a
+            `surface`, or `lenth` for effects of single runs.
         factors: those that are compared, with their treatments, as the report spells them.
         between: of `blocks`, the factors that differ between them.
         estimand: `mean`, `trimmed mean` or `rank`.
@@ -152,6 +133,9 @@ class Compared:
         is_uniform: whether all combinations vary.
         terms: where some combinations have no run, the effects that are estimated, each as whether a factor is in it.
         nested: where factors apply that do not apply everywhere: the treatments of others, by factor.
+        units: of `strata`, the columns in which runs of a combination are alike that are reduced to their mean.
+        has_plots: whether what differs between whole plots is compared with how these vary.
+        surface: the polynomial of a `surface`.
     """
 
     kind: str
@@ -172,6 +156,14 @@ class Compared:
     is_uniform: bool
     terms: tuple[tuple[bool, ...], ...] = ()
     nested: tuple[tuple[str, tuple[tuple[str, tuple[str, ...]], ...]], ...] = ()
+    units: tuple[str, ...] = ()
+    has_plots: bool = False
+    surface: SurfaceFacts | None = None
+
+    @property
+    def is_reduced(self) -> bool:
+        """Whether runs of a combination are reduced to their mean, in each block or in what else is alike."""
+        return self.kind == "mixed" or bool(self.units)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -225,6 +217,7 @@ class MeasureFacts:
         skipped: how many numbers of the report are not computed again.
         level: of the interval of a mean: higher than 0.95 where runs were added until it was narrow.
         answered: what is computed of a measure that is yes or no.
+        designed: the model of a design of its own.
     """
 
     key: str
@@ -246,6 +239,12 @@ class MeasureFacts:
     skipped: int
     level: float
     answered: Answered | None = None
+    designed: Designed | None = None
+
+    @property
+    def covariates(self) -> tuple[str, ...]:
+        """What is taken out of its values, measures or `order`."""
+        return () if self.designed is None else self.designed.covariates
 
     @property
     def pairs(self) -> tuple[Paired, ...]:
@@ -278,6 +277,8 @@ class StudyFacts:
         families: the tests among which errors are controlled together.
         adjusted: p-values after adjustment.
         correlated: the measures that are correlated, two by two, each with its factors.
+        without_within: of how many pairs the scripts do not know what is correlated within treatments.
+        correlated_designs: of a design of its own, those measures with their factors and models.
         conditional: the factors that apply to some runs only.
         possible: how many combinations there can be, where there are such.
     """
@@ -301,6 +302,7 @@ class StudyFacts:
     correlated: tuple[tuple[tuple[str, tuple[str, ...]], ...], ...]
     correlations: Reported
     without_within: int
+    correlated_designs: tuple[tuple[str, tuple[str, ...], Designed], ...]
     conditional: tuple[str, ...] = ()
     possible: int | None = None
 
@@ -339,6 +341,26 @@ class StudyFacts:
         return any(each.kind in kinds for each in self.compared)
 
     @property
+    def has_designs(self) -> bool:
+        """Whether some measure has the model of a design of its own."""
+        return any(each.designed is not None for each in self.measures)
+
+    @property
+    def has_plots(self) -> bool:
+        """Whether some measure is compared between whole plots and within them."""
+        return any(each.has_plots for each in self.compared)
+
+    @property
+    def has_powers(self) -> bool:
+        """Whether some measure has a response surface."""
+        return any(each.designed is not None and each.designed.powers for each in self.measures)
+
+    @property
+    def has_before(self) -> bool:
+        """Whether the treatment before is in the model of some measure."""
+        return any(each.designed is not None and each.designed.before is not None for each in self.measures)
+
+    @property
     def has_gaps(self) -> bool:
         """Whether some combinations have no run, though their effects are estimated."""
         return any(each.terms for each in self.compared)
@@ -362,6 +384,8 @@ class StudyFacts:
             found += [measure.distribution, measure.quantiles, measure.drift, measure.power]
             if measure.compared is not None:
                 found += [measure.compared.tested, measure.compared.contrasted]
+                if (surface := measure.compared.surface) is not None:
+                    found += [surface.reported, surface.whole]
             if measure.answered is not None:
                 found.append(measure.answered.tested)
             found += [each for pair in measure.pairs for each in (pair.reported, pair.adjusted)]

@@ -1,4 +1,4 @@
-"""What the planned runs of a design can tell, and how its blocks lie: from the run table, done or not."""
+"""What the planned runs of a design can tell, and how its blocks lie: from the run table, done, excluded or not."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def treatments_before(results: Results, known: KnownDesign, names: Sequence[str]) -> dict[str, pd.Series]:
     """Return the treatment that each subject had in the period before, as planned; nothing in its first period."""
-    where, runs = [known.subject, known.period], results.runs
+    where, runs = [known.subject, known.period], results.all_runs
     periods = runs.drop_duplicates(where).sort_values(known.period, key=treatment_texts, kind="stable")
     texts = periods[list(names)].astype("str").set_axis(periods[RUN_ID])
     before = texts.groupby(periods[known.subject].astype("str").to_numpy()).shift().fillna("")
@@ -35,7 +35,7 @@ def are_complete(known: KnownDesign, results: Results) -> bool:
     if known.kind != "blocks" or len(known.blocks) != 1:
         return False
     names = [name for name in results.factors if name not in known.blocks]
-    planned = results.runs[[*known.blocks, *names]].astype("str").drop_duplicates()
+    planned = results.all_runs[[*known.blocks, *names]].astype("str").drop_duplicates()
     held = planned.groupby(known.blocks[0]).size()
     return bool((held == len(planned[names].drop_duplicates())).all())
 
@@ -46,7 +46,7 @@ def with_structure(
     """Return a design with the effects that its planned combinations can tell, and how whole plots are numbered."""
     if known == PLAIN or known.is_surface or not varied:
         return known
-    planned = results.runs[list(varied)].astype("str").drop_duplicates()
+    planned = results.all_runs[list(varied)].astype("str").drop_duplicates()
     own = {name: conditions[name] for name in varied if set(conditions.get(name, ())) & set(varied)}
     codes = {name: np.unique(planned[name], return_inverse=True)[1] for name in varied}
     nested = None

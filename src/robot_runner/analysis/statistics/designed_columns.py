@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations_with_replacement
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from robot_runner.analysis.arrays import Floats
-from robot_runner.analysis.statistics.effect_coding import coded_columns
+from robot_runner.analysis.statistics.effect_coding import Term, coded_columns
 from robot_runner.analysis.statistics.known_design import before_column, role_column
 from robot_runner.analysis.statistics.nested_factors import codes_of, columns_of
 
@@ -110,15 +110,63 @@ def residuals_of(data: MeasureData, values: Floats | None = None) -> tuple[Float
     either what they add.
     """
     values = data.values if values is None else values  # noqa: PD011 - no data frame
-    told = [data.covariate(name) for name in data.covariates]
-    columns = [each - each.mean() for each in told if np.isfinite(each).all() and np.ptp(each) > 0]
-    beside = [(each / np.ptp(each))[:, None] for each in columns]
-    groups = grouped(data)
+    beside, groups = _covariates(data), grouped(data)
     if data.known.is_plain:
         return _left_beside([_cells(data), *groups.values()], beside, values)
-    every, main = _effects(data, np.column_stack([np.ones(len(values)), *map(_dummies, groups.values()), *beside]))
-    found = _left_beside(groups.values(), [*beside, *every], values)
-    return found if found[1] > 0 else _left_beside(groups.values(), [*beside, *main], values)
+    return _fitted(data, groups, beside, values)[1]
+
+
+class ModelEffects(NamedTuple):
+    """The effects that the model of a design has.
+
+    Attributes:
+        powers: of a response surface, the columns of the factors that are multiplied: one, or two.
+        terms: the columns of each other effect, by its factors.
+        before: those of the treatment before; None where it is not in the model.
+    """
+
+    powers: Mapping[Term, Floats]
+    terms: Mapping[Term, Floats]
+    before: Floats | None
+
+    @property
+    def columns(self) -> list[Floats]:
+        """All of them."""
+        return [*self.powers.values(), *([] if self.before is None else [self.before]), *self.terms.values()]
+
+    @property
+    def without_interactions(self) -> ModelEffects:
+        """The same without interactions of factors, for which runs may be too few."""
+        return self._replace(terms={term: of for term, of in self.terms.items() if len(term) == 1})
+
+
+def residual_effects(data: MeasureData) -> ModelEffects:
+    """Return the effects that the model has whose residuals `residuals_of` returns, of a design of its own."""
+    return _fitted(data, grouped(data), _covariates(data), data.values)[0]
+
+
+def _fitted(
+    data: MeasureData, groups: Mapping[str, NDArray[np.str_]], beside: Sequence[Floats], values: Floats
+) -> tuple[ModelEffects, tuple[Floats, int]]:
+    """Return the effects of a design's model, without interactions where the runs are too few, and what they leave."""
+    effects = _effects(data, np.column_stack([np.ones(len(values)), *map(_dummies, groups.values()), *beside]))
+    found = _left_beside(groups.values(), [*beside, *effects.columns], values)
+    if found[1] > 0:
+        return effects, found
+    effects = effects.without_interactions
+    return effects, _left_beside(groups.values(), [*beside, *effects.columns], values)
+
+
+def _covariates(data: MeasureData) -> list[Floats]:
+    told = [data.covariate(name) for name in data.covariates]
+    columns = [each - each.mean() for each in told if np.isfinite(each).all() and np.ptp(each) > 0]
+    return [(each / np.ptp(each))[:, None] for each in columns]
+
+
+def taken_beside_plots(data: MeasureData) -> Floats:
+    """Return what a model takes out beside whole plots, which are blocks there: replicates and covariates."""
+    of_blocks = [_dummies(_texts(data.frame[role_column(name)]))[:, 1:] for name in data.known.blocks]
+    return np.column_stack([np.empty((len(data.frame), 0)), *of_blocks, *_covariates(data)])
 
 
 def _texts(values: ArrayLike) -> NDArray[np.str_]:
@@ -134,25 +182,24 @@ def _dummies(texts: NDArray[np.str_]) -> Floats:
     return np.asarray(np.eye(len(names))[code])
 
 
-def _effects(data: MeasureData, beside: Floats) -> tuple[list[Floats], list[Floats]]:
-    """Return the columns of all effects that the model has, and without interactions, for which runs may be too few."""
+def _effects(data: MeasureData, beside: Floats) -> ModelEffects:
+    """Return all effects that the model has."""
     frame, known = data.frame, data.known
     factors = data.treatments
     codes = codes_of(frame, factors)
     numbers = {name: numbers_of_levels(levels) for name, levels in factors.items()}
-    parts: list[Floats] = []
+    powers: dict[Term, Floats] = {}
     # One that applies to some runs only has no number in the others.
     everywhere = [name for name, levels in factors.items() if codes[name].max() < len(levels)]
     numeric = {name: np.array(each)[codes[name]] for name in everywhere if (each := numbers[name]) is not None}
     if known.is_surface:
         scaled = {name: (each - each.mean()) / max(float(np.ptp(each)), 1e-300) for name, each in numeric.items()}
-        parts += [each[:, None] for each in scaled.values()]
+        powers |= {(name,): each[:, None] for name, each in scaled.items()}
         pairs = list(combinations_with_replacement(scaled, 2))
         if 1 + len(scaled) + len(pairs) < len(frame):
-            parts += [(scaled[one] * scaled[other])[:, None] for one, other in pairs]
+            powers |= {(one, other): (scaled[one] * scaled[other])[:, None] for one, other in pairs}
     terms = known.terms or tuple((name,) for name in factors if not (known.is_surface and name in numeric))
     told = columns_of(factors, codes, [term for term in terms if set(term) <= set(factors)])
     main = [each for term, each in told.items() if len(term) == 1]
     before = carried_over(frame, factors, np.column_stack([beside, *main])) if known.carry_over and factors else None
-    parts += [] if before is None else [before]
-    return [*parts, *told.values()], [*parts, *main]
+    return ModelEffects(powers, told, before)

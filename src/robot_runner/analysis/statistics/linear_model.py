@@ -36,6 +36,10 @@ _MOST_CELLS = 500
 #: How many factors cannot be told apart at least.
 _PAIR = 2
 _BLOCK = " block"
+#: Of columns: less than this share is what rounding leaves.
+_ROUNDING = 1e-9
+#: Columns that are taken out; names of factors never begin with a blank.
+_TAKEN = " taken out "
 
 #: The variance of blocks over that within them, as logarithms among which the best one is looked for.
 _RATIOS = np.log(10.0) * np.arange(-10.0, 10.5, 0.5)
@@ -68,7 +72,7 @@ class FittedModel:
         blocks: the block of each value, or nothing where there are none.
         exog: the design, one row a value.
         fit: what was estimated.
-        batches: how many there are; the last columns of the design are theirs.
+        beside: how many columns of the design, the last ones, are of batches, and of what else is taken out.
         note: why interactions are left out; empty where none is.
     """
 
@@ -78,7 +82,7 @@ class FittedModel:
     exog: Floats
     fit: _Fit
     note: str
-    batches: int = 1
+    beside: int = 0
 
     @property
     def method(self) -> TestMethod:
@@ -109,7 +113,7 @@ class FittedModel:
             weights: treatments by factor, with the weight of their mean.
         """
         rows = [weight * marginal_row(self.factors, self.terms, treatments) for treatments, weight in weights]
-        row = np.pad(np.sum(rows, axis=0), (0, self.batches - 1))
+        row = np.pad(np.sum(rows, axis=0), (0, self.beside))
         error = math.sqrt(max(0.0, float(row @ self.fit.covariance @ row)))
         named = {name for treatments, _ in weights for name in treatments}
         freedom = min(self._freedom(factors) for factors in self.terms if set(factors) <= named)
@@ -132,7 +136,16 @@ class FittedModel:
         if not self._is_between_blocks(factors):
             return float(len(self.exog) - np.linalg.matrix_rank(self._with_blocks))
         between = sum(self._size(each) for each in self.terms if self._is_between_blocks(each))
-        return float(len(set(self.blocks)) - self.batches - between)
+        return float(len(set(self.blocks)) - self._taken_between - between)
+
+    @cached_property
+    def _taken_between(self) -> int:
+        """How much of what differs between blocks the mean and the columns beside take."""
+        assert self.blocks is not None  # noqa: S101 - degrees of freedom between blocks were asked for
+        taken = np.column_stack([self.exog[:, :1], self.exog[:, self.exog.shape[1] - self.beside :]])
+        every = np.column_stack([taken, pd.get_dummies(self.blocks).to_numpy(dtype=np.float64)])
+        within = np.linalg.matrix_rank(every) - len(set(self.blocks))
+        return int(np.linalg.matrix_rank(taken) - within)
 
     @cached_property
     def _with_blocks(self) -> Floats:
@@ -148,33 +161,47 @@ class FittedModel:
         return term_size(self.factors, factors)
 
 
-def fit_model(data: MeasureData, response: Floats | None = None) -> FittedModel | NotComputed:
+def fit_model(
+    data: MeasureData, response: Floats | None = None, beside: Floats | None = None
+) -> FittedModel | NotComputed:
     """Fit the model that the runs suffice for.
 
     Args:
         data: the measure.
         response: takes the place of the values, as their ranks.
+        beside: further columns that are taken out, (runs, columns).
     """
-    frame = _means_in_blocks(data, response if response is not None else data.values)  # noqa: PD011 - no data frame
+    values = response if response is not None else data.values  # noqa: PD011 - no data frame
+    taken = np.empty((len(values), 0)) if beside is None else beside
+    frame = _means_in_blocks(data, {VALUE: values} | {f"{_TAKEN}{at}": each for at, each in enumerate(taken.T)})
     factors = data.treatments
     blocks = frame[_BLOCK].to_numpy(dtype=str) if data.is_blocked else None
-    batches = pd.get_dummies(frame[BATCH], drop_first=True).to_numpy(dtype=np.float64) if data.is_extended else None
-    shifts = 0 if batches is None else batches.shape[1]
-    terms, note = estimable_terms(factors, frame, shifts + (0 if blocks is None else len(set(blocks)) - 1))
+    taken = frame[[name for name in frame if str(name).startswith(_TAKEN)]].to_numpy(dtype=np.float64)
+    if data.is_extended:
+        taken = np.column_stack([taken, pd.get_dummies(frame[BATCH], drop_first=True).to_numpy(dtype=np.float64)])
+    taken = _independent(taken)
+    count = taken.shape[1]
+    terms, note = estimable_terms(factors, frame, count + (0 if blocks is None else len(set(blocks)) - 1))
     if not terms:
         return NotComputed("the test", "there are too few runs for the number of treatments.")
     treatments = frame[list(factors)].to_dict("records")
     exog = np.stack([marginal_row(factors, terms, {str(name): each[name] for name in each}) for each in treatments])
-    exog = exog if batches is None else np.column_stack([exog, batches])
+    exog = np.column_stack([exog, taken])
     values = frame[VALUE].to_numpy(dtype=np.float64)
     if np.linalg.matrix_rank(exog) < exog.shape[1]:
         return NotComputed("the test", _together(frame, factors))
-    beside = exog if blocks is None else np.column_stack([exog, pd.get_dummies(blocks).to_numpy(dtype=np.float64)])
-    left = values - beside @ np.linalg.lstsq(beside, values)[0]
-    if np.max(np.abs(left)) <= rounding_of(values) and np.linalg.matrix_rank(beside) < len(values):
+    every = exog if blocks is None else np.column_stack([exog, pd.get_dummies(blocks).to_numpy(dtype=np.float64)])
+    left = values - every @ np.linalg.lstsq(every, values)[0]
+    if np.max(np.abs(left)) <= rounding_of(values) and np.linalg.matrix_rank(every) < len(values):
         of = "within each combination all values are equal" if blocks is None else "all blocks respond alike"
         return NotComputed("the test", f"{of}, so that chance has no measure.")
-    return FittedModel(factors, terms, blocks, exog, _fitted(values, exog, blocks), note, shifts + 1)
+    return FittedModel(factors, terms, blocks, exog, _fitted(values, exog, blocks), note, count)
+
+
+def _independent(columns: Floats) -> Floats:
+    """Return so many columns as tell something beside a constant: batches may be those of replicates."""
+    vectors, sizes, _ = np.linalg.svd(columns - columns.mean(axis=0), full_matrices=False)
+    return np.asarray(vectors[:, sizes > _ROUNDING * np.max(sizes, initial=0.0)], dtype=np.float64)
 
 
 def _fitted(values: Floats, exog: Floats, blocks: NDArray[np.str_] | None) -> _Fit:
@@ -241,16 +268,16 @@ def _with_mean(columns: Iterable[pd.DataFrame], count: int) -> Floats:
     return np.column_stack([np.ones(count), *(each.to_numpy() for each in columns)])
 
 
-def _means_in_blocks(data: MeasureData, response: Floats) -> pd.DataFrame:
+def _means_in_blocks(data: MeasureData, numbers: Mapping[str, Floats]) -> pd.DataFrame:
     """Return one row a value: of blocks, the mean of each combination that a block holds."""
-    frame = data.frame[list(data.factors)].astype(str).assign(**{VALUE: response})
+    frame = data.frame[list(data.factors)].astype(str).assign(**numbers)
     if data.is_extended:
         frame[BATCH] = data.batches
     if not data.is_blocked:
         return frame
     frame[_BLOCK] = data.blocks
     units = [_BLOCK, BATCH] if data.is_extended else [_BLOCK]
-    return frame.groupby([*units, *data.factors], sort=False, as_index=False)[VALUE].mean()
+    return frame.groupby([*units, *data.factors], sort=False, as_index=False)[list(numbers)].mean()
 
 
 def estimable_terms(

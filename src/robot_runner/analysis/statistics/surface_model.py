@@ -211,12 +211,15 @@ class SurfaceModel:
         reach = float(stats.t.ppf(1 - alpha / 2, self.fit.freedom))
         found = []
         for term, estimate, error in zip(
-            ((), *self.terms), (constant, *self.fit.beta[:count]), errors[: count + 1], strict=True
+            ((), *self.terms),
+            (constant, *map(float, self.fit.beta[:count])),
+            map(float, errors[: count + 1]),
+            strict=True,
         ):
             interval = Interval(estimate - reach * error, estimate + reach * error, 1 - alpha, "t distribution")
-            statistic = float(estimate / error)
+            statistic = estimate / error
             p_value = 2 * float(stats.t.sf(abs(statistic), self.fit.freedom))
-            found.append(Coefficient(term, float(estimate), interval, statistic, p_value))
+            found.append(Coefficient(term, estimate, interval, statistic, p_value))
         left = float(np.sum(self.fit.residuals**2))
         basis = np.linalg.qr(self.blocks)[0]
         total = float(np.sum((self.values - basis @ (basis.T @ self.values)) ** 2))

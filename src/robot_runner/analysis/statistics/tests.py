@@ -16,6 +16,7 @@ from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans, fit_a
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS, Layout, layout_of, relative_ranks
 from robot_runner.analysis.statistics.cell_means import BOOTSTRAP, SIGN_FLIPS, CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
+from robot_runner.analysis.statistics.designed_columns import taken_beside_plots
 from robot_runner.analysis.statistics.designed_models import designed_model_of
 from robot_runner.analysis.statistics.effect_sizes import omega_squared
 from robot_runner.analysis.statistics.lenth_test import LenthModel
@@ -96,7 +97,8 @@ def model_of(
     if designed is not None:
         return designed
     if data.known.whole_plot:  # some have lost a run, so that strata are not apart
-        return fit_model(data.with_plots_as_blocks(), _ranks(data) if estimand is Estimand.RANK else None)
+        ranks = _ranks(data) if estimand is Estimand.RANK else None
+        return fit_model(data.with_plots_as_blocks(), ranks, taken_beside_plots(data))
     layout = layout_of(data) or incomplete_layout(data)
     if layout is None or (layout.is_blocked and estimand is Estimand.TRIMMED_MEAN):
         if estimand is Estimand.TRIMMED_MEAN:
@@ -276,9 +278,11 @@ def _reason_of_factorial(data: MeasureData, model: CellMeans | FittedModel | Adj
     if isinstance(model, FittedModel):
         if model.blocks is None:
             return f"{of}: {compared} are compared; {_TOO_FEW[data.is_extended]}, so that one variance serves all."
+        beside = [*data.known.blocks, *data.covariates]  # of a split plot
+        told = f", beside {enumerated(beside)}" if beside else ""
         return (
             f"{of}, in blocks that do not hold all combinations: {compared} are compared, "
-            "each block with a random mean."
+            f"each block with a random mean{told}."
         )
     if model.layout.is_blocked:
         how = "within each block" if model.layout.within else "between blocks"

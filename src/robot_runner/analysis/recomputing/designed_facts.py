@@ -1,0 +1,149 @@
+"""What a recomputation has to know of a design of its own: what its model takes out of values, and what it tells."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from robot_runner.analysis.recomputing.reported import Number, Reported
+from robot_runner.analysis.run_frame import treatment_texts
+from robot_runner.analysis.statistics.designed_columns import numbers_of_levels, residual_effects
+from robot_runner.analysis.statistics.nested_factors import NestedFactors
+from robot_runner.core.design.analysis_plan import ORDER
+
+if TYPE_CHECKING:
+    from robot_runner.analysis.results import Results
+    from robot_runner.analysis.statistics.analysed_design import MeasureData
+    from robot_runner.analysis.statistics.effect_coding import Term
+    from robot_runner.analysis.statistics.surface_model import Surface
+
+
+@dataclass(frozen=True, slots=True)
+class Before:
+    """Where the treatment of the period before is found, whose effect is in the model of a crossover.
+
+    Attributes:
+        subject, period: columns.
+        periods: in their order.
+    """
+
+    subject: str
+    period: str
+    periods: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Designed:
+    """The model of a design, whose residuals are looked at.
+
+    Attributes:
+        columns: the blocks that are taken out; batches are where it `is_extended`, whole plots where it `has_plots`.
+        covariates: measures, or `order`; they are taken out, too.
+        before: see there; None where it is not in the model.
+        terms: the effects, by the factors whose treatments they are of.
+        powers: of a response surface, the factors that are multiplied.
+        coding: the middle and half the range of these factors.
+        keeps_together: whether it takes out anything as a whole, so that the order of execution is told within that.
+    """
+
+    columns: tuple[str, ...]
+    covariates: tuple[str, ...]
+    is_extended: bool
+    has_plots: bool
+    before: Before | None
+    terms: tuple[Term, ...]
+    powers: tuple[Term, ...]
+    coding: Mapping[str, tuple[float, float]]
+    keeps_together: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceFacts:
+    """A response surface that is fitted again.
+
+    Attributes:
+        coding: the middle and half the range of each factor that is a number.
+        terms: the polynomial's.
+        others: the factors that are no numbers.
+        reported: its coefficients.
+        whole: what is said of it as a whole: its lack of fit, its share of the variance, its stationary point.
+        has_stationary: whether there is such a point.
+    """
+
+    coding: Mapping[str, tuple[float, float]]
+    terms: tuple[Term, ...]
+    others: tuple[str, ...]
+    reported: Reported
+    whole: Reported
+    has_stationary: bool
+
+
+def designed_facts(data: MeasureData, results: Results, *, keeps_together: bool) -> Designed | None:
+    """Return the model of a measure's design; None of a factorial, and where scripts do not know it."""
+    known, factors = data.known, data.treatments
+    if known.is_plain or isinstance(factors, NestedFactors) or data.lacking:
+        return None
+    covariates = tuple(name for name in data.covariates if _is_told(data, name))
+    if not all(name in results.measures or (name == ORDER and name not in results.runs) for name in covariates):
+        return None
+    effects, before = residual_effects(data), None
+    if known.carry_over:
+        periods = treatment_texts(results.runs[known.period]).cat.categories
+        before = Before(known.subject, known.period, tuple(map(str, periods)))
+    return Designed(
+        columns=known.blocks,
+        covariates=covariates,
+        is_extended=data.is_extended,
+        has_plots=bool(known.whole_plot),
+        before=None if effects.before is None else before,
+        terms=tuple(effects.terms),
+        powers=tuple(effects.powers),
+        coding={name: _ends(factors[name]) for (name, *more) in effects.powers if not more},
+        keeps_together=keeps_together,
+    )
+
+
+def _is_told(data: MeasureData, name: str) -> bool:
+    covariate = data.covariate(name)
+    return bool(np.isfinite(covariate).all() and np.ptp(covariate) > 0)
+
+
+def _ends(levels: list[str]) -> tuple[float, float]:
+    numbers = numbers_of_levels(levels) or [0.0]
+    return (max(numbers) + min(numbers)) / 2, (max(numbers) - min(numbers)) / 2 or 1.0
+
+
+def surface_facts(surface: Surface) -> SurfaceFacts:
+    """Return what a recomputation has to know of a response surface."""
+    rows: list[tuple[str, Mapping[str, Number]]] = [
+        (
+            each.label,
+            {
+                "estimate": each.estimate,
+                "low": each.interval.low,
+                "high": each.interval.high,
+                "statistic": each.statistic,
+                "p": each.p_value,
+            },
+        )
+        for each in surface.coefficients
+    ]
+    whole: dict[str, Number] = {"R squared": surface.r_squared}
+    if (lack := surface.lack_of_fit) is not None:
+        whole |= {"statistic": lack.f_value, "df": lack.freedom[0], "df 2": lack.freedom[1], "p": lack.p_value}
+    if (point := surface.stationary) is not None:
+        whole |= {f"at {name}": each for name, each in point.at.items()} | {"value": point.value}
+        for place, (curvature, interval) in enumerate(point.curvatures, start=1):
+            found = {f"curvature {place}": curvature, f"low {place}": interval.low, f"high {place}": interval.high}
+            whole |= found
+    return SurfaceFacts(
+        coding=surface.coding,
+        terms=tuple(each.term for each in surface.coefficients if each.term),
+        others=surface.others,
+        reported=Reported.of(rows),
+        whole=Reported.of([("surface", whole)]),
+        has_stationary=surface.stationary is not None,
+    )

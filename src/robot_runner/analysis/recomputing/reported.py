@@ -1,0 +1,134 @@
+"""The tables of a report that a recomputation is compared with: rows of numbers, by what stands in the report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.analysis.statistics.outcome import Proportion
+
+if TYPE_CHECKING:
+    from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics
+    from robot_runner.analysis.statistics.tested import Comparison, Effect, EffectSize, Interval
+
+Number = float | int | None
+Row = dict[str, Number]
+
+#: What tables call the degrees of freedom and the p-value of a test.
+_TEST = {"df": "degrees_of_freedom", "p": "p_value"}
+
+
+@dataclass(frozen=True, slots=True)
+class Reported:
+    """A table of the report: rows of numbers, each with a label; what could not be computed is None."""
+
+    columns: tuple[str, ...] = ()
+    rows: tuple[tuple[str, tuple[Number, ...]], ...] = ()
+
+    @classmethod
+    def of(cls, rows: Sequence[tuple[str, Mapping[str, Number]]]) -> Reported:
+        """Return a table whose columns are those that some row has a number for."""
+        names = dict.fromkeys(name for _, row in rows for name, value in row.items() if value is not None)
+        return cls(tuple(names), tuple((label, tuple(row.get(name) for name in names)) for label, row in rows))
+
+    def __bool__(self) -> bool:
+        return bool(self.rows)
+
+    @property
+    def numbers(self) -> list[float]:
+        """All numbers that it has."""
+        return [float(value) for _, row in self.rows for value in row if value is not None]
+
+
+def _numbers(of: Any, *names: str, **others: str) -> Row:
+    """Return attributes by their names, with blanks for underscores, or by other names that are given."""
+    return {name.replace("_", " "): getattr(of, name) for name in names} | {
+        name: getattr(of, attribute) for name, attribute in others.items()
+    }
+
+
+def _ends(interval: Interval | None, of: str = "") -> Row:
+    low, high = (None, None) if interval is None else (interval.low, interval.high)
+    return {f"{of}low": low, f"{of}high": high}
+
+
+def described_row(of: Description | Proportion) -> Row:
+    """Return what describes a group of runs."""
+    if isinstance(of, Proportion):
+        return _numbers(of, "n", "missing", "count", "percent") | _ends(of.interval)
+    row = _numbers(of, "n", "missing", "mean", "sd", "minimum", "first_quartile", "median", "third_quartile", "maximum")
+    found = {"outliers": len(of.outliers), "extreme": sum(each.is_extreme for each in of.outliers)}
+    return row | _ends(of.mean_interval) | found
+
+
+def about_residuals(measure: MeasureStatistics) -> dict[str, Reported]:
+    """Return what the report says of the distribution and the order of residuals, and of the power."""
+    checks = [
+        (
+            f"{each.name}, {' / '.join(each.treatments.values()) or 'all groups'}",
+            _numbers(each, "statistic", p="p_value"),
+        )
+        for each in measure.assumptions
+    ]
+    tables = {"distribution": Reported.of(checks), **dict.fromkeys(("quantiles", "drift", "power"), Reported())}
+    if (line := measure.quantiles) is not None:
+        tables["quantiles"] = Reported.of([("reference line", _numbers(line, "slope", "intercept"))])
+    if (drift := measure.drift) is not None:
+        row = _numbers(drift, rho="correlation", p="p_value", slope="slope") | _ends(drift.slope_interval)
+        tables["drift"] = Reported.of([("over the order of execution", row)])
+    if (power := measure.power) is not None:
+        row = {f"runs for {each.effect_size:g}": each.repetitions for each in power.needed}
+        tables["power"] = Reported.of([(power.effect_name, _numbers(power, "detectable_effect") | row)])
+    return tables
+
+
+def tested_table(measure: MeasureStatistics, of: str) -> Reported:
+    """Return the tests of all effects, each with its check, of `ranks` or of `means`."""
+    if measure.test is None:
+        return Reported.of([])
+    return Reported.of([(each.label, _effect_row(each, measure.test.spread, of)) for each in measure.test.effects])
+
+
+def contrasts_table(measure: MeasureStatistics) -> Reported:
+    """Return the contrasts that hypotheses name."""
+    rows = [
+        (each.statement, _numbers(each, "estimate") | _ends(each.interval) | _numbers(each, "statistic", **_TEST))
+        for each in measure.contrasts
+    ]
+    return Reported.of(rows)
+
+
+def _effect_row(effect: Effect, spread: float | None, of: str) -> Row:
+    row: Row = {"statistic": effect.statistic, **freedom_row(effect.degrees_of_freedom, ""), "p": effect.p_value}
+    row |= {"spread": spread}
+    for at, part in enumerate(effect.parts):
+        row |= {f"p of {part.name}": part.p_value}
+        if at:  # the first is the statistic itself
+            row |= {f"statistic of {part.name}": part.statistic}
+            row |= freedom_row(part.degrees_of_freedom, f" of {part.name}")
+    for size in effect.effect_sizes:
+        if size.name.endswith("omega squared"):
+            row |= _size(size, "omega squared")
+    if effect.check is not None:
+        row |= {f"statistic of {of}": effect.check.statistic}
+        row |= {**freedom_row(effect.check.degrees_of_freedom, f" of {of}"), f"p of {of}": effect.check.p_value}
+    return row
+
+
+def freedom_row(freedom: Sequence[float], of: str) -> Row:
+    """Return degrees of freedom, one or two, and whose they are."""
+    return {f"df{'' if place == 0 else ' 2'}{of}": each for place, each in enumerate(freedom)}
+
+
+def _size(size: EffectSize, name: str) -> Row:
+    return {name: size.value, **_ends(size.interval, f"{name} ")}
+
+
+def pair_row(pair: Comparison, of: str) -> Row:
+    """Return two groups compared, with the check, of `ranks` or of `means`."""
+    row = _numbers(pair, "difference") | _ends(pair.interval) | _numbers(pair, "statistic", **_TEST)
+    row |= {f"p of {of}": pair.check_p_value}
+    for size in pair.effect_sizes:
+        row |= _size(size, size.name)
+    return row
