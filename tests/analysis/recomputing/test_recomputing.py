@@ -88,6 +88,7 @@ DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
     "two treatments": ([MAPS], 4, set(), {}),
     "three treatments": ([TASKS], 5, {4}, {}),
     "three values, ties": ([TASKS], 3, set(), {}),
+    "seconds since 1970": ([MAPS], 4, set(), {}),
     "many small groups": ([Factor("Speed", [0.5, 1.0, 1.5, 2.0, 2.5, 3.0])], 3, set(), {}),
     "two factors, unequal numbers": ([TASKS, MAPS], 4, {1, 8}, {}),
     "a planned contrast, doubtful values": ([TASKS], 6, set(), {"analysis": PLAN, "doubts": {"r_2": "weak"}}),
@@ -200,6 +201,8 @@ def experiment(folder: Path, name: str) -> Path:
         energy = 50 + (20 if "large" in name else 1.5) * effect + repetition % 3 + (1 + effect % 2) * random.normal()
         if "ties" in name:  # of three values two are equal: to rounding, the p-value of Shapiro and Wilk is 0
             energy = 2 * round(energy / 2)
+        if "since 1970" in name:
+            energy = 1.764e9 + energy / 1000
         told = bool(random.random() < 0.3 + 0.2 * effect) if "yes or no" in name else float(energy)
         return None if next(runs) in missing else {"Energy": told, "CPU": float(random.lognormal())}
 
