@@ -185,13 +185,16 @@ class _Orchestrator:
     def _end_after(self, error: BaseException, findings: Sequence[Finding]) -> None:
         """Emit `after_experiment` after the error that ended the experiment; if that raises, too, both are told.
 
+        What ended the experiment is told alone where the folder cannot be written any more.
+
         Raises:
             ExecutionError: both raised.
         """
         found = _findings_of(error)
         try:
-            self._end_events(findings, failure=str(found[0]))
-        except RobotRunnerError as later:
+            with suppress(StorageError):
+                self._end_events(findings, failure=str(found[0]))
+        except ExecutionError as later:
             raise ExecutionError.of_findings([*found, *later.findings]) from error
 
     def _end_events(self, findings: Sequence[Finding], *, failure: str = "") -> None:
