@@ -43,3 +43,12 @@ def test_the_notebook_knows_the_noncentral_f_distribution_as_well_and_as_soon() 
     expected = [stats.ncf.cdf(*case) for case in CASES]
     assert [space["below_f"](*case) for case in CASES] == pytest.approx(expected, rel=1e-7)
     assert 0.4 < space["below_f"](4e10, 1.0, 300.0, 4e10) < 0.6
+
+
+def test_the_notebook_leaves_out_the_size_of_an_effect_whose_p_value_no_f_has() -> None:
+    template = (TEMPLATES / "sizes.py.j2").read_text(encoding="utf-8")
+    formula = template[template.index("def below_f(") : template.index("{% if study.has(")]
+    space: dict[str, Any] = {"np": np, "special": special, "stats": stats}
+    exec(formula.replace("{{ 1 - 2 * study.alpha }}", "0.9"), space)  # noqa: S102 - the point
+    found = {"statistic": 1.9e9, "df": 3.0, "df 2": 13.3}
+    assert space["omega_squared"](found, variance=1.0, spread=1.0, p=4.8e-113) == {"spread": 1.0}
