@@ -18,8 +18,10 @@ from tests.process.conftest import MARK, PATIENCE, Experiment
 CONFIG = """
 import random, time
 from robot_runner import (
-    BadValuePolicy, ExperimentConfig, Factor, Measure, Precision, Robots, RunProcess, RunTableModel, WarmUp
+    BadValuePolicy, ExperimentConfig, Factor, Gate, Measure, Precision, Robots, RunProcess, RunTableModel, WarmUp,
+    not_, process_running,
 )
+from robot_runner.plugins.systems import Program
 
 
 class RobotRunnerConfig(ExperimentConfig):
@@ -43,6 +45,10 @@ class RobotRunnerConfig(ExperimentConfig):
         energy = None if {missing} and context.run_seed % {missing} == 1 else drawn.gauss(100, 3)
         return {{"Energy": energy, "Reached": drawn.random() < 0.7, "Heat": drawn.uniform(20, 65)}}
 """
+GATES = '[Gate(not_(process_running("no_such_program")), timeout_s=60)]'
+SUBJECT = """Program(
+        ["sh", "-c", "{orphan}echo ready; exec sleep 600"], name="Subject", ready="ready", grace_s=2, per="{per}"
+    )"""
 #: What a journal cannot have lost: all but times, and which robot was free.
 COMPARED = (
     "run_id",
@@ -90,6 +96,10 @@ class Drawn:
         self.attributes.append(f"on_bad_value = BadValuePolicy.{draw(['KEEP', 'FAIL', 'TRY_AGAIN'])}")
         self.attributes.append(f"attempts = {draw([1, 2])}")
         self.attributes.append(f"quality_columns = {draw([True, False])}")
+        self.attributes.append(f"gates = {draw(['[]', GATES])}")
+        subject = draw(["", "", "run", "mission", "experiment"]) if process != "IN_PROCESS" else ""
+        orphan = draw(["", "(setsid sleep 600 &); ", "sleep 600 & "])
+        self.attributes.append(f"plugins = [{SUBJECT.format(orphan=orphan, per=subject) if subject else ''}]")
         is_precise = repetitions > 2 and not nested and draw([True, False, False])
         if is_precise:
             self.attributes.append(f'repeat_until = Precision("Energy", half_width="2 %", at_most={repetitions + 2})')
