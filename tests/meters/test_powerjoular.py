@@ -117,26 +117,24 @@ def doubts(tmp_path):
     return execute
 
 
+def found_with_second_counter(tmp_path, name):
+    FakePowercap(tmp_path)
+    for file, content in (("name", name), ("energy_uj", 0), ("max_energy_range_uj", 10**12)):
+        write(tmp_path / "intel-rapl:1" / file, content)
+    (finding,) = PowerJoular(program=sys.executable, powercap=tmp_path).check(Circumstances())
+    return finding
+
+
 # What it reads: intel_rapl_sysfs.adb of PowerJoular 1.1.1.
 def test_a_counter_of_the_whole_platform_is_not_taken_for_the_processors(tmp_path, doubts):
-    FakePowercap(tmp_path)
-    write(tmp_path / "intel-rapl:1" / "name", "psys")
-    write(tmp_path / "intel-rapl:1" / "energy_uj", 0)
-    write(tmp_path / "intel-rapl:1" / "max_energy_range_uj", 10**12)
-    plugin = PowerJoular(program=sys.executable, powercap=tmp_path)
-    (finding,) = plugin.check(Circumstances())
+    finding = found_with_second_counter(tmp_path, "psys")
     assert not finding.is_error
     assert "the whole platform (psys)" in finding.problem
     assert doubts() == [finding.problem]
 
 
 def test_of_two_processors_one_is_read_and_that_is_told(tmp_path, doubts):
-    FakePowercap(tmp_path)
-    write(tmp_path / "intel-rapl:1" / "name", "package-1")
-    write(tmp_path / "intel-rapl:1" / "energy_uj", 0)
-    write(tmp_path / "intel-rapl:1" / "max_energy_range_uj", 10**12)
-    plugin = PowerJoular(program=sys.executable, powercap=tmp_path)
-    (finding,) = plugin.check(Circumstances())
+    finding = found_with_second_counter(tmp_path, "package-1")
     assert "package-0 alone, and this machine has 2 packages" in finding.problem
     assert doubts() == [finding.problem]
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from robot_runner.core.errors import LinkError, PluginError, RobotRunnerError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.resources import Resources
-from robot_runner.core.links.commanded_topics import keep_commanding_zero
+from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND, keep_commanding_zero
 from robot_runner.core.links.connect import resolved_robot
 from robot_runner.core.links.robot import Advertiser, RobotLink
 from robot_runner.subjects.supervised_program import Start
@@ -130,9 +130,9 @@ class Halting:
         if problem != "":
             reason = problem or "the process that was to do it died twice"
             raise PluginError(
-                f"THE ROBOT MAY BE MOVING: {self._name} has ended, and zero could not be commanded: {reason}",
+                f"{MAY_BE_MOVING}: {self._name} has ended, and zero could not be commanded: {reason}",
                 where=self._name,
-                fix="Stop it by hand. A watchdog on the robot stops it when the laptop falls silent.",
+                fix=STOP_BY_HAND,
             )
 
 

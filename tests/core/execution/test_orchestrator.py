@@ -216,6 +216,20 @@ def test_a_run_that_prints_more_than_anybody_reads_is_told(execute: Execute, mon
     assert (told.where, told.problem) == ("r_2", "the run has printed 2 MB, which log.txt keeps")
 
 
+def test_no_further_run_begins_where_before_run_finds_that_a_robot_cannot_be_stopped(execute: Execute) -> None:
+    executed = execute(
+        """
+        attempts = 2
+        def before_run(self, context):
+            from robot_runner.core.links.commanded_topics import MAY_BE_MOVING
+            if context.run_number == 2: raise RuntimeError(f"{MAY_BE_MOVING}: Nav has ended")
+        def populate_run_data(self, context): return {"Energy": 1.0}
+        """
+    )
+    assert [row["status"] for row in executed.table] == ["Done", "Failed", "-", "-"]
+    assert executed.finished.stopped_by == "a robot that may be moving"
+
+
 def test_a_failed_before_run_fails_the_run_without_starting_it(execute: Execute) -> None:
     executed = execute("def before_run(self, context): raise ValueError('no battery')", on_failure="stop")
     assert executed.finished.failures == ("r_1: before_run of config: ValueError: no battery",)

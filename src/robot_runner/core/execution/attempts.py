@@ -26,8 +26,8 @@ from robot_runner.core.execution.notices import (
 )
 from robot_runner.core.execution.operator import Operator
 from robot_runner.core.execution.places import Place, Watch
-from robot_runner.core.execution.systems_state import MAY_BE_MOVING
 from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder, PendingRun, Report, RunOutcome, RunTask
+from robot_runner.core.links.commanded_topics import MAY_BE_MOVING
 from robot_runner.core.treatments import bind, factors_of, values_of
 from robot_runner.core.words import plain
 
@@ -148,7 +148,7 @@ class Attempts:
             ongoing.notify(RunRecord(task.run_id, kind, fields))
             if kind == "guard" and fields["action"] == GuardAction.STOP.value:
                 ongoing.stopped_by = "a guard"
-            if kind == "finding" and fields["problem"].startswith(MAY_BE_MOVING):
+            if kind in {"finding", "failure"} and MAY_BE_MOVING in fields["problem"]:
                 ongoing.stopped_by = "a robot that may be moving"
 
         def report_own(kind: str, fields: dict[str, Any]) -> None:

@@ -27,8 +27,8 @@ from robot_runner.core.execution.failures import failure_fields
 from robot_runner.core.execution.left_over import has_locked
 from robot_runner.core.execution.processes import forked, settle_streams
 from robot_runner.core.execution.run_events import made_safe, run_contexts
-from robot_runner.core.execution.systems_state import MAY_BE_MOVING, Care, SystemsState
-from robot_runner.core.links.commanded_topics import keep_commanding_zero
+from robot_runner.core.execution.systems_state import Care, SystemsState
+from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND, keep_commanding_zero
 from robot_runner.core.links.connect import connect_robot, is_simulated, join_beforehand, preload_robot
 from robot_runner.core.plugin import System
 from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, remove
@@ -131,8 +131,7 @@ class Standby:
         return {
             "owner": "standby",
             "problem": f"{MAY_BE_MOVING}: {names} could not be made safe: {reason}",
-            "fix": "Stop it by hand, and start the experiment again: it resumes. A watchdog on the robot stops it when "
-            "the laptop falls silent.",
+            "fix": STOP_BY_HAND,
         }
 
     def _stand_by(self, run: int) -> NoReturn:

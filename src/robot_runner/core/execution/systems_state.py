@@ -7,8 +7,6 @@ import tempfile
 import threading
 from enum import IntEnum
 
-#: How a finding begins that nobody could make the systems of a run safe.
-MAY_BE_MOVING = "THE ROBOT MAY BE MOVING"
 #: The longest reason that is kept of why a system could not be made safe, bytes.
 _REASON = 2000
 #: Behind it stand the commanded topics, a line each.

@@ -8,6 +8,13 @@ from collections.abc import Callable, Sequence
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Advertiser, Message, RobotLink
 
+#: What stands in a finding or a failure where nobody could stop a robot: no further run begins then.
+MAY_BE_MOVING = "THE ROBOT MAY BE MOVING"
+#: What is to be done about it.
+STOP_BY_HAND = (
+    "Stop it by hand, and start the experiment again: it resumes. A watchdog on the robot stops it when the laptop "
+    "falls silent."
+)
 #: For how long and how often a robot is told to stand still, s: it may be discovered only now, on Fast DDS up to 3.2 s
 #: after this process has joined, and one message may be lost.
 _TELLING, _PERIOD = 4.0, 0.1
