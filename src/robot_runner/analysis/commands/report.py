@@ -94,7 +94,7 @@ def execute(arguments: Namespace) -> int:
         written = write_report(results, ReportFormat(kind), figures=figures, **chosen, on_step=on_step)
     kinds = [Recomputation.NOTEBOOK] * arguments.notebook + [Recomputation.R] * arguments.r
     _print(written, write_recomputations(results, kinds, **chosen) if kinds else ())
-    if figures or kind == ReportFormat.HTML.value:  # a page has all figures in it
+    if kind != ReportFormat.JSON.value:  # pages and Markdown have all figures, whatever files are asked for
         print_findings(complaints(), list(_boxes(results)))
     return 0
 
