@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from contextlib import closing
 
 import pytest
@@ -14,7 +15,8 @@ from tests.ros.dds_domain import LOOPBACK, claim_domain
 from robot_runner.core.events.context import SystemClock
 from robot_runner.ros.dds_graph import matched_publications, matched_subscriptions
 from robot_runner.ros.dds_link import open_dds_link
-from robot_runner.ros.dds_reception import READING_QOS
+from robot_runner.ros.dds_reception import READING_QOS, Reception
+from robot_runner.ros.dds_services import OfferedService
 
 
 class Moving:
@@ -60,3 +62,32 @@ def test_a_qos_is_read_by_one_thread_of_the_process_at_a_time(monkeypatch):
         assert link.call("count", "std_srvs/Trigger", timeout=10.0)["success"]
     assert len(seen) > discovered > 0
     assert all(seen)
+
+
+def test_a_request_that_comes_while_its_service_is_being_offered_is_answered(monkeypatch):
+    serve = Reception.serve
+
+    def serving(reception, source):
+        handled, handler = threading.Event(), source.handler
+
+        def handle(sample):
+            try:
+                handler(sample)
+            finally:
+                handled.set()
+
+        is_offered = isinstance(getattr(handler, "__self__", None), OfferedService)
+        source.handler = handle
+        serve(reception, source)
+        if is_offered:  # and not before, whatever is scheduled first
+            assert handled.wait(30.0)
+
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    domain, clock, answers = {"domain": str(claim_domain())}, SystemClock(), []
+    with closing(open_dds_link(domain, clock, "")) as robot, closing(open_dds_link(domain, clock, "")) as link:
+        asking = threading.Thread(target=lambda: answers.append(link.call("count", "std_srvs/Trigger", timeout=60.0)))
+        asking.start()
+        monkeypatch.setattr(Reception, "serve", serving)
+        robot.offer("count", "std_srvs/Trigger", lambda request: {"success": True})
+        asking.join(60.0)
+    assert [each["success"] for each in answers] == [True]

@@ -197,11 +197,15 @@ class Reception:
     def add(self, reader: Any, handler: Callable[[Any], None], where: str) -> Source:
         """Have each sample of the reader handed to `handler`, in this thread of its own; `where` is for the log."""
         source = Source(reader, handler, where)
+        self.serve(source)
+        return source
+
+    def serve(self, source: Source) -> None:
+        """Begin to hand samples on; the first one may come before this returns."""
         with self._lock:
             # The latest first: those of the graph, which are there before all others, have time.
             self._sources = (source, *self._sources)
             self._waitset.attach(source.condition)
-        return source
 
     def remove(self, source: Source) -> None:
         """Serve a reader no more, and delete it."""

@@ -28,7 +28,7 @@ from robot_runner.ros.dds_graph import (
     ros_service_type,
 )
 from robot_runner.ros.dds_qos import service_profile
-from robot_runner.ros.dds_reception import HEADER_BYTES, READING_QOS, RawSample, delete, service_wire_type
+from robot_runner.ros.dds_reception import HEADER_BYTES, READING_QOS, RawSample, Source, delete, service_wire_type
 from robot_runner.ros.graph_transport import already_offered, wrong_service_type
 
 if TYPE_CHECKING:
@@ -145,7 +145,8 @@ class OfferedService:
         self._reply_type = service_wire_type(side.response)
         self._writer = session.writer(side.reply_topic, self._reply_type, service_profile(identity))
         reader = session.reader(side.request_topic, service_wire_type(side.request), service_profile(identity))
-        self._source = session.reception.add(reader, self._take, service)
+        self._source = Source(reader, self._take, service)  # known before the first request, which asks for it
+        session.reception.serve(self._source)
 
     def close(self) -> None:
         """Offer it no more."""
