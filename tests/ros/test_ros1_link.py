@@ -11,11 +11,13 @@ import threading
 import time
 import xmlrpc.client
 from contextlib import ExitStack
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 from tests.loopback_port import claim_port
 from tests.ros.ros1_master import quiet_about_rospy, ros1_environment, ros1_master
+from tests.waiting import wait_until
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
@@ -120,6 +122,36 @@ class TestGraph:
         robot.subscribe("cmd_vel", "geometry_msgs/Twist", lambda _: heard.set())
         link.publish("cmd_vel", "geometry_msgs/Twist", {})  # once, as a robot is stopped by a process that is new
         assert heard.wait(60.0)
+
+    def test_a_robot_that_connects_before_its_publisher_is_complete_is_told_to_stand_still(self, opened, monkeypatch):
+        publisher = import_module("rospy.topics")._PublisherImpl
+        goes_on = publisher.add_subscriber_listener
+
+        def go_on(impl, listener):  # rospy has told the master of the publisher by now, and sets the queue afterwards
+            wait_until(impl.has_connections)
+            goes_on(impl, listener)
+
+        monkeypatch.setattr(publisher, "add_subscriber_listener", go_on)
+        robot, link = opened(), opened()
+        heard = []
+        robot.subscribe("cmd_vel", "geometry_msgs/Twist", lambda message: heard.append(message["linear"]["x"]))
+        link.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
+        (connection,) = import_module("rospy").topics.get_topic_manager().get_publisher_impl("/cmd_vel").connections
+        assert isinstance(connection, import_module("rospy.impl.tcpros_pubsub").QueuedConnection)
+        link.close()
+        wait_until(lambda: heard == [0.2, 0.0])
+
+    def test_a_robot_to_which_the_config_publishes_without_a_queue_is_told_to_stand_still(self, opened):
+        rospy, robot, link = import_module("rospy"), opened(), opened()
+        heard = []
+        robot.subscribe("cmd_vel", "geometry_msgs/Twist", lambda message: heard.append(message["linear"]["x"]))
+        with pytest.warns(SyntaxWarning, match="queue_size"):
+            own = rospy.Publisher("/cmd_vel", message_class("geometry_msgs/Twist"))
+        wait_until(own.get_num_connections)
+        link.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
+        link.close()
+        own.unregister()
+        wait_until(lambda: heard == [0.2, 0.0])
 
     def test_nothing_is_left_at_the_master(self, opened, own_nodes):
         link = opened()

@@ -91,6 +91,34 @@ def within(action: Callable[[], T], *, where: str, doing: str, timeout: float = 
     return outcome[0]
 
 
+@contextmanager
+def queued_from_the_first(topic: str, depth: int) -> Iterator[None]:
+    """While a publisher is registered, have rospy queue messages for subscribers that connect before it returns.
+
+    rospy tells the master of a publisher first, and sets the depth of its queue afterwards. Whom the master told and
+    who connected in between would be written to without a queue: one that hangs would hold up who publishes.
+
+    Args:
+        topic: its absolute name.
+        depth: how many messages wait for a slow subscriber; 0 is as many as come.
+    """
+    registration = import_module("rospy.impl.registration")
+
+    class Depth(registration.RegistrationListener):  # type: ignore[misc, name-defined]
+        def reg_added(self, name: str, _: str, kind: str) -> None:
+            if (name, kind) == (topic, registration.Registration.PUB):
+                registration.get_topic_manager().get_publisher_impl(topic).set_queue_size(depth)
+
+    listeners, ours = registration.get_registration_listeners(), Depth()
+    with listeners.lock:
+        listeners.listeners.insert(0, ours)  # before the one that tells the master
+    try:
+        yield
+    finally:
+        with listeners.lock:
+            listeners.listeners.remove(ours)
+
+
 def pid_in_name(node: str) -> int | None:
     """Return which process a node was begun in that is, or was, one of Robot Runner's; None where it is another's.
 

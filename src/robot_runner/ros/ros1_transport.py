@@ -24,7 +24,7 @@ from robot_runner.ros.graph_transport import (
 )
 from robot_runner.ros.qos_policies import DEPTHS
 from robot_runner.ros.ros1_actions import Ros1Actions
-from robot_runner.ros.ros1_node import join_graph, pid_in_name, within
+from robot_runner.ros.ros1_node import join_graph, pid_in_name, queued_from_the_first, within
 from robot_runner.ros.ros1_services import call_service, service_type
 from robot_runner.ros.ros1_types import Ros1Types, as_mapping, as_message, message_class, service_class
 from robot_runner.ros.shapes import plain_type
@@ -227,23 +227,23 @@ class _Publisher:
         self._topic = topic
         self._cls = cls
         self._arrivals = _Arrivals()
-        self._publisher = within(
-            lambda: rospy.Publisher(
-                topic,
-                cls,
-                subscriber_listener=self._arrivals,
-                tcp_nodelay=True,  # a command is small, and should not wait for the next
-                latch=qos is Qos.TRANSIENT_LOCAL,
-                queue_size=DEPTHS[qos],
-            ),
-            where=topic,
-            doing="registering the publisher",
-        )
+        self._publisher = within(partial(self._register, rospy, qos), where=topic, doing="registering the publisher")
         try:
             self.reach()
         except LinkError:
             self.close()
             raise
+
+    def _register(self, rospy: Any, qos: Qos) -> Any:
+        with queued_from_the_first(self._topic, DEPTHS[qos]):
+            return rospy.Publisher(
+                self._topic,
+                self._cls,
+                subscriber_listener=self._arrivals,
+                tcp_nodelay=True,  # a command is small, and should not wait for the next
+                latch=qos is Qos.TRANSIENT_LOCAL,
+                queue_size=DEPTHS[qos],
+            )
 
     def publish(self, message: Message) -> None:
         self._publisher.publish(as_message(self._cls, message))
@@ -303,7 +303,9 @@ def _is_idle(connection: Any) -> bool:
 
     Its thread takes the whole queue and then sends it, so an empty queue says too little: it must wait for more.
     """
-    wakes = connection._cond_data_available  # noqa: SLF001 - rospy tells it nowhere else
+    wakes = getattr(connection, "_cond_data_available", None)  # rospy tells it nowhere else
+    if wakes is None:
+        return True  # a publisher of the config's own without a queue, which shares it: publishing has sent it
     with connection._lock:  # noqa: SLF001 - as above
         return connection.done or (not connection._queue and bool(wakes._waiters))  # noqa: SLF001 - as above
 
