@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import re
 import subprocess
 import sys
@@ -97,6 +98,18 @@ def test_what_the_system_refuses_of_a_file_is_no_fault_of_ours(capsys: pytest.Ca
     said = capsys.readouterr().err
     assert said.startswith("error: /lab/study/manifest.json: the file cannot be opened: Permission denied\n  fix: ")
     assert guarded(raising(PermissionError("nobody may"))) == 70
+
+
+@pytest.mark.parametrize("number", [errno.ENOTCONN, errno.ESTALE, errno.EIO, errno.EHOSTDOWN])
+def test_a_disk_or_network_folder_that_went_away_is_no_fault_of_ours(
+    number: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gone = OSError(number, os.strerror(number), "/media/stick/study/stop")
+    assert guarded(raising(gone)) == 2
+    assert capsys.readouterr().err == (
+        f"error: /media/stick/study/stop: the file cannot be opened: {os.strerror(number)}\n"
+        "  fix: See that its disk or network folder is there again, and sound; then try again.\n"
+    )
 
 
 def test_that_no_folder_takes_temporary_files_is_no_fault_of_ours(

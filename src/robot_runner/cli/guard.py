@@ -89,7 +89,7 @@ def _explained(error: Exception, *, show_traceback: bool) -> int:
     from pathlib import Path  # noqa: PLC0415 - as above
 
     from robot_runner.core.errors import RobotRunnerError, StorageError  # noqa: PLC0415 - as above
-    from robot_runner.core.storage.system_refusals import storage_error  # noqa: PLC0415 - as above
+    from robot_runner.core.storage.system_refusals import GONE, storage_error  # noqa: PLC0415 - as above
 
     if isinstance(error, OSError) and error.errno in {errno.ENOSPC, errno.EDQUOT}:  # mostly of `> file`
         let_go_of(sys.stdout)
@@ -97,7 +97,7 @@ def _explained(error: Exception, *, show_traceback: bool) -> int:
         error = StorageError(problem, fix="Make room on the disk, or send the output elsewhere.")
     if isinstance(error, FileNotFoundError) and not error.filename and (refusal := _missing_folder(error)):
         error = StorageError(refusal[0], fix=refusal[1])
-    if isinstance(error, OSError) and error.errno in _REFUSALS and isinstance(error.filename, str):
+    if isinstance(error, OSError) and error.errno in _REFUSALS | GONE and isinstance(error.filename, str):
         error = storage_error(Path(error.filename), "opened", error)
     if not isinstance(error, RobotRunnerError):
         show_fault(error, show_traceback=show_traceback)

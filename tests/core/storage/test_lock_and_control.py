@@ -15,6 +15,8 @@ from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.lock import (
     ExperimentLock,
     holder_of,
+    is_requested,
+    leave_request,
     send_continue,
     take_request,
 )
@@ -208,6 +210,18 @@ def test_what_no_command_of_ours_has_left_is_no_request(tmp_path: Path, nonsense
     control.write_text(nonsense)
     assert take_request(control) is None
     assert not control.exists()
+
+
+def test_a_folder_that_cannot_be_looked_at_asks_for_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    leave_request(tmp_path / "stop")
+
+    def refuse(*_: object, **__: object) -> os.stat_result:
+        raise OSError(errno.ENOTCONN, os.strerror(errno.ENOTCONN))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "stat", refuse)
+        assert not is_requested(tmp_path / "stop")
+    assert is_requested(tmp_path / "stop")
 
 
 def test_where_the_file_system_has_no_locks_nobody_holds_one_and_nobody_can(

@@ -89,7 +89,8 @@ def test_a_symbolic_link_stays_and_its_target_is_replaced(tmp_path: Path) -> Non
         (errno.EROFS, "Choose a folder on a file system that can be written."),
         (errno.EFBIG, "Raise the limit of a file's size (ulimit -f), or choose a file system for larger files."),
         (errno.EMFILE, "Raise the limit of open files (ulimit -n)."),
-        (errno.EIO, "Mend what the system names, then try again."),
+        (errno.ENOTCONN, "See that its disk or network folder is there again, and sound; then try again."),
+        (errno.ENOSPC + 1000, "Mend what the system names, then try again."),
     ],
 )
 def test_where_the_system_refuses_the_old_file_is_intact(tmp_path: Path, number: int, fix: str) -> None:

@@ -20,6 +20,7 @@ from types import ModuleType
 
 from robot_runner.core.errors import ConfigError, nearest
 from robot_runner.core.plugin import GROUPS, Plugin, find_plugin
+from robot_runner.core.storage.system_refusals import storage_error
 
 CONFIG_CLASS = "RobotRunnerConfig"
 _CONFIG_BASE = "ExperimentConfig"
@@ -102,9 +103,8 @@ def _read(path: Path) -> str:
             "the file is not text in UTF-8, nor as it declares", where=str(path), fix="Name a Python file."
         ) from error
     except OSError as error:
-        raise ConfigError(
-            f"the file cannot be read: {error.strerror}", where=str(path), fix="Mend its permissions."
-        ) from error
+        refusal = storage_error(path, "read", error)
+        raise ConfigError(refusal.problem, where=refusal.where, fix=refusal.fix) from error
 
 
 def _other_file(path: Path) -> str:

@@ -10,6 +10,10 @@ from pathlib import Path
 
 from robot_runner.core.errors import StorageError
 
+#: Of a stick that was pulled out, a disk that fails, a network folder whose server or helper (FUSE) has gone.
+GONE = frozenset(
+    {errno.EIO, errno.ENODEV, errno.ENXIO, errno.ENOTCONN, errno.ESTALE, errno.EHOSTDOWN, errno.EHOSTUNREACH}
+)
 _FIXES = {
     errno.ENOSPC: "Make room on the disk, then try again.",
     errno.EDQUOT: "Make room in your quota, then try again.",
@@ -22,6 +26,7 @@ _FIXES = {
     errno.ENAMETOOLONG: "Choose a shorter name.",
     errno.EFBIG: "Raise the limit of a file's size (ulimit -f), or choose a file system for larger files.",
     errno.EMFILE: "Raise the limit of open files (ulimit -n).",
+    **dict.fromkeys(GONE, "See that its disk or network folder is there again, and sound; then try again."),
 }
 
 #: Of file systems that have no way to flush something: FUSE, networks, the pseudo-files of some containers.
