@@ -143,6 +143,13 @@ def test_what_stays_silent_on_a_busy_machine_says_that_it_is_busy(monkeypatch: p
     assert silent.fix == "Ask again once the machine is less busy. See whether its driver or daemon hangs."
 
 
+def test_cores_that_this_process_may_not_use_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    monkeypatch.setattr(doctor, "usable_cores", lambda: 2)
+    (system,) = [each for each in doctor.questions() if each.name == "system"]
+    assert asked([system])[0].detail.endswith(", 64 cores, 2 of them for this process")
+
+
 @pytest.mark.long
 def test_a_program_that_hangs_holds_nothing_up(tmp_path: Path, program: str) -> None:
     for name in ("perf", "docker", "nvidia-smi", "ffmpeg"):

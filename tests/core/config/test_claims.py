@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -91,6 +93,41 @@ def test_a_number_of_workers_that_is_none_is_refused(write_config: Callable[...,
 def test_auto_is_as_many_workers_as_there_are_cores(write_config: Callable[..., Path]) -> None:
     experiment = prepare_or_refuse(write_config("claims = []"), {"workers": "auto"})
     assert worker_count(experiment.parameters) == usable_cores() >= 1
+
+
+#: How the first version of control groups tells a quota.
+QUOTA, PERIOD = "cpu.cfs_quota_us", "cpu.cfs_period_us"
+
+
+@pytest.mark.parametrize(
+    ("groups", "files", "cores"),
+    [
+        ("0::/", {}, 64),
+        ("0::/", {"cpu.max": "200000 100000\n"}, 2),
+        ("0::/", {"cpu.max": "max 100000\n"}, 64),
+        ("0::/job/step", {"job/cpu.max": "150000 100000\n", "job/step/cpu.max": "max 100000\n"}, 2),
+        ("0::/job/step", {"job/step/cpu.max": "10000 100000\n"}, 1),
+        ("0::/of/the/host", {"cpu.max": "300000 100000\n"}, 3),
+        (
+            "4:cpu,cpuacct:/job\n0::/",
+            {"cpu,cpuacct/job/cpu.cfs_quota_us": "250000", "cpu,cpuacct/job/cpu.cfs_period_us": "50000"},
+            5,
+        ),
+        ("4:cpu:/\n3:cpuset:/", {"cpu/cpu.cfs_quota_us": "-1\n", "cpu/cpu.cfs_period_us": "100000\n"}, 64),
+        ("nonsense", {}, 64),
+    ],
+)
+def test_a_container_that_has_the_time_of_a_few_cores_may_use_these(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, groups: str, files: dict[str, str], cores: int
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(64)), raising=False)
+    for name, text in {
+        "proc/self/cgroup": f"{groups}\n",
+        **{f"sys/fs/cgroup/{name}": files[name] for name in files},
+    }.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text, encoding="ascii")
+    assert usable_cores(tmp_path) == cores
 
 
 def test_a_plugin_whose_claims_raise_is_a_finding(write_config: Callable[..., Path]) -> None:

@@ -30,6 +30,7 @@ from robot_runner.cli.console import UserConsole, complaints, is_on_path, output
 from robot_runner.cli.findings import installed_here
 from robot_runner.cli.guard import SOME_FAILED
 from robot_runner.cli.parser import Parser, add_json
+from robot_runner.core.config.claims import usable_cores
 from robot_runner.core.entry_points import EntryPoint
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.late_annotations import signature_of
@@ -195,7 +196,8 @@ def _program() -> tuple[str, str, str]:
 
 def _system() -> tuple[str, str, str]:
     system = platform.system()
-    told = f"{platform.platform()}, {os.cpu_count()} cores"
+    cores, usable = os.cpu_count() or 1, usable_cores()
+    told = f"{platform.platform()}, {cores} cores" + (f", {usable} of them for this process" if usable < cores else "")
     if system == "Linux":
         return READY, told, ""
     if system == "Darwin":

@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import islice
+from contextlib import suppress
+from itertools import islice, product
+from math import ceil
+from pathlib import Path
 from typing import Any
 
 from robot_runner.core.config.parameters import Parameters, RunProcess
@@ -28,11 +31,42 @@ _LOOKED_AT = 200
 _GRAPHS = ("ROS_DOMAIN_ID", "ROS_MASTER_URI")
 
 
-def usable_cores() -> int:
-    """Return how many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1  # macOS
+def usable_cores(system: Path = Path("/")) -> int:
+    """Return how many cores this process may use: those of its affinity, and no more than its control groups allow.
+
+    A container or a job of a cluster often sees all cores of its machine, and has the time of a few (`--cpus=2`).
+
+    Args:
+        system: the root of the file system, for tests.
+    """
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1  # macOS
+    return max(1, min([cores, *(ceil(each) for each in _quotas(system))]))
+
+
+def _quotas(system: Path) -> Iterator[float]:
+    """Yield how much processor time, s a second, this process's control group and those above it are allowed.
+
+    The files are those of `man 7 cgroups` and of the kernel's admin-guide/cgroup-v2 and scheduler/sched-bwc.
+    """
+    with suppress(OSError, ValueError):  # not Linux
+        for line in (system / "proc/self/cgroup").read_text(encoding="utf-8").splitlines():
+            _, controllers, path = line.split(":", 2)
+            if controllers and "cpu" not in controllers.split(","):
+                continue
+            mounts = ("sys/fs/cgroup/" + controllers,) if controllers else ("sys/fs/cgroup", "sys/fs/cgroup/unified")
+            # In a container, the path may be that of its host, and is not there: the mount itself is its group.
+            for mount, group in product(mounts, (Path(path.lstrip("/")), *Path(path.lstrip("/")).parents)):
+                yield from _quota_of(system / mount / group)
+
+
+def _quota_of(group: Path) -> Iterator[float]:
+    with suppress(OSError, ValueError):  # not there, or "max"
+        quota, period = (group / "cpu.max").read_text(encoding="ascii").split()
+        yield int(quota) / int(period)
+    with suppress(OSError, ValueError):
+        quota = (group / "cpu.cfs_quota_us").read_text(encoding="ascii")
+        if int(quota) > 0:  # -1 where there is none
+            yield int(quota) / int((group / "cpu.cfs_period_us").read_text(encoding="ascii"))
 
 
 def worker_count(parameters: Parameters) -> int:
