@@ -311,33 +311,44 @@ def _heard(link, robot, plugin, folder):
     return heard, measures, context
 
 
-def _check_heard(heard, measures):
-    assert [message["header"]["stamp"]["nanosec"] for _, message in heard] == [
-        number * PERIOD_NS % 10**9 for number in range(20)
-    ]
-    assert heard[7][1]["ranges"][0] == 7.5
-    assert heard[-1][0] - heard[0][0] == pytest.approx(0.475, abs=0.1)
-    assert measures["PlayedMessages"] == 20
-    assert 0.475 <= measures["PlayTime"] < 0.7
+def _check_heard(play):
+    """Check what others hear of a bag; its times more than once, since a busy machine may delay any message."""
+    for attempt in range(5):
+        heard, measures = play(attempt)
+        assert [message["header"]["stamp"]["nanosec"] for _, message in heard] == [
+            number * PERIOD_NS % 10**9 for number in range(20)
+        ]
+        assert heard[7][1]["ranges"][0] == 7.5
+        assert measures["PlayedMessages"] == 20
+        assert measures["PlayTime"] >= 0.475
+        took = heard[-1][0] - heard[0][0]
+        if took == pytest.approx(0.475, abs=0.1) and measures["PlayTime"] < 0.7:
+            return
+    pytest.fail(f"the bag was heard for {took:g} s, and its PlayTime is {measures['PlayTime']:g} s")
 
 
 @pytest.mark.parametrize("kind", ["bag", "mcap"])
 def test_another_participant_hears_the_bag_over_dds(tmp_path, monkeypatch, scans, kind):
     monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
-    domain = claim_domain()
-    plugin = PlayBag(scans[kind], topics=["/scan"], rate=2.0)
-    listener = open_dds_link({"domain": str(domain), "distro": "jazzy"}, SystemClock())
-    heard, measures, _ = _heard(listener, f"dds:domain={domain},distro=jazzy", plugin, tmp_path)
-    _check_heard(heard, measures)
+
+    def play(attempt):
+        domain = claim_domain()
+        listener = open_dds_link({"domain": str(domain), "distro": "jazzy"}, SystemClock())
+        plugin = PlayBag(scans[kind], topics=["/scan"], rate=2.0)
+        return _heard(listener, f"dds:domain={domain},distro=jazzy", plugin, tmp_path / str(attempt))[:2]
+
+    _check_heard(play)
 
 
 @quiet_about_rospy
 @pytest.mark.parametrize("kind", ["bag", "mcap"])
 def test_a_node_hears_the_bag_over_ros_1(tmp_path, master_uri, scans, kind):
-    plugin = PlayBag(scans[kind], topics=["/scan"], rate=2.0)
-    listener = open_ros1_link({"master": master_uri}, SystemClock(), "")
-    heard, measures, _ = _heard(listener, f"ros1:master={master_uri}", plugin, tmp_path)
-    _check_heard(heard, measures)
+    def play(attempt):
+        listener = open_ros1_link({"master": master_uri}, SystemClock(), "")
+        plugin = PlayBag(scans[kind], topics=["/scan"], rate=2.0)
+        return _heard(listener, f"ros1:master={master_uri}", plugin, tmp_path / str(attempt))[:2]
+
+    _check_heard(play)
 
 
 @pytest.mark.long

@@ -147,7 +147,7 @@ def test_cores_that_this_process_may_not_use_are_told(monkeypatch: pytest.Monkey
     monkeypatch.setattr(os, "cpu_count", lambda: 64)
     monkeypatch.setattr(doctor, "usable_cores", lambda: 2)
     (system,) = [each for each in doctor.questions() if each.name == "system"]
-    assert asked([system])[0].detail.endswith(", 64 cores, 2 of them for this process")
+    assert next(iter(asked([system]))).detail.endswith(", 64 cores, 2 of them for this process")
 
 
 @pytest.mark.long

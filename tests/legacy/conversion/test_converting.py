@@ -14,7 +14,7 @@ from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import ConfigError
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.legacy.conversion.comparing_configs import check_conversion
+from robot_runner.legacy.commands.convert import check_conversion
 from robot_runner.legacy.conversion.converting import convert
 from robot_runner.legacy.syntax import Edits
 

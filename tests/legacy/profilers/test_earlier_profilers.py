@@ -26,7 +26,7 @@ from robot_runner.legacy.profilers.command_line import EnergiBridge, PowerJoular
 from robot_runner.legacy.profilers.data_source import DeviceSource, ParameterDict
 from robot_runner.legacy.profilers.nvidia import NvidiaML, NVML_Dynamic_Query, NVML_Field, NVML_IDs, NVML_Sample
 from robot_runner.legacy.profilers.profiler_catalogue import PLUGINS, plugin_of
-from robot_runner.legacy.profilers.programs import read_table
+from robot_runner.legacy.profilers.programs import Program, read_table
 from robot_runner.legacy.profilers.robot_plugins import BasicTurtleBot3, INA219Profiler, NetworkProfiler
 from robot_runner.legacy.profilers.self_measure import SelfMeasure
 
@@ -127,10 +127,17 @@ def test_powerjoular_writes_its_log_and_that_of_a_process(program: Callable[[str
     assert list(meter.parse_log(meter.target_logfile)["CPU Utilization"].values()) == [0.25]
 
 
+def test_a_program_that_cannot_be_started_leaves_no_file_open(tmp_path: Path) -> None:
+    before = len(list(Path("/dev/fd").iterdir()))
+    with pytest.raises(PluginError, match="cannot be started"):
+        Program([str(tmp_path / "missing")], name="missing")
+    assert len(list(Path("/dev/fd").iterdir())) == before
+
+
 def test_energibridge_measures_a_program_and_keeps_its_summary(
     program: Callable[[str, str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    monkeypatch.setattr("robot_runner.legacy.profilers.data_source.geteuid", lambda: 0)  # root needs no sudo
     program("energibridge", ENERGIBRIDGE)
     meter = EnergiBridge(target_program="sleep 0.01", out_file=tmp_path / "eb.csv")
     meter.start()

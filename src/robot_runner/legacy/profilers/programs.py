@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
 
-from robot_runner.core.errors import LinkError
+from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.legacy.session import warn_of_run
 from robot_runner.measuring.meter_process import ChildProgram, Ending
 
@@ -42,7 +42,11 @@ class Program(ChildProgram):
         self._printed = TemporaryFile()  # noqa: SIM115 - closed when the program has ended
         words = shlex.split(command) if isinstance(command, str) else list(command)
         errors = TemporaryFile()  # noqa: SIM115 - closed when the program has ended
-        super().__init__(words, output=self._printed, errors=errors, has_own_group=False)
+        try:
+            super().__init__(words, output=self._printed, errors=errors, has_own_group=False)
+        except PluginError:
+            self._printed.close()
+            raise
         if self.process.stdin is not None:
             self.process.stdin.close()
         self.wait(lambda: not self.is_running, seconds=_STARTING_S)
