@@ -225,7 +225,7 @@ def test_a_kernel_that_lets_only_root_count_is_told_with_the_command_that_mends_
 
 
 def test_what_the_machine_cannot_count_is_a_warning_of_the_check(tmp_path):
-    plugin = PerfStat(events=["task-clock", "cycles"], program=stand_in(tmp_path))
+    plugin = PerfStat(events=["task-clock", "cycles"], pid=os.getpid(), program=stand_in(tmp_path))
     findings = [finding for finding in plugin.check(Circumstances()) if "cycles" in finding.problem]
     assert [finding.is_error for finding in findings] == [False]
 

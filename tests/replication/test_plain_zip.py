@@ -23,7 +23,8 @@ def test_the_form_for_large_files_reads_as_any(tmp_path, monkeypatch):
         assert opened.read("runs/a.csv") == b"a,b\n1,2\n"
         assert [entry.filename for entry in opened.infolist()] == ["runs/a.csv", "runs/"]
         assert {entry.date_time for entry in opened.infolist()} == {(1980, 1, 1, 0, 0, 0)}
-        assert opened.getinfo("runs/a.csv").extract_version == 45  # version 4.5: ZIP64
+    extra = (tmp_path / "a.zip").read_bytes()[30 + len("runs/a.csv") :]  # behind the fields of the local header
+    assert extra[:2] == b"\x01\x00"  # the field of ZIP64; the version needed was left at 2.0 before Python 3.11.4
 
 
 def test_what_breaks_off_leaves_nothing_behind(tmp_path):

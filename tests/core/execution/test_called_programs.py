@@ -27,7 +27,7 @@ def launch_mission(self, context):
     os.system("true")
     try:
         subprocess.run(["not-there"], check=False)
-    except FileNotFoundError:
+    except OSError:
         pass
 
 def populate_run_data(self): return {"Energy": 1.0}
