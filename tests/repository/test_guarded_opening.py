@@ -45,13 +45,15 @@ OTHERS: dict[str, str] = {
             "measuring/local_host.py: _first_line",
             "core/execution/processes.py: use_no_streams",
             "core/config/local_modules.py: editable_folders",
+            "core/config/claims.py: _quotas",
+            "core/config/claims.py: _quota_of",
             "replication/distributions.py: direct_url",
             "replication/distributions.py: fingerprint",
             "replication/distributions.py: wheel_name",
             "replication/distributions.py: write_wheel",
             "replication/distributions.py: _editable_code",
             "replication/distributions.py: _path_entries",
-            "replication/imported_packages.py: _reached",
+            "replication/environment.py: _reached",
         ),
         "the robot's own computer, by the loop that is sent there": tuple(
             f"measuring/on_board/loop.py: {function}"
