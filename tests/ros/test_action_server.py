@@ -148,3 +148,39 @@ def test_a_server_of_ros1_forgets_the_goals_that_are_over(monkeypatch: pytest.Mo
     found = sorted((each["stamp"]["sec"], each["id"]) for each in results)
     assert found == [(n, f"goal {n}") for n in range(50)]
     assert len(served._stamps) <= 2
+
+
+def test_that_a_state_cannot_be_told_keeps_no_goal_from_being_executed_or_cancelled() -> None:
+    def lose(_: object) -> None:
+        raise RuntimeError("context is not valid")
+
+    executed: list[str] = []
+    may_end = threading.Event()
+
+    def execute(execution: Any) -> dict[str, Any]:
+        may_end.wait(5.0)
+        executed.append(execution.key)
+        raise ActionCanceled if execution.is_cancel_requested else AssertionError("it was not asked to end")
+
+    outlet: Any = SimpleNamespace(tell_status=lose, tell_result=lambda *_: None)
+    server = GoalServer("/count", TYPES, execute, None, lambda fault: None)
+    server.connect(outlet)
+    executions = [server.accept(key, {}) for key in ("1", "2")]
+    threading.Timer(0.1, may_end.set).start()
+    server.close()
+    assert [each.status for each in executions if each is not None] == [GoalStatus.CANCELED] * 2
+    assert sorted(executed) == ["1", "2"]
+
+
+def test_a_goal_that_comes_as_its_action_is_withdrawn_is_not_begun() -> None:
+    begun: list[str] = []
+
+    def accept(_: object) -> bool:
+        server.close()  # as another thread does meanwhile
+        return True
+
+    server = GoalServer(
+        "/count", TYPES, lambda execution: begun.append(execution.goal) or {}, accept, lambda fault: None
+    )
+    assert server.accept("1", {}) is None
+    assert begun == []

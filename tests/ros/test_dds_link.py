@@ -16,7 +16,7 @@ from tests.ros.dds_domain import LOOPBACK, claim_domain
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.core.links.graph_names import GraphNeed
 from robot_runner.core.links.robot import Qos
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros.dds_link import open_dds_link

@@ -25,7 +25,7 @@ from tests.ros.fastdds_robot import (
 from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.goals import GoalStatus
-from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.core.links.graph_names import GraphNeed
 from robot_runner.core.links.robot import Qos
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros import graph_look

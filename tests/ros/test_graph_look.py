@@ -13,7 +13,7 @@ from tests.ros.ros1_master import quiet_about_rospy
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.core.links.graph_names import GraphNeed
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros import graph_look
 from robot_runner.ros.graph_links import GRAPH_LINKS

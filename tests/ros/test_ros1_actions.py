@@ -114,7 +114,7 @@ def test_make_safe_cancels_a_goal_also_where_the_server_connects_late(link, tmp_
     link.subscribe("tally/result", "actionlib/TestActionResult", lambda told: ended.put(told["status"]["status"]))
     link.publish("tally/goal", "actionlib/TestActionGoal", {"goal_id": {"id": "alone"}, "goal": {"goal": 1000}})
     link.wait_for("tally/status", "actionlib_msgs/GoalStatusArray", lambda told: told["status_list"], timeout=20.0)
-    monkeypatch.setattr("robot_runner.ros.ros1_transport._CONNECTING_SECONDS", 0.0)  # as on a busy machine
+    monkeypatch.setattr("robot_runner.ros.ros1_publisher.CONNECTING", 0.0)  # as on a busy machine
     mission = ActionMission("tally", COUNTING, {"goal": 1000})
     context = make_context(tmp_path, mission, robot="ros1", links=FakeLinks(robot=link))
     mission.make_safe(context)
@@ -137,7 +137,7 @@ def test_make_safe_says_where_a_server_does_not_cancel(link, other, tmp_path):
 def test_a_safe_message_reaches_also_who_connects_late(link, tmp_path, monkeypatch):
     heard = queue.Queue()
     link.subscribe("siren", "std_msgs/String", lambda message: heard.put(message["data"]))
-    monkeypatch.setattr("robot_runner.ros.ros1_transport._CONNECTING_SECONDS", 0.0)
+    monkeypatch.setattr("robot_runner.ros.ros1_publisher.CONNECTING", 0.0)
     mission = TopicMission("siren", "std_msgs/String", {"data": "on"}, until=1.0, afterwards={"data": "off"})
     mission.make_safe(make_context(tmp_path, mission, robot="ros1", links=FakeLinks(robot=link)))
     assert heard.get(timeout=20.0) == "off"

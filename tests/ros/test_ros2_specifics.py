@@ -110,3 +110,39 @@ def test_nothing_is_left_behind(link):
         assert other.is_simulated
         other.offer("lamp", TRIGGER, lambda _: {})
     assert threading.active_count() <= before
+
+
+def test_a_publisher_that_misfits_while_a_subscription_is_made_is_adapted_to(link, monkeypatch):
+    from robot_runner.ros import ros2_transport
+
+    creates, made = ros2_transport._Subscription._created, []
+
+    def created(subscription, asked):
+        made.append(creates(subscription, asked))
+        if len(made) == 1:
+            subscription._note_mismatch(None)  # as the node's thread does, before the subscription is known here
+            time.sleep(0.2)
+        return made[-1]
+
+    monkeypatch.setattr(ros2_transport._Subscription, "_created", created)
+    subscription = link.subscribe("scan", SCAN, print)
+    until(lambda: len(made) > 1 and subscription.inner._subscription is made[-1])
+
+
+def test_a_command_that_is_not_taken_is_told_and_one_of_which_that_is_not_known_is_not(link, monkeypatch):
+    outcomes = [True, RuntimeError("not supported"), False]
+
+    def wait_for_all_acked(_):
+        outcome = outcomes.pop(0)
+        if isinstance(outcome, Exception):
+            raise outcome
+        return outcome
+
+    link.advertise("cmd_vel", "geometry_msgs/Twist")
+    publisher = link._advertised["/cmd_vel", "default"].publisher
+    with monkeypatch.context() as changed:
+        changed.setattr(publisher, "_publisher", SimpleNamespace(wait_for_all_acked=wait_for_all_acked))
+        publisher.flush(0.1)
+        publisher.flush(0.1)
+        with pytest.raises(LinkError, match=r"a subscriber does not take it within 7\.5 s"):
+            publisher.flush(1.0)

@@ -10,8 +10,10 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Protocol
 
 from robot_runner.core.errors import LinkError, nearest
+from robot_runner.core.links.goals import GoalStatus
 from robot_runner.core.links.robot import GraphEndpoint, Message, Subscription
 from robot_runner.core.words import enumerated
+from robot_runner.ros.link_faults import as_link_error
 from robot_runner.ros.sent_goal import ActionClient, SentGoal
 from robot_runner.ros.shapes import completed
 
@@ -123,9 +125,13 @@ class LinkGoals:
             if self._is_closed and not sent.is_over:  # and could not cancel what was not sent yet
                 sent.ask_for_end(CLOSING_SECONDS)
                 self._check_open(action)
-        except LinkError as error:
+        except Exception as error:
             sent.is_abandoned = True
-            sent.lose(error)
+            status = sent.status
+            sent.lose(as_link_error(error, where=action))
+            if status is not GoalStatus.UNKNOWN and not status.is_over:  # it was taken before anybody had given it up
+                with suppress(Exception):  # what was raised first is told
+                    client.cancel(sent, CLOSING_SECONDS)
             raise
         return sent
 
@@ -141,19 +147,17 @@ class LinkGoals:
             self._is_closed = True
             # In ROS 1 to cancel one that has no key yet is to cancel those of all clients.
             open_goals = [goal for goal in self._goals if goal.key and not goal.is_over]
+            clients = list(self._clients.values())
         for goal in open_goals:  # all are asked before any is waited for
-            with suppress(LinkError):  # it is asked again, and said then
+            with suppress(Exception):  # it is asked again, and said then
                 goal.ask_for_end(CLOSING_SECONDS)
         for goal in open_goals:
             try:
                 goal.cancel(timeout=max(0.1, deadline - time.monotonic()))
-            except LinkError as error:
-                faults.append(error)
-        for client in self._clients.values():
-            try:
-                client.close()
-            except LinkError as error:
-                _logger.info("an action could not be left: %s", error)
+            except Exception as error:  # noqa: BLE001 - of whichever kind: the others are cancelled, and it is told
+                faults.append(as_link_error(error, where=goal.action))
+        for client in clients:
+            _leave(client)
         if faults:
             first = faults[0]
             problem = f"a goal that is not over could not be cancelled: {first.problem}"
@@ -165,8 +169,21 @@ class LinkGoals:
         if known is not None and known.is_served():
             return known
         fresh = self._dialect.client(action, action_type, timeout)
+        stale: ActionClient | None
         with self._lock:
-            if known is not None:
-                known.close()
-            self._clients[action, action_type] = fresh
-        return fresh
+            there = self._clients.get((action, action_type))
+            if self._is_closed or there is not known:  # another thread has found it as well, or has closed the link
+                stale, chosen = fresh, there or fresh
+            else:
+                stale, chosen = known, fresh
+                self._clients[action, action_type] = fresh
+        if stale is not None:
+            _leave(stale)
+        return chosen
+
+
+def _leave(client: ActionClient) -> None:
+    try:
+        client.close()
+    except Exception as error:  # noqa: BLE001 - of whichever kind: nothing depends on it
+        _logger.info("an action could not be left: %s", error)

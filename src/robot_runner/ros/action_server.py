@@ -148,15 +148,15 @@ class GoalServer:
         """Take a goal and begin to execute it, or return None where it is rejected."""
         try:
             complete = completed(self.types.goal, goal, where=self.action)
-            if self._is_closed or not (self._accept is None or self._accept(complete)):
+            if not (self._accept is None or self._accept(complete)):
                 return None
         except Exception as fault:  # noqa: BLE001 - the link fails the run for it
             self._on_fault(fault)
             return None
         execution = Execution(self, key, complete)
         with self._lock:
-            if key in self._executions:
-                return None  # sent twice
+            if self._is_closed or key in self._executions:
+                return None  # withdrawn meanwhile, or sent twice
             self._executions[key] = execution
         self.start(lambda: self._run(execution))
         return execution
@@ -181,7 +181,8 @@ class GoalServer:
 
         It returns once the results of all have been told: whoever closes it leaves the topics on which they are.
         """
-        self._is_closed = True
+        with self._lock:  # a goal that is accepted is among those that are ended, or was not accepted
+            self._is_closed = True
         executions = self.executions
         for execution in executions:
             self.cancel(execution)
@@ -234,8 +235,11 @@ class GoalServer:
 
     def _tell_status(self) -> None:
         with self._telling:
-            if self._outlet is not None:
-                self._outlet.tell_status(self.executions)
+            try:
+                if self._outlet is not None:
+                    self._outlet.tell_status(self.executions)
+            except Exception:  # goals are executed, and those that are asked to end, whoever hears of it
+                _logger.warning("the states of the goals of %s could not be told", self.action, exc_info=True)
 
 
 def _start_thread(work: Callable[[], None]) -> None:

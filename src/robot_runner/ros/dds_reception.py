@@ -146,6 +146,10 @@ _TURN_NS = 1_000_000_000
 
 _END_SECONDS = 5.0
 
+#: Who waits for something looks again at least this often, s: DDS tells of who is discovered, and then matches it,
+#: of which nobody is told.
+_LOOK = 0.05
+
 #: Held wherever cyclonedds makes a QoS of what was discovered: it does so in variables that all threads of a process
 #: share (cyclonedds/qos.py, `_gc_…`), so that two links at once read the QoS and user data of each other's endpoints.
 READING_QOS = threading.Lock()
@@ -224,14 +228,20 @@ class Reception:
             self._take(source)
 
     def wait_for(self, is_so: Callable[[], bool], timeout: float) -> bool:
-        """Wait until `is_so` holds after something was received; `timeout` is in seconds.
+        """Wait until `is_so` holds, mostly after something was received; `timeout` is in seconds.
 
         A callback may wait too: samples are then served meanwhile, within it.
         """
         if threading.current_thread() is self._thread:
             return self._turn_until(is_so, timeout)
+        deadline = time.monotonic() + timeout
         with self._turned:
-            return self._turned.wait_for(lambda: is_so() or self._is_closed, timeout) and is_so()
+            while not is_so() and not self._is_closed:
+                left = deadline - time.monotonic()
+                if left <= 0:
+                    return False
+                self._turned.wait(min(left, _LOOK))
+        return is_so()
 
     def wake(self) -> None:
         """Have those who wait look again; what they wait for has come another way."""
@@ -267,7 +277,7 @@ class Reception:
                 left = deadline - time.monotonic()
                 if left <= 0:
                     return False
-                self._turn(int(left * 1e9))
+                self._turn(int(min(left, _LOOK) * 1e9))
         return is_so()
 
     @contextmanager

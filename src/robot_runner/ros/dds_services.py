@@ -87,10 +87,11 @@ class ServiceClient:
         request_type, reply_type = service_wire_type(side.request), service_wire_type(side.response)
         identity = side.user_data("clientid", side.request)
         self._reader = session.reader(side.reply_topic, reply_type, service_profile(identity))
-        self._source = session.reception.add(self._reader, self._take, service)
         self._writer = session.writer(side.request_topic, request_type, service_profile(identity))
         self._request_type = request_type
         self._guid = self._writer.get_instance_handle() & _UINT64  # cyclonedds reads it as signed
+        # Last: replies to other clients come here as well, from now on.
+        self._source = session.reception.add(self._reader, self._take, service)
 
     def call(self, request: Message, deadline: float) -> dict[str, Any] | None:
         """Send a request and return the response to it; None if none came by the deadline."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +18,13 @@ from robot_runner.ros.dds_qos import adapted_profile, policies_of, reader_profil
 from robot_runner.ros.dds_reception import RawSample, WireType, delete, topic_wire_type
 from robot_runner.ros.dds_services import OfferedService, ServiceClient, await_service, is_foreign
 from robot_runner.ros.dds_session import Session
-from robot_runner.ros.graph_transport import ReceivedBytes, Reception, check_type, service_timeout
+from robot_runner.ros.graph_transport import (
+    LONGEST_DISCOVERY,
+    ReceivedBytes,
+    Reception,
+    check_type,
+    service_timeout,
+)
 from robot_runner.ros.ros2_actions import Ros2Actions
 
 if TYPE_CHECKING:
@@ -186,12 +191,21 @@ class _Publisher:
         return graph.wait_for(lambda: len(matched_subscriptions(self._writer)) >= reachable, _MATCHING_SECONDS)
 
     def flush(self, seconds: float) -> None:
-        # Where time runs out, cyclonedds 11.0 raises AttributeError: it looks for the code of that on a wrong class.
-        with suppress(AttributeError, DDSException):
-            self._writer.wait_for_acks(int(seconds * 1e9))
+        # A process of Fast DDS may be matched here seconds before it knows of us, and takes what was sent meanwhile.
+        seconds = max(seconds, LONGEST_DISCOVERY)
+        if not self._is_acknowledged(seconds):
+            fix = "Look whether the robot is on and in this network."
+            raise LinkError(f"a subscriber does not take it within {seconds:g} s", where=self._topic, fix=fix)
+
+    def _is_acknowledged(self, seconds: float) -> bool:
+        try:
+            return bool(self._writer.wait_for_acks(int(seconds * 1e9)))
+        except (AttributeError, DDSException):
+            # cyclonedds 11.0 raises AttributeError where time runs out: it looks for the code of that on a wrong class.
+            return False
 
     def close(self) -> None:
-        self.flush(_CLOSING_SECONDS)
+        self._is_acknowledged(_CLOSING_SECONDS)  # a subscriber that takes nothing must not keep us for longer
         self._session.nodes.remove(self._writer.guid)
         delete(self._writer)
 

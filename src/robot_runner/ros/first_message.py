@@ -26,18 +26,22 @@ class FirstMessage:
         self._timeout = timeout
         self._found: Message | None = None
         self._fault: Exception | None = None
+        self._lock = threading.Lock()  # in ROS 1 each publisher of the topic has a thread here
 
     def take(self, message: Message) -> None:
         """Look at one message."""
         if self.is_over.is_set():
             return
+        fault: Exception | None = None
         try:
-            if self._condition is None or self._condition(message):
-                self._found = message
+            if not (self._condition is None or self._condition(message)):
+                return
+        except Exception as raised:  # noqa: BLE001 - it is raised to the caller whose condition this is
+            fault = raised
+        with self._lock:
+            if not self.is_over.is_set():
+                self._found, self._fault = message, fault
                 self.is_over.set()
-        except Exception as fault:  # noqa: BLE001 - it is raised to the caller whose condition this is
-            self._fault = fault
-            self.is_over.set()
 
     def result(self, topic: str, explain: Callable[[], str]) -> Message:
         """Return the message.

@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, closing, suppress
+from contextlib import closing, suppress
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from robot_runner.core.errors import LinkError
@@ -27,17 +28,15 @@ from robot_runner.ros.action_server import GoalServer
 from robot_runner.ros.first_message import FirstMessage
 from robot_runner.ros.graph_transport import (
     Reception,
-    TopicPublisher,
     TopicSubscription,
     Transport,
     check_type,
     is_hidden,
     link_closed,
 )
+from robot_runner.ros.link_faults import as_link_error, do_all
 from robot_runner.ros.opened_names import Advertised, Opened
-from robot_runner.ros.sent_commands import is_watched, note_sent
 from robot_runner.ros.shapes import completed, plain_type
-from robot_runner.ros.watchdog import VELOCITY_COMMANDS, planar, velocity_of
 
 if TYPE_CHECKING:
     from robot_runner.ros.parameter_access import ParameterServer
@@ -45,6 +44,10 @@ if TYPE_CHECKING:
 _logger = logging.getLogger(__name__)
 
 _Received = TypeVar("_Received")
+_Kept = TypeVar("_Kept", Advertised, Opened)
+
+#: How long it may take until goals are cancelled and robots told to stand still, s: some seconds for each that hangs.
+_STOPPING_SECONDS = 20.0
 
 
 class GraphLink:
@@ -80,11 +83,14 @@ class GraphLink:
     def __init__(self, connect: Callable[[], Transport], namespace: str = "", *, is_simulated: bool = False) -> None:
         self.namespace = namespace_prefix(namespace)  # refused before anything is opened
         self._is_simulated = is_simulated
-        self._lock = threading.RLock()
+        self._lock = threading.RLock()  # held while a topic is advertised, which may take seconds
+        self._books = threading.Lock()  # held for a moment, over what is open and whether the link is
         self._advertised: dict[tuple[str, Qos], Advertised] = {}
         self._opened: dict[Opened, None] = {}  # in the order in which they were opened
         self._first_fault: tuple[str, Exception] | None = None
         self._is_closed = False
+        self._closing_it: threading.Thread | None = None
+        self._is_stopped = threading.Event()
         self._transport = connect()
         self._goals = LinkGoals(self._transport.actions, self._transport.wait, self._check_open)
         self.parameter_server: ParameterServer | None = getattr(self._transport, "parameter_server", None)
@@ -108,11 +114,12 @@ class GraphLink:
         complete = completed(advertised.shape, message, where=name)
         with advertised.sending():
             self._check_open(name)  # another thread may have closed it meanwhile: the last command is to stand still
-            if advertised.message_type in VELOCITY_COMMANDS:
-                note_sent(name, planar(velocity_of(advertised.message_type, complete)))
-            elif is_watched(name):
-                note_sent(name, complete)
-            advertised.publisher.publish(complete)
+            try:
+                advertised.send(name, complete)
+            except Exception as error:
+                if isinstance(error, LinkError) or not self._transport.has_threads:  # there, callbacks are called in it
+                    raise
+                raise as_link_error(error, where=name, what="the message cannot be published") from error
 
     def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT) -> bool:
         """Return whether the subscribers of a topic that are there would receive what is published, once they do."""
@@ -251,21 +258,30 @@ class GraphLink:
         return self._transport.types.definition(message_type)
 
     def close(self) -> None:
-        """Cancel its goals, stop the robot if it was driven, end all that was opened, and leave; once."""
-        if self._is_closed:
+        """Cancel its goals, stop the robot if it was driven, end all that was opened, and leave; once.
+
+        Where another thread is closing it, the main thread waits until the robot was told to stand still.
+        """
+        this = threading.current_thread()
+        with self._books:
+            was_closed, self._is_closed = self._is_closed, True
+            self._closing_it = self._closing_it or this
+            opened, advertised = list(self._opened), list(self._advertised.items())
+        if was_closed:
+            if this is threading.main_thread() and this is not self._closing_it:  # the process may end then
+                self._is_stopped.wait(_STOPPING_SECONDS)
             return
-        self._is_closed = True
-        with ExitStack() as stack:  # what was pushed last is done first, and all of it whatever fails
-            stack.callback(self._raise_fault)
-            stack.callback(self._transport.close)
-            for opened in list(self._opened):
-                stack.callback(opened.close)
-            for advertised in list(self._advertised.values()):
-                stack.callback(advertised.publisher.close)
-            for (topic, _), advertised in list(self._advertised.items()):
-                if advertised.message_type in VELOCITY_COMMANDS:
-                    stack.callback(advertised.stop, topic)
-            stack.callback(self._goals.close)  # before the last stop: what executes a goal may drive
+        do_all(
+            [
+                self._goals.close,  # before the last stop: what executes a goal may drive
+                *(partial(each.stop, topic) for (topic, _), each in reversed(advertised) if each.drives),
+                self._is_stopped.set,
+                *(each.close for _, each in reversed(advertised)),
+                *(each.close for each in reversed(opened)),
+                self._transport.close,
+                self._raise_fault,
+            ]
+        )
 
     def _name(self, given: str) -> str:
         name = full_name(self.namespace, given)
@@ -276,12 +292,25 @@ class GraphLink:
         if self._is_closed:
             raise link_closed(where)
 
-    def _keep_open(self, name: str, opened: Opened | TopicPublisher) -> None:
-        """See that the link was not closed while something was opened on it, which takes seconds on some graphs."""
-        if self._is_closed:
-            with suppress(Exception):  # what the client library says of a graph that was left
-                opened.close()
-            self._check_open(name)
+    def _keep(self, name: str, open_it: Callable[[], _Kept], note: Callable[[_Kept], object]) -> _Kept:
+        """Open what is to be closed with the link, and note it; that takes seconds on some graphs.
+
+        Raises:
+            LinkError: the link was closed meanwhile.
+        """
+        try:
+            opened = open_it()
+        except Exception as error:  # what the client library says of a graph that was left is of no use
+            if isinstance(error, LinkError) or not self._is_closed:
+                raise
+            raise link_closed(name) from error
+        with self._books:
+            if not self._is_closed:
+                note(opened)
+                return opened
+        with suppress(Exception):  # as above
+            opened.close()
+        raise link_closed(name)
 
     def _advertise(self, name: str, message_type: str, message: Message, qos: Qos) -> Advertised:
         plain = plain_type(message_type)
@@ -290,10 +319,12 @@ class GraphLink:
             if known is None:
                 shape = self._transport.types.shape(message_type)
                 completed(shape, message, where=name)  # a wrong message is refused before the topic is on the graph
-                known = Advertised(plain, shape, self._transport.advertise(name, plain, qos))
-                self._keep_open(name, known.publisher)
-                self._advertised[name, qos] = known
-                if plain in VELOCITY_COMMANDS:
+                known = self._keep(
+                    name,
+                    lambda: Advertised(plain, shape, self._transport.advertise(name, plain, qos)),
+                    partial(self._advertised.__setitem__, (name, qos)),
+                )
+                if known.drives:
                     tell_commanded(name, plain)
             return known
 
@@ -314,15 +345,15 @@ class GraphLink:
         return self._open(name, message_type, subscribed)
 
     def _open(self, name: str, type_name: str, opener: Callable[[Opened], Any]) -> Opened:
-        opened = Opened(name, type_name, self._forget)
-        opened.inner = opener(opened)
-        self._keep_open(name, opened)
-        with self._lock:
-            self._opened[opened] = None
-        return opened
+        def open_it() -> Opened:
+            opened = Opened(name, type_name, self._forget)
+            opened.inner = opener(opened)
+            return opened
+
+        return self._keep(name, open_it, self._opened.setdefault)
 
     def _forget(self, opened: Opened) -> None:
-        with self._lock:
+        with self._books:
             self._opened.pop(opened, None)
 
     def _receiver(self, opened: Opened, deliver: Callable[[_Received], None]) -> Callable[[_Received], None]:

@@ -16,7 +16,7 @@ from urllib.parse import parse_qsl
 from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.events.context import Clock, SystemClock
 from robot_runner.core.events.resources import Resources
-from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.core.links.graph_names import GraphNeed
 from robot_runner.core.links.kinds import FoundRobot, link_key
 from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.links.robot_name import RobotName

@@ -17,7 +17,7 @@ from typing import Any
 
 from robot_runner.core.errors import Finding, LinkError, Severity, nearest
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.graph_needs import GraphNeed, GraphPart
+from robot_runner.core.links.graph_names import GraphNeed, GraphPart
 from robot_runner.core.links.robot import GraphListing, RobotLink
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.words import enumerated

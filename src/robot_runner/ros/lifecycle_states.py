@@ -6,8 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
-from robot_runner.core.links.graph_names import full_name
-from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.core.links.graph_names import GraphNeed, full_name
 from robot_runner.core.links.robot import RobotLink
 from robot_runner.ros.lifecycle import SETTLED, bring_to, named_state, ros1_has_none, state_of
 from robot_runner.ros.node_services import NodeNotReadyError

@@ -9,10 +9,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
-from robot_runner.ros.sent_commands import note_sent
+from robot_runner.ros.link_faults import as_link_error
+from robot_runner.ros.sent_commands import is_watched, note_sent
 from robot_runner.ros.shapes import Shape, completed
+from robot_runner.ros.watchdog import VELOCITY_COMMANDS, planar, velocity_of
 
 if TYPE_CHECKING:
+    from robot_runner.core.links.robot import Message
     from robot_runner.ros.graph_transport import TopicPublisher
 
 #: How long the last command, to stand still, may take to reach the robot, s: a robot two hops of Wi-Fi away takes it
@@ -29,6 +32,11 @@ class Advertised:
     publisher: TopicPublisher
     _sending: threading.RLock = field(default_factory=threading.RLock)
 
+    @property
+    def drives(self) -> bool:
+        """Whether it commands a velocity, which a robot carries out until the next one."""
+        return self.message_type in VELOCITY_COMMANDS
+
     @contextmanager
     def sending(self) -> Iterator[None]:
         """While it lasts, no other thread sends on the topic; one that is stuck is not waited for for long."""
@@ -39,20 +47,32 @@ class Advertised:
             if is_ours:
                 self._sending.release()
 
+    def send(self, topic: str, message: Message) -> None:
+        """Publish a message that has every field, and note a command, so that it is told from those of others."""
+        if self.drives:
+            note_sent(topic, planar(velocity_of(self.message_type, message)))
+        elif is_watched(topic):
+            note_sent(topic, message)
+        self.publisher.publish(message)
+
+    def close(self) -> None:
+        """Leave the topic."""
+        self.publisher.close()
+
     def stop(self, topic: str) -> None:
         """Command zero on a topic on which a velocity was published, and see that it is taken.
 
         Raises:
-            LinkError: nobody takes it.
+            LinkError: nobody takes it, or the client library fails at it.
         """
         try:
-            note_sent(topic, (0.0, 0.0))
             with self.sending():
-                self.publisher.publish(completed(self.shape, {}, where=topic))
+                self.send(topic, completed(self.shape, {}, where=topic))
             self.publisher.flush(_STOPPING_SECONDS)
-        except LinkError as error:
-            problem = f"the robot could not be told to stand still: {error.problem}"
-            raise LinkError(problem, where=topic, fix=f"See that its watchdog stopped it. {error.fix}") from error
+        except Exception as error:
+            fault = as_link_error(error, where=topic)
+            problem = f"the robot could not be told to stand still: {fault.problem}"
+            raise LinkError(problem, where=topic, fix=f"See that its watchdog stopped it. {fault.fix}") from error
 
 
 class Opened:
@@ -66,10 +86,12 @@ class Opened:
         self.fault_count = 0
         self.has_failed_run = False
         self._forget = forget
+        self._closing = threading.Lock()
 
     def close(self) -> None:
         """Receive no more; closing twice does nothing."""
-        if self.is_open:
-            self.is_open = False
+        with self._closing:
+            was_open, self.is_open = self.is_open, False
+        if was_open:
             self._forget(self)
             self.inner.close()

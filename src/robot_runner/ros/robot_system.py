@@ -12,8 +12,7 @@ from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_me
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import MeasureValue, Origin
 from robot_runner.core.links.connect import is_simulated, join_beforehand, resolved_robot
-from robot_runner.core.links.graph_names import full_name, namespace_prefix
-from robot_runner.core.links.graph_needs import GraphNeed, GraphPart
+from robot_runner.core.links.graph_names import GraphNeed, GraphPart, full_name, namespace_prefix
 from robot_runner.core.links.robot import Message
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.plugin import Circumstances, System

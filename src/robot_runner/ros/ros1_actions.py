@@ -130,15 +130,19 @@ class _Client:
         self._heard = threading.Event()
         self._heard_at = time.monotonic()
         self._open = ExitStack()
-        # The states last: once they come, the server has had the time to find the others.
-        for name, kind, take in (
-            (_RESULT, f"{action_type}ActionResult", self._take_result),
-            (_FEEDBACK, f"{action_type}ActionFeedback", self._take_feedback),
-            (_STATUS, _STATUS_TYPE, self._take_status),
-        ):
-            self._open.callback(transport.subscribe(action + name, kind, take, qos=None, is_raw=False).close)
-        self._send = _advertised(self._open, transport, action + _GOAL, f"{action_type}{_GOAL_ENDING}")
-        self._cancel = _advertised(self._open, transport, action + _CANCEL, _ID_TYPE)
+        try:
+            # The states last: once they come, the server has had the time to find the others.
+            for name, kind, take in (
+                (_RESULT, f"{action_type}ActionResult", self._take_result),
+                (_FEEDBACK, f"{action_type}ActionFeedback", self._take_feedback),
+                (_STATUS, _STATUS_TYPE, self._take_status),
+            ):
+                self._open.callback(transport.subscribe(action + name, kind, take, qos=None, is_raw=False).close)
+            self._send = _advertised(self._open, transport, action + _GOAL, f"{action_type}{_GOAL_ENDING}")
+            self._cancel = _advertised(self._open, transport, action + _CANCEL, _ID_TYPE)
+        except Exception:
+            self._open.close()
+            raise
 
     def await_server(self, timeout: float) -> None:
         """Wait until the server tells its states; raise a `LinkError` where it does not in time."""
@@ -249,20 +253,25 @@ class _Served:
         self._is_closed = threading.Event()
         self._open = ExitStack()
         try:
-            self._result = _advertised(self._open, transport, action + _RESULT, f"{action_type}ActionResult")
-            self._feedback = _advertised(self._open, transport, action + _FEEDBACK, f"{action_type}ActionFeedback")
-            server.connect(self)
-            for name, kind, take in (
-                (_GOAL, f"{action_type}{_GOAL_ENDING}", self._take_goal),
-                (_CANCEL, _ID_TYPE, self._take_cancel),
-            ):
-                self._open.callback(transport.subscribe(action + name, kind, take, qos=None, is_raw=False).close)
-            self._status = _advertised(self._open, transport, action + _STATUS, _STATUS_TYPE)
-        except LinkError:
+            with self._taking:  # a goal may come as soon as it is subscribed, and its states are told on a later topic
+                self._begin(transport, action, action_type)
+        except Exception:
+            server.close()
             self._open.close()
             raise
         self._thread = threading.Thread(target=self._tell_again, name="action states", daemon=True)
         self._thread.start()
+
+    def _begin(self, transport: Transport, action: str, action_type: str) -> None:
+        self._result = _advertised(self._open, transport, action + _RESULT, f"{action_type}ActionResult")
+        self._feedback = _advertised(self._open, transport, action + _FEEDBACK, f"{action_type}ActionFeedback")
+        self._server.connect(self)
+        for name, kind, take in (
+            (_GOAL, f"{action_type}{_GOAL_ENDING}", self._take_goal),
+            (_CANCEL, _ID_TYPE, self._take_cancel),
+        ):
+            self._open.callback(transport.subscribe(action + name, kind, take, qos=None, is_raw=False).close)
+        self._status = _advertised(self._open, transport, action + _STATUS, _STATUS_TYPE)
 
     def close(self) -> None:
         """Offer it no more."""
@@ -324,7 +333,9 @@ class _Served:
     def _take_cancel(self, reception: Reception) -> None:
         asked = reception.message()
         limit = nanoseconds_of(asked["stamp"])
-        for execution in self._server.executions:
+        with self._taking:
+            executions = self._server.executions
+        for execution in executions:
             stamp = nanoseconds_of(self._stamps.get(execution.key, {"sec": 0, "nanosec": 0}))
             is_all = not asked["id"] and not limit
             if is_all or asked["id"] == execution.key or (limit and stamp <= limit):

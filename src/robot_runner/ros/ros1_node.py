@@ -9,7 +9,7 @@ import socket
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
@@ -92,31 +92,44 @@ def within(action: Callable[[], T], *, where: str, doing: str, timeout: float = 
 
 
 @contextmanager
-def queued_from_the_first(topic: str, depth: int) -> Iterator[None]:
-    """While a publisher is registered, have rospy queue messages for subscribers that connect before it returns.
+def completed_first(topic: str, kind: str, complete: Callable[[Any], object]) -> Iterator[None]:
+    """While something is registered, have rospy complete it before it tells the master.
 
-    rospy tells the master of a publisher first, and sets the depth of its queue afterwards. Whom the master told and
-    who connected in between would be written to without a queue: one that hangs would hold up who publishes.
+    rospy tells the master first, and sets afterwards what it was asked for: depth of the queue, latching, no delay of
+    small messages. Whom the master told and who connected in between would be served without: written to without a
+    queue, one that hangs would hold up who publishes.
 
     Args:
         topic: its absolute name.
-        depth: how many messages wait for a slow subscriber; 0 is as many as come.
+        kind: `pub` for a publisher, `sub` for a subscriber.
+        complete: called with rospy's implementation of it.
     """
     registration = import_module("rospy.impl.registration")
 
-    class Depth(registration.RegistrationListener):  # type: ignore[misc, name-defined]
-        def reg_added(self, name: str, _: str, kind: str) -> None:
-            if (name, kind) == (topic, registration.Registration.PUB):
-                registration.get_topic_manager().get_publisher_impl(topic).set_queue_size(depth)
+    class Completing(registration.RegistrationListener):  # type: ignore[misc, name-defined]
+        def reg_added(self, name: str, _: str, added: str) -> None:
+            if (name, added) == (topic, kind):
+                complete(registration.get_topic_manager().get_impl(kind, topic))
 
-    listeners, ours = registration.get_registration_listeners(), Depth()
+    listeners, ours = registration.get_registration_listeners(), Completing()
     with listeners.lock:
         listeners.listeners.insert(0, ours)  # before the one that tells the master
     try:
         yield
     finally:
-        with listeners.lock:
+        with listeners.lock, suppress(ValueError):  # where rospy is shut down meanwhile, it has forgotten all of them
             listeners.listeners.remove(ours)
+
+
+def check_running(was_shut_down: Callable[[], bool], where: str) -> None:
+    """See that rospy was not shut down: it sends nothing then, and says nothing.
+
+    Raises:
+        LinkError: it was: by `rosnode kill`, by the config, or by a signal where the config has initialised the node.
+    """
+    if was_shut_down():
+        fix = "Have nobody end this node or call rospy.signal_shutdown while a run executes."
+        raise LinkError("the ROS node of this process was shut down", where=where, fix=fix)
 
 
 def pid_in_name(node: str) -> int | None:

@@ -22,9 +22,9 @@ from robot_runner.ros.graph_transport import (
     nobody_publishes,
     silent_publishers,
 )
-from robot_runner.ros.qos_policies import DEPTHS
 from robot_runner.ros.ros1_actions import Ros1Actions
-from robot_runner.ros.ros1_node import join_graph, pid_in_name, queued_from_the_first, within
+from robot_runner.ros.ros1_node import completed_first, join_graph, pid_in_name, within
+from robot_runner.ros.ros1_publisher import CONNECTING, POLL, Publisher
 from robot_runner.ros.ros1_services import call_service, service_type
 from robot_runner.ros.ros1_types import Ros1Types, as_mapping, as_message, message_class, service_class
 from robot_runner.ros.shapes import plain_type
@@ -34,16 +34,10 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
-#: How long those who are on a topic already may take to connect to a new publisher or subscriber, s.
-_CONNECTING_SECONDS = 2.0
-#: How long what was published last may take to leave before its publisher is gone, s.
-_CLOSING_SECONDS = 0.5
 #: How long a publisher that is connected may take to tell so, s: a millisecond, or another client library does not.
 _TELLING_SECONDS = 0.5
 #: How long each service may take to tell its type, s.
 _PROBING_SECONDS = 0.5
-#: How often a queue is looked at until it is empty, s.
-_POLL = 0.002
 _START = "Start the node that offers it."
 
 
@@ -66,10 +60,10 @@ class Ros1Transport:
         self._now_ns = now_ns
         self._rospy = join_graph(master)
 
-    def advertise(self, topic: str, message_type: str, qos: Qos) -> _Publisher:
+    def advertise(self, topic: str, message_type: str, qos: Qos) -> Publisher:
         """Return a publisher, once the subscribers that are there already are connected."""
         self._check_type(topic, message_type)
-        return _Publisher(self, self._rospy, topic, message_class(message_type), qos)
+        return Publisher(self._rospy, topic, message_class(message_type), qos, partial(self.subscribers, topic))
 
     def subscribe(
         self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
@@ -186,11 +180,12 @@ class Ros1Transport:
         rospy shares one connection among all subscribers of a topic, with the class that the first of them asks for;
         with its class for any message there is nothing that they can disagree about.
         """
-        return within(
-            lambda: self._rospy.Subscriber(topic, self._rospy.AnyMsg, receive, tcp_nodelay=True),
-            where=topic,
-            doing="registering the subscriber",
-        )
+
+        def register() -> Any:
+            with completed_first(topic, "sub", lambda subscriber: subscriber.set_tcp_nodelay(True)):
+                return self._rospy.Subscriber(topic, self._rospy.AnyMsg, receive, tcp_nodelay=True)
+
+        return within(register, where=topic, doing="registering the subscriber")
 
     def is_served(self, topic: str, publishers: Iterable[str]) -> bool:
         """Whether all of these nodes send a topic to this one, as they tell."""
@@ -219,95 +214,10 @@ class Ros1Transport:
         raise already_offered(service, ", ".join(self._master.state().services.get(service, ("another node",))))
 
 
-class _Publisher:
-    """Publishes one topic; a subscriber that is there already receives the first message."""
-
-    def __init__(self, transport: Ros1Transport, rospy: Any, topic: str, cls: Any, qos: Qos) -> None:
-        self._transport = transport
-        self._topic = topic
-        self._cls = cls
-        self._arrivals = _Arrivals()
-        self._publisher = within(partial(self._register, rospy, qos), where=topic, doing="registering the publisher")
-        try:
-            self.reach()
-        except LinkError:
-            self.close()
-            raise
-
-    def _register(self, rospy: Any, qos: Qos) -> Any:
-        with queued_from_the_first(self._topic, DEPTHS[qos]):
-            return rospy.Publisher(
-                self._topic,
-                self._cls,
-                subscriber_listener=self._arrivals,
-                tcp_nodelay=True,  # a command is small, and should not wait for the next
-                latch=qos is Qos.TRANSIENT_LOCAL,
-                queue_size=DEPTHS[qos],
-            )
-
-    def publish(self, message: Message) -> None:
-        self._publisher.publish(as_message(self._cls, message))
-
-    def flush(self, seconds: float) -> None:
-        deadline = time.monotonic() + seconds
-        for connection in list(self._publisher.impl.connections):
-            while not _is_idle(connection):
-                if time.monotonic() > deadline:
-                    problem = f"a message is not taken within {seconds:g} s by {connection.endpoint_id}"
-                    raise LinkError(problem, where=self._topic, fix="Look whether the robot is on and in this network.")
-                time.sleep(_POLL)
-
-    def close(self) -> None:
-        with suppress(LinkError):  # a subscriber that takes nothing must not keep us
-            self.flush(_CLOSING_SECONDS)
-        within(self._publisher.unregister, where=self._topic, doing="leaving the topic")
-
-    def reach(self) -> bool:
-        subscribers = len(list(self._transport.subscribers(self._topic)))  # who is dead would not connect
-        deadline = time.monotonic() + _CONNECTING_SECONDS
-        while self._publisher.get_num_connections() < subscribers:
-            left = deadline - time.monotonic()
-            if left <= 0:
-                connected = self._publisher.get_num_connections()
-                _logger.warning("%s: %d of its %d subscribers are reached", self._topic, connected, subscribers)
-                return False
-            self._arrivals.wait(left)
-        return True
-
-
 def _until(claim: Callable[[], bool], seconds: float) -> None:
     deadline = time.monotonic() + seconds
     while not claim() and time.monotonic() < deadline:
-        time.sleep(_POLL)
-
-
-class _Arrivals:
-    """Tells that a subscriber has connected; rospy calls it."""
-
-    def __init__(self) -> None:
-        self._arrived = threading.Event()
-
-    def peer_subscribe(self, *_: object) -> None:
-        self._arrived.set()
-
-    def peer_unsubscribe(self, *_: object) -> None:
-        """Do nothing: rospy calls it, too."""
-
-    def wait(self, timeout: float) -> None:
-        self._arrived.wait(timeout)
-        self._arrived.clear()
-
-
-def _is_idle(connection: Any) -> bool:
-    """Whether rospy has handed all of a connection's messages to the system.
-
-    Its thread takes the whole queue and then sends it, so an empty queue says too little: it must wait for more.
-    """
-    wakes = getattr(connection, "_cond_data_available", None)  # rospy tells it nowhere else
-    if wakes is None:
-        return True  # a publisher of the config's own without a queue, which shares it: publishing has sent it
-    with connection._lock:  # noqa: SLF001 - as above
-        return connection.done or (not connection._queue and bool(wakes._waiters))  # noqa: SLF001 - as above
+        time.sleep(POLL)
 
 
 class _Subscription:
@@ -321,11 +231,14 @@ class _Subscription:
         self._digests = {cls._md5sum, "*"}
         self._receive = receive
         self._foreign: set[str] = set()
+        self._kept: Any = None
+        # As on all other links, one message after the other: rospy has a thread for each publisher of the topic.
+        self._taking = threading.RLock()
         self._subscriber = transport.open_subscriber(topic, self._take)
 
     def connect(self, publishers: Sequence[str]) -> None:
         """Wait until these nodes send to us, for so long as that takes at most."""
-        _until(lambda: self._subscriber.get_num_connections() >= len(publishers), _CONNECTING_SECONDS)
+        _until(lambda: self._subscriber.get_num_connections() >= len(publishers), CONNECTING)
         # Connected for us; a publisher begins to send a little later, and not all of them tell when.
         _until(lambda: self._transport.is_served(self._topic, publishers), _TELLING_SECONDS)
 
@@ -336,13 +249,16 @@ class _Subscription:
         within(self._subscriber.unregister, where=self._topic, doing="leaving the topic")
 
     def _take(self, message: Any) -> None:
-        header = message._connection_header  # noqa: SLF001 - where rospy documents it to be
-        if header["md5sum"] in self._digests:
-            self._receive(self._transport.received(message._buff, self._decode))  # noqa: SLF001 - as above
-        elif header["callerid"] not in self._foreign:
-            self._foreign.add(header["callerid"])
-            text = "%s: %s publishes %s, or another version of it, which is not received as %s"
-            _logger.error(text, self._topic, header["callerid"], header.get("type"), self._type)
+        with self._taking:
+            header = message._connection_header  # noqa: SLF001 - where rospy documents it to be
+            # A message that its publisher keeps is handed on twice where it comes as the subscription begins.
+            is_known, self._kept = message is self._kept, message if header.get("latching") == "1" else None
+            if header["md5sum"] in self._digests and not is_known:
+                self._receive(self._transport.received(message._buff, self._decode))  # noqa: SLF001 - as above
+            elif header["md5sum"] not in self._digests and header["callerid"] not in self._foreign:
+                self._foreign.add(header["callerid"])
+                text = "%s: %s publishes %s, or another version of it, which is not received as %s"
+                _logger.error(text, self._topic, header["callerid"], header.get("type"), self._type)
 
     def _decode(self, data: bytes) -> dict[str, Any]:
         return as_mapping(self._cls().deserialize(data))

@@ -130,8 +130,7 @@ class _Client:
             self._forget(sent)
             fix = "Look at the log of its node: it may be busy, or not active yet."
             raise GoalRejectedError("the action server rejects the goal", where=self._action, fix=fix)
-        if sent.status is GoalStatus.UNKNOWN:
-            sent.note(GoalStatus.ACCEPTED)
+        sent.note(GoalStatus.ACCEPTED)
 
     def cancel(self, sent: SentGoal, timeout: float) -> None:
         request = {"goal_info": {"goal_id": uuid_of(sent.key), "stamp": {"sec": 0, "nanosec": 0}}}

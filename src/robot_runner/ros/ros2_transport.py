@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -38,9 +39,13 @@ except ModuleNotFoundError:  # Humble
     from rclpy.qos_event import SubscriptionEventCallbacks
 
 
+_logger = logging.getLogger(__name__)
+
 #: How long after joining the graph the publishers and subscribers of a topic are known, s: Fast DDS finds a process
 #: within 3.2 s (see LONGEST_DISCOVERY), and its topics right afterwards.
 _FINDING = 4.0
+#: How long a message may take to leave where the middleware does not tell whether it has, s.
+_UNTOLD = 0.2
 #: How long a publisher waits for the subscribers that are known, s.
 _MATCHING = 1.0
 
@@ -143,7 +148,17 @@ class _Publisher:
         return self._node.until(lambda: self._publisher.get_subscription_count() >= reachable, _MATCHING)
 
     def flush(self, seconds: float) -> None:
-        self._publisher.wait_for_all_acked(Duration(seconds=seconds))
+        # A process of Fast DDS may be matched here seconds before it knows of us, and takes what was sent meanwhile.
+        seconds = max(seconds, LONGEST_DISCOVERY)
+        try:
+            is_taken = self._publisher.wait_for_all_acked(Duration(seconds=seconds))
+        except Exception as error:  # noqa: BLE001 - not every middleware can tell: what was published may well arrive
+            _logger.info("%s: it is not known whether it was taken: %s", self._topic, error)
+            time.sleep(min(seconds, _UNTOLD))
+            return
+        if is_taken is False:
+            fix = "Look whether the robot is on and in this network."
+            raise LinkError(f"a subscriber does not take it within {seconds:g} s", where=self._topic, fix=fix)
 
     def close(self) -> None:
         self._node.node.destroy_publisher(self._publisher)
@@ -179,7 +194,8 @@ class _Subscription:
         for each in publishers:
             self._check_offer(each)
         self._is_adapting = qos is None
-        self._subscription = self._created(self._asked)
+        with self._lock:  # that it misfits a publisher may be told while it is made, and then it is replaced
+            self._subscription = self._created(self._asked)
 
     def explain(self) -> str:
         if self._mismatch:

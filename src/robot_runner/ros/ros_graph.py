@@ -28,7 +28,7 @@ from robot_runner.measuring.host import (
     process_selector,
 )
 from robot_runner.measuring.measured_machine import host_findings, machine_clock
-from robot_runner.measuring.utilisation import Selection, Utilisation
+from robot_runner.measuring.utilisation import Doubt, Selection, Utilisation
 from robot_runner.ros.graph_transport import is_hidden
 from robot_runner.ros.robot_system import check_numbers
 from robot_runner.ros.ros1_link import master_of
@@ -193,8 +193,8 @@ class RosGraph(Profiler):
             return
         measured = self._utilisation.over(mission)
         doubted = [measure.name for measure in self.selection.measures()]
-        for problem in (*measured.doubts(), *measured.quality.warnings()):
-            context.doubt(problem, fix=_FIX, measures=doubted)
+        for each in (*measured.doubted(), *map(Doubt, measured.quality.warnings())):
+            context.doubt(each.problem, fix=each.fix or _FIX, measures=each.measures or doubted)
 
     def _evaluated(self, window: Window) -> Mapping[str, float | None]:
         measured = self._utilisation.over(window) if self._utilisation is not None else None

@@ -6,8 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import LinkError, PluginError
-from robot_runner.core.links.graph_names import full_name
-from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.core.links.graph_names import GraphNeed, full_name
 from robot_runner.core.links.robot import RobotLink
 from robot_runner.ros.parameter_access import ServerParameters, parameters_of
 from robot_runner.ros.parameter_values import ParameterValue, normal, to_json

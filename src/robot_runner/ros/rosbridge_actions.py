@@ -148,7 +148,7 @@ class _Client:
             try:
                 self._send(connection, goal, sent)
                 sent.wait_for_status(lambda status: status is not GoalStatus.UNKNOWN, timeout)
-                self._check(sent, timeout)
+                self._check(sent, connection, timeout)
             except LinkError:
                 with self._lock, suppress(ValueError):
                     self._unnamed.remove(sent)
@@ -176,14 +176,14 @@ class _Client:
         operation = {"op": _SENDING, "id": sent.key, "action": self._action, "action_type": spelt, "feedback": True}
         connection.send({**operation, "args": to_protocol(self._types.goal, goal)})
 
-    def _check(self, sent: SentGoal, timeout: float) -> None:
+    def _check(self, sent: SentGoal, connection: Session, timeout: float) -> None:
         """Raise a `LinkError` where a goal was not accepted."""
         fault = sent.fault
         if fault is None and sent.status is GoalStatus.UNKNOWN:
             sent.is_abandoned = True
             with suppress(LinkError):
                 self.cancel(sent, timeout)
-            complaint = self._connections[sent.key].complaint(sent.key)
+            complaint = connection.complaint(sent.key)
             problem = complaint or f"the action server does not accept the goal within {timeout:g} s"
             hint = "" if complaint else "Look whether its node is busy or rejects it: servers of 2.x do not tell. "
             fix = f"{hint}{_REMEDY}"
@@ -280,6 +280,9 @@ class _Served:
         self._action = action
         self._type = action_type
         self._server = server
+        self._lock = threading.Lock()
+        # Goals of which it is not known yet whether they are taken, and whether they are to end then.
+        self._arriving: dict[str, bool] = {}
         server.connect(self)
 
     def offer(self) -> None:
@@ -301,16 +304,34 @@ class _Served:
     def take(self, operation: Mapping[str, Any]) -> None:
         """Take a goal, or the request to cancel one."""
         key = str(operation.get("id"))
-        if operation["op"] == _CANCELLING:
+        with self._lock:
             execution = self._server.find(key)
-            if execution is not None:
-                self._server.cancel(execution)
-            return
-        goal = from_protocol(self._server.types.goal, operation.get("args") or {}, where=self._action)
-        if self._server.accept(key, goal) is None:
+            if operation["op"] != _CANCELLING:
+                self._arriving[key] = False
+            elif execution is None and key in self._arriving:
+                self._arriving[key] = True
+        if operation["op"] != _CANCELLING:
+            # In a thread of its own: whether it is taken may be asked of the robot, whose answers come in this one.
+            threading.Thread(target=self._accept, args=(key, operation), name="rosbridge goal", daemon=True).start()
+        elif execution is not None:
+            self._server.cancel(execution)
+
+    def _accept(self, key: str, operation: Mapping[str, Any]) -> None:
+        text = "the goal is rejected"
+        try:
+            goal = from_protocol(self._server.types.goal, operation.get("args") or {}, where=self._action)
+            execution = self._server.accept(key, goal)
+        except LinkError as error:
+            execution, text = None, error.problem
+        with self._lock:
+            is_to_end = self._arriving.pop(key, False)
+        if execution is None:
             # The server has accepted it for us: all that is left is to give it up.
             empty = completed(self._server.types.result, {}, where=self._action)
-            self._tell_end(key, ActionResult(GoalStatus.ABORTED, empty, "the goal is rejected"))
+            with suppress(LinkError):  # the connection is lost
+                self._tell_end(key, ActionResult(GoalStatus.ABORTED, empty, text))
+        elif is_to_end:
+            self._server.cancel(execution)
 
     def tell_feedback(self, execution: Execution, message: Message) -> None:
         values = to_protocol(self._server.types.feedback, message)

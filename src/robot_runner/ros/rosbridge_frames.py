@@ -194,6 +194,15 @@ def _other(shape: Shape, where: str, why: str) -> LinkError:
 
 
 _CLOSE_TIMEOUT = 2.0
+#: How long the network may take nothing of what is sent before the connection is given up, s: as a silent one is.
+_SENDING = 5.0
+
+
+def _bounded(connection: ClientConnection) -> ClientConnection:
+    """Let no send last for ever: who is stuck in one holds up all who send after it, the last command among them."""
+    seconds = struct.pack("ll", int(_SENDING), int(_SENDING % 1 * 1e6))
+    connection.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, seconds)
+    return connection
 
 
 def connect(address: RosbridgeAddress, timeout: float, closing: ExitStack, *, where: str) -> ClientConnection:
@@ -226,7 +235,7 @@ def connect(address: RosbridgeAddress, timeout: float, closing: ExitStack, *, wh
     )
     try:
         if not security.is_tls:
-            return closing.enter_context(opened())
+            return closing.enter_context(_bounded(opened()))
         # Our own socket: websockets would send our credentials before a certificate's fingerprint can be seen.
         secure = partial(secure_socket, address.host, address.port, security, timeout, where=where)
         first = secure()
@@ -236,7 +245,7 @@ def connect(address: RosbridgeAddress, timeout: float, closing: ExitStack, *, wh
             # The request may be lost where the server's session tickets arrive as it is sent: websockets reads and
             # writes in two threads, and OpenSSL has one state for both. A slow robot has all of the time once more.
             connection = opened(sock=secure())
-        return closing.enter_context(connection)
+        return closing.enter_context(_bounded(connection))
     except socket.gaierror as error:
         fix = "Correct the robot's address, or give it as a number."
         raise LinkError(f"the host {address.host!r} is not known", where=where, fix=fix) from error

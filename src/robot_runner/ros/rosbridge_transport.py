@@ -7,18 +7,19 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.graph_names import missing
-from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos, RawMessage
+from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos
 from robot_runner.ros.graph_transport import Reception, already_offered, check_type, is_hidden, wrong_service_type
 from robot_runner.ros.ros1_actions import Ros1Actions
 from robot_runner.ros.rosbridge_actions import RosbridgeActions
 from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
 from robot_runner.ros.rosbridge_session import Reply, Session
+from robot_runner.ros.rosbridge_topics import RAW, RosbridgeReception, Topic, one_form
 from robot_runner.ros.rosbridge_types import RobotTypes, Rosapi, RosapiParameters
 from robot_runner.ros.shapes import completed
 from robot_runner.ros.watchdog import VELOCITY_COMMANDS
@@ -26,23 +27,17 @@ from robot_runner.ros.watchdog import VELOCITY_COMMANDS
 if TYPE_CHECKING:
     from robot_runner.ros.action_calls import ActionDialect
     from robot_runner.ros.graph_addresses import RosbridgeAddress
-    from robot_runner.ros.shapes import Shape
 
 _logger = logging.getLogger(__name__)
 
+#: What several nodes tell together, each with a message that it keeps (`/tf_static`), and how many are given to who
+#: comes late; of all else it is the last.
+_TOGETHER, _MOST_TOGETHER = "tf2_msgs/TFMessage", 100
 #: So many calls of services that are offered here are answered at a time, each in a thread.
 _MOST_ANSWERING = 64
 
 #: How long a server's new publisher may take to be connected with the robot's nodes, s.
 _CONNECTING = 1.0
-
-#: Bytes as the robot has them; a server that does not know this compression sends JSON.
-_RAW = "cbor-raw"
-_RAW_FIELDS = frozenset({"bytes", "secs", "nsecs"})
-
-#: What several nodes tell together, each with a message that it keeps (`/tf_static`), and how many are given to who
-#: comes late; of all else it is the last.
-_TOGETHER, _MOST_TOGETHER = "tf2_msgs/TFMessage", 100
 
 
 class RosbridgeTransport:
@@ -60,7 +55,7 @@ class RosbridgeTransport:
     def __init__(self, address: RosbridgeAddress, now_ns: Callable[[], int]) -> None:
         self._now_ns = now_ns
         self._lock = threading.RLock()
-        self._topics: dict[str, _Topic] = {}
+        self._topics: dict[str, Topic] = {}
         self._publishers: dict[str, _Publisher] = {}
         self._answers: dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {}
         self._answering = threading.BoundedSemaphore(_MOST_ANSWERING)
@@ -112,13 +107,15 @@ class RosbridgeTransport:
         """Have `receive` called with each message, in the session's thread that calls back."""
         self._session.check_open(topic)
         with self._lock:
-            known = self._topics.get(topic) or self._subscribed(topic, message_type, is_raw=is_raw)
-            check_type(topic, message_type, [known.message_type])
-            if (is_raw and known.compression != _RAW) or (not is_raw and known.shape is None):
-                raise _one_form(topic, message_type)
-            known.receivers.append(receive)
-            if qos is Qos.TRANSIENT_LOCAL:
-                for each in list(known.kept):
+            known = self._topics.get(topic)
+            if known is None:
+                known = self._subscribed(topic, message_type, receive, is_raw=is_raw)
+            else:
+                check_type(topic, message_type, [known.message_type])
+                if (is_raw and known.compression != RAW) or (not is_raw and known.shape is None):
+                    raise one_form(topic, message_type)
+                kept = known.join(receive)
+                for each in kept if qos is Qos.TRANSIENT_LOCAL else ():
                     receive(each)
         return _Subscription(lambda: self._unsubscribe(known, receive))
 
@@ -209,13 +206,17 @@ class RosbridgeTransport:
 
     def _stops(self) -> list[dict[str, Any]]:
         """Return what commands zero on each topic on which velocities are published here."""
-        return [each.stop() for each in list(self._publishers.values()) if each.message_type in VELOCITY_COMMANDS]
+        stops = []
+        for each in list(self._publishers.values()):
+            with suppress(Exception):  # whatever fails at one robot, the others are told
+                stops += [each.stop()] if each.message_type in VELOCITY_COMMANDS else []
+        return stops
 
     def _told_type(self, topic: str) -> list[str]:
         told = self._rosapi.topic_type(topic)
         return [] if told is None else [told]
 
-    def _subscribed(self, name: str, message_type: str, *, is_raw: bool) -> _Topic:
+    def _subscribed(self, name: str, message_type: str, receive: Callable[[Reception], None], *, is_raw: bool) -> Topic:
         is_known = self.types.is_known_here(message_type)
         shape = None if is_raw and not is_known else self.types.shape(message_type)
         # A ROS 2 server's own CBOR fails at arrays of a fixed length, and its JSON has neither NaN nor infinity.
@@ -223,21 +224,22 @@ class RosbridgeTransport:
         check_type(name, message_type, self._told_type(name))
         request_id = self._session.fresh_id("subscribe")
         kept: deque[Reception] = deque(maxlen=_MOST_TOGETHER if message_type == _TOGETHER else 1)
-        topic = _Topic(name, message_type, shape, _RAW if is_known or is_raw else plain, request_id, kept)
+        topic = Topic(name, message_type, shape, RAW if is_known or is_raw else plain, request_id, kept)
+        topic.receivers.append(receive)  # what is kept for those who come late comes before the server has answered
         self._topics[name] = topic
         operation = {"op": "subscribe", "id": request_id, "topic": name, "type": self.types.wire_name(message_type)}
         try:
             self._session.request({**operation, "compression": topic.compression}, where=name)
             if not is_hidden(name):
                 self._rosapi.confirm_subscription(name, message_type)
-        except LinkError:
+        except Exception:
             del self._topics[name]
             raise
         return topic
 
-    def _unsubscribe(self, topic: _Topic, receive: Callable[[Reception], None]) -> None:
+    def _unsubscribe(self, topic: Topic, receive: Callable[[Reception], None]) -> None:
         with self._lock:
-            topic.receivers = [each for each in topic.receivers if each is not receive]
+            topic.leave(receive)
             if not topic.receivers and self._topics.pop(topic.name, None) is not None and self._session.is_usable:
                 self._session.send({"op": "unsubscribe", "id": topic.request_id, "topic": topic.name})
 
@@ -253,8 +255,8 @@ class RosbridgeTransport:
     def _take_message(self, name: str, message: Any) -> None:
         topic = self._topics.get(name)
         if topic is not None:
-            reception = _Reception(self.types, topic, message, self._now_ns())
-            self._session.later(partial(_hand_on, topic, reception))
+            reception = RosbridgeReception(self.types, topic, message, self._now_ns())
+            self._session.later(partial(topic.hand_on, reception))
 
     def _take_request(self, operation: Mapping[str, Any]) -> None:
         if not self._answering.acquire(blocking=False):
@@ -283,19 +285,6 @@ class RosbridgeTransport:
                 self._session.send({"op": "service_response", "service": service, "id": operation.get("id"), **outcome})
             except LinkError as error:
                 _logger.warning("the response of %s is lost: %s", service, error)
-
-
-@dataclass(slots=True)
-class _Topic:
-    """A topic that the server sends here, and all that receive it."""
-
-    name: str
-    message_type: str
-    shape: Shape | None
-    compression: str
-    request_id: str
-    kept: deque[Reception]
-    receivers: list[Callable[[Reception], None]] = field(default_factory=list)
 
 
 class _Subscription:
@@ -346,42 +335,3 @@ class _Publisher:
         advertised, self._id = self._id, None
         if advertised is not None and self._session.is_usable:
             self._session.send({"op": "unadvertise", "id": advertised, "topic": self._topic})
-
-
-class _Reception:
-    """One message as it came, decoded or encoded once, and only where that form is asked for."""
-
-    def __init__(self, types: RobotTypes, topic: _Topic, message: Any, received_ns: int) -> None:
-        self._types = types
-        self._topic = topic
-        self._message = message
-        self._received_ns = received_ns
-        is_raw = isinstance(message, dict) and message.keys() == _RAW_FIELDS and isinstance(message["bytes"], bytes)
-        self._data: bytes | None = message["bytes"] if is_raw else None
-
-    def message(self) -> Message:
-        topic = self._topic
-        if self._data is not None:
-            return self._types.deserialise(topic.message_type, self._data)
-        if topic.shape is None:
-            raise _one_form(topic.name, topic.message_type)
-        return from_protocol(topic.shape, self._message, where=topic.name)
-
-    def raw(self) -> RawMessage:
-        if self._data is None:
-            self._data = self._types.serialise(self._topic.message_type, self.message())
-        return RawMessage(self._data, self._received_ns)
-
-
-def _hand_on(topic: _Topic, reception: Reception) -> None:
-    topic.kept.append(reception)
-    for receive in list(topic.receivers):
-        receive(reception)
-
-
-def _one_form(topic: str, message_type: str) -> LinkError:
-    return LinkError(
-        f"messages of {message_type} can be received here as bytes or as messages, not as both",
-        where=topic,
-        fix="Give its definition: robot = 'rosbridge://robot:9090?types=path/to/its/package'.",
-    )

@@ -111,9 +111,10 @@ class SentGoal:
         self.client.cancel(self, timeout)
 
     def note(self, status: GoalStatus) -> None:
-        """Take what the server says of it; what is over stays over."""
+        """Take what the server says of it; what is over stays over, and one that has begun was accepted before."""
         with self._lock:
-            if not self._status.is_over:
+            is_late = status is GoalStatus.ACCEPTED and self._status is not GoalStatus.UNKNOWN
+            if not (self._status.is_over or is_late):
                 self._status = status
         self._changed.set()
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from robot_runner.core.errors import LinkError, PluginError
-from robot_runner.core.links.graph_needs import GraphPart
+from robot_runner.core.links.graph_names import GraphPart
 from robot_runner.core.links.robot import GraphEndpoint
 from robot_runner.core.plugin import Circumstances
 from robot_runner.plugins.systems import ActionMission

@@ -65,6 +65,21 @@ def test_a_robot_that_cannot_be_made_safe_hears_none():
     assert 0 not in beats(link)
 
 
+def test_a_robot_is_made_safe_where_who_else_commands_it_can_no_longer_be_watched():
+    clock = FakeClock()
+    link = FakeTurtlebot3Link(clock)
+    robot = robot_on(link, clock)
+    link.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
+
+    def fail():
+        raise LinkError("leaving the topic took longer than 5 s", where="/cmd_vel", fix="Look at the master.")
+
+    robot.control.end = fail
+    with pytest.raises(LinkError, match="leaving the topic"):
+        robot.close()
+    assert link.stands_still
+
+
 def test_a_link_that_is_lost_ends_the_beats_and_nothing_else():
     link = FakeRobotLink(FakeClock())
     link.fault = LinkError("the cable came off", where="robot", fix="Plug it in.")

@@ -52,21 +52,34 @@ def keep_commanding_zero(link: RobotLink, commanded: Sequence[tuple[str, str]]) 
         the topics without any.
 
     Raises:
-        LinkError: a subscriber of a topic is not reached, or the robot cannot be.
+        LinkError: a subscriber of a topic is not reached, or the robot cannot be. What fails at one topic keeps no
+            other from being told to the end; what fails at all of them is raised at once.
     """
     began = time.monotonic()
     while commanded:
         time.sleep(_PERIOD)
         seconds = time.monotonic() - began
-        empty, missed = [], []
-        if seconds >= _TELLING:
-            empty = [topic for topic, _ in commanded if all(each.is_own for each in link.subscribers(topic))]
-            missed = [topic for topic, kind in commanded if topic not in empty and not _reaches(link, topic, kind)]
-        for topic, message_type in commanded:  # once more where it is reached: what was told before is lost
-            link.publish(topic, message_type, {})
+        empty: list[str] = []
+        missed: list[str] = []
+        faults: dict[str, Exception] = {}
+        for topic, message_type in commanded:
+            try:
+                if seconds >= _TELLING and all(each.is_own for each in link.subscribers(topic)):
+                    empty.append(topic)
+                elif seconds >= _TELLING and not _reaches(link, topic, message_type):
+                    missed.append(topic)
+            except Exception as error:  # noqa: BLE001 - raised below
+                faults.setdefault(topic, error)
+            try:  # once more where it is reached: what was told before is lost
+                link.publish(topic, message_type, {})
+            except Exception as error:  # noqa: BLE001 - raised below
+                faults.setdefault(topic, error)
+        is_over = seconds > _REACHING or (seconds >= _TELLING and not (empty or missed))
+        if faults and (is_over or len(faults) == len(commanded)):
+            raise next(iter(faults.values()))
         if missed and seconds > _REACHING:
             raise _not_reached(missed[0], seconds)
-        if seconds > _REACHING or (seconds >= _TELLING and not (empty or missed)):
+        if is_over:
             return empty
     return []
 

@@ -13,9 +13,7 @@ from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, MeasureValue
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.goals import ActionResult, GoalStatus
-from robot_runner.core.links.graph_names import full_name
-from robot_runner.core.links.graph_needs import GraphNeed
-from robot_runner.core.links.message_fields import field_of
+from robot_runner.core.links.graph_names import GraphNeed, field_of, full_name
 from robot_runner.core.links.robot import Encoding, Goal, Message, RobotLink
 from robot_runner.core.words import listed
 from robot_runner.ros.missions.goal_measures import FeedbackMeasures, ResultMeasures

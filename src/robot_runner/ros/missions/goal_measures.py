@@ -12,7 +12,7 @@ from typing import Any
 
 from robot_runner.core.errors import LinkError, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, MeasureValue
-from robot_runner.core.links.message_fields import field_of, is_time
+from robot_runner.core.links.graph_names import field_of, is_time
 from robot_runner.core.links.robot import Message
 
 _PREFIX = "result."

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from robot_runner.core.events.measure import Origin
     from robot_runner.core.events.measure_broker import MeasureBroker
     from robot_runner.core.events.window import MissionTimes
-    from robot_runner.core.links.graph_needs import GraphNeed
+    from robot_runner.core.links.graph_names import GraphNeed
     from robot_runner.core.storage.input_files import InputFile
 
 _LAUNCH = RobotRunnerEvents.LAUNCH_MISSION

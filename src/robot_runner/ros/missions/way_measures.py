@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.context import Clock, RobotRunnerContext
 from robot_runner.core.events.measure import Measure
-from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.core.links.graph_names import GraphNeed
 from robot_runner.core.links.robot import Message, RobotLink
 from robot_runner.ros.sole_control import sole_publisher_findings
 from robot_runner.ros.transform_buffer import TransformBuffer

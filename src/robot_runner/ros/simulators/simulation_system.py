@@ -11,7 +11,7 @@ from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_me
 from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
 from robot_runner.core.events.measure import Measure
 from robot_runner.core.links.connect import connect_robot, is_simulated, robot_namespace
-from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.core.links.graph_names import GraphNeed
 from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.plugin import Circumstances, System
 from robot_runner.ros.graph_links import follows_graph_clock

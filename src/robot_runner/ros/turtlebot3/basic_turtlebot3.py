@@ -10,7 +10,7 @@ from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure
 from robot_runner.core.links.connect import connect_robot, robot_namespace
-from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.core.links.graph_names import GraphNeed
 from robot_runner.core.plugin import Circumstances
 from robot_runner.core.treatments import factors_of
 from robot_runner.ros.turtlebot3.mission import CircularMission, Performance, Performer, Phase, PhaseLog

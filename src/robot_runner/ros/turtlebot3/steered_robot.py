@@ -15,8 +15,7 @@ from robot_runner.core.events.context import Clock, RobotRunnerContext
 from robot_runner.core.events.early_end import raised_in_thread
 from robot_runner.core.events.measure import MeasureValue
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
-from robot_runner.core.links.graph_names import full_name, missing
-from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.core.links.graph_names import GraphNeed, full_name, missing
 from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.plugin import Circumstances
 from robot_runner.measuring.live_samples import LiveSamples
@@ -266,8 +265,10 @@ class Robot:
         A robot that could not be made safe gets no farewell, so that its watchdog stops it.
         """
         with closing(self._subscription), self._heartbeat:
-            self.control.end()
-            self.make_safe()
+            try:
+                self.control.end()
+            finally:
+                self.make_safe()
 
 
 class SteeredSystem(RobotSystem):

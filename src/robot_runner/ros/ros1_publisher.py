@@ -1,0 +1,164 @@
+"""A publisher of rospy's: complete before anybody hears of it, and asked whether what it sent has left."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from functools import partial
+from importlib import import_module
+from typing import Any
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.robot import GraphEndpoint, Message, Qos
+from robot_runner.core.words import enumerated
+from robot_runner.ros.qos_policies import DEPTHS
+from robot_runner.ros.ros1_node import check_running, completed_first, within
+from robot_runner.ros.ros1_types import as_message
+
+_logger = logging.getLogger(__name__)
+
+#: How long those who are on a topic already may take to connect to a new publisher or subscriber, s.
+CONNECTING = 2.0
+#: How long what was published last may take to leave before its publisher is gone, s.
+_CLOSING_SECONDS = 0.5
+#: How long a message may take to leave where rospy does not tell whether it has, s.
+_UNTOLD_SECONDS = 0.2
+#: How often a queue is looked at until it is empty, s.
+POLL = 0.002
+
+
+class Publisher:
+    """Publishes one topic; a subscriber that is there already receives the first message.
+
+    Args:
+        rospy: itself, as this process has joined the graph.
+        topic: its full name.
+        cls: rospy's class of its messages.
+        qos: how they are delivered.
+        subscribers: who is there, as the master tells.
+
+    Raises:
+        LinkError: it cannot be registered.
+    """
+
+    def __init__(
+        self, rospy: Any, topic: str, cls: Any, qos: Qos, subscribers: Callable[[], Iterable[GraphEndpoint]]
+    ) -> None:
+        self._subscribers = subscribers
+        self._topic = topic
+        self._cls = cls
+        self._arrivals = _Arrivals()
+        self._rospy = rospy
+        self._most = 0  # subscribers that were connected at a time
+        self._publisher = within(partial(self._register, qos), where=topic, doing="registering the publisher")
+        try:
+            self.reach()
+        except Exception:
+            self.close()
+            raise
+
+    def _register(self, qos: Qos) -> Any:
+        depth, is_latched = DEPTHS[qos], qos is Qos.TRANSIENT_LOCAL
+
+        def complete(publisher: Any) -> None:
+            publisher.set_queue_size(depth)
+            if is_latched:
+                publisher.enable_latch()
+            import_module("rospy.impl.tcpros").get_tcpros_handler().set_tcp_nodelay(self._topic, tcp_nodelay=True)
+
+        with completed_first(self._topic, "pub", complete):
+            return self._rospy.Publisher(
+                self._topic,
+                self._cls,
+                subscriber_listener=self._arrivals,
+                tcp_nodelay=True,  # a command is small, and should not wait for the next
+                latch=is_latched,
+                queue_size=depth,
+            )
+
+    def publish(self, message: Message) -> None:
+        """Publish a message that has every field of its type."""
+        self._most = max(self._most, self._publisher.get_num_connections())
+        self._publisher.publish(as_message(self._cls, message))
+        check_running(self._rospy.is_shutdown, self._topic)
+
+    def flush(self, seconds: float) -> None:
+        """Return once those that are connected have what was published, as far as this machine can know.
+
+        Raises:
+            LinkError: one does not take it, or is there and not connected any more; or rospy was shut down.
+        """
+        deadline = time.monotonic() + seconds
+        connections = list(self._publisher.impl.connections)
+        for connection in connections:
+            while not (is_idle := _is_idle(connection)) and is_idle is not None:
+                if time.monotonic() > deadline:
+                    raise self._not_taken(f"a message is not taken within {seconds:g} s by {connection.endpoint_id}")
+                time.sleep(POLL)
+            if is_idle is None:
+                time.sleep(_UNTOLD_SECONDS)
+        check_running(getattr(self._rospy.core, "is_shutdown_requested", self._rospy.is_shutdown), self._topic)
+        # rospy tells that a connection breaks with the next message alone, and forgets it then.
+        broken = {each.endpoint_id for each in connections if getattr(each, "_error", None) is not None}
+        count = self._publisher.get_num_connections()
+        if broken or count < self._most:
+            there = {each.node for each in self._subscribers()}  # one that left is at no master
+            if broken & there or count < len(there):
+                names = enumerated(sorted(broken & there or there))
+                raise self._not_taken(f"not all of its subscribers are connected any more: {names}")
+
+    def close(self) -> None:
+        """Leave the topic."""
+        with suppress(Exception):  # a subscriber that takes nothing must not keep us
+            self.flush(_CLOSING_SECONDS)
+        within(self._publisher.unregister, where=self._topic, doing="leaving the topic")
+
+    def reach(self) -> bool:
+        """Return whether all subscribers are connected, once they are."""
+        subscribers = len(list(self._subscribers()))  # who is dead would not connect
+        deadline = time.monotonic() + CONNECTING
+        while self._publisher.get_num_connections() < subscribers:
+            left = deadline - time.monotonic()
+            if left <= 0:
+                connected = self._publisher.get_num_connections()
+                _logger.warning("%s: %d of its %d subscribers are reached", self._topic, connected, subscribers)
+                return False
+            self._arrivals.wait(left)
+        return True
+
+    def _not_taken(self, problem: str) -> LinkError:
+        return LinkError(problem, where=self._topic, fix="Look whether the robot is on and in this network.")
+
+
+class _Arrivals:
+    """Tells that a subscriber has connected; rospy calls it."""
+
+    def __init__(self) -> None:
+        self._arrived = threading.Event()
+
+    def peer_subscribe(self, *_: object) -> None:
+        self._arrived.set()
+
+    def peer_unsubscribe(self, *_: object) -> None:
+        """Do nothing: rospy calls it, too."""
+
+    def wait(self, timeout: float) -> None:
+        self._arrived.wait(timeout)
+        self._arrived.clear()
+
+
+def _is_idle(connection: Any) -> bool | None:
+    """Return whether rospy has handed all of a connection's messages to the system; None where that is not told.
+
+    Its thread takes the whole queue and then sends it, so an empty queue says too little: it must wait for more. One
+    without a queue, of a publisher of the config's own, or of another version of rospy does not tell.
+    """
+    try:
+        waiters = connection._cond_data_available._waiters  # noqa: SLF001 - rospy tells it nowhere else
+        with connection._lock:  # noqa: SLF001 - as above
+            return bool(connection.done or (not connection._queue and waiters))  # noqa: SLF001 - as above
+    except (AttributeError, TypeError):
+        return None

@@ -1,0 +1,92 @@
+"""A topic that a rosbridge sends here, with all that receive it, and its messages."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.robot import Message, RawMessage
+from robot_runner.ros.graph_transport import Reception
+from robot_runner.ros.rosbridge_frames import from_protocol
+
+if TYPE_CHECKING:
+    from collections import deque
+
+    from robot_runner.ros.rosbridge_types import RobotTypes
+    from robot_runner.ros.shapes import Shape
+
+#: Bytes as the robot has them; a server that does not know this compression sends JSON.
+RAW = "cbor-raw"
+_RAW_FIELDS = frozenset({"bytes", "secs", "nsecs"})
+
+
+@dataclass(slots=True)
+class Topic:
+    """A topic that the server sends here, and all that receive it."""
+
+    name: str
+    message_type: str
+    shape: Shape | None
+    compression: str
+    request_id: str
+    kept: deque[Reception]
+    receivers: list[Callable[[Reception], None]] = field(default_factory=list)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def join(self, receive: Callable[[Reception], None]) -> list[Reception]:
+        """Have a message handed on from now on, and return those that are kept: none of them is handed on."""
+        with self._lock:
+            self.receivers.append(receive)
+            return list(self.kept)
+
+    def leave(self, receive: Callable[[Reception], None]) -> None:
+        """Have no more handed on."""
+        with self._lock:
+            self.receivers = [each for each in self.receivers if each is not receive]
+
+    def hand_on(self, reception: Reception) -> None:
+        """Keep a message, and hand it on."""
+        with self._lock:
+            self.kept.append(reception)
+            receivers = list(self.receivers)
+        for receive in receivers:
+            receive(reception)
+
+
+class RosbridgeReception:
+    """One message as it came, decoded or encoded once, and only where that form is asked for."""
+
+    def __init__(self, types: RobotTypes, topic: Topic, message: Any, received_ns: int) -> None:
+        self._types = types
+        self._topic = topic
+        self._message = message
+        self._received_ns = received_ns
+        is_raw = isinstance(message, dict) and message.keys() == _RAW_FIELDS and isinstance(message["bytes"], bytes)
+        self._data: bytes | None = message["bytes"] if is_raw else None
+
+    def message(self) -> Message:
+        """Return the message as a mapping."""
+        topic = self._topic
+        if self._data is not None:
+            return self._types.deserialise(topic.message_type, self._data)
+        if topic.shape is None:
+            raise one_form(topic.name, topic.message_type)
+        return from_protocol(topic.shape, self._message, where=topic.name)
+
+    def raw(self) -> RawMessage:
+        """Return the message as bytes."""
+        if self._data is None:
+            self._data = self._types.serialise(self._topic.message_type, self.message())
+        return RawMessage(self._data, self._received_ns)
+
+
+def one_form(topic: str, message_type: str) -> LinkError:
+    """Return the error that messages of a type that is not known here cannot be had in both forms."""
+    return LinkError(
+        f"messages of {message_type} can be received here as bytes or as messages, not as both",
+        where=topic,
+        fix="Give its definition: robot = 'rosbridge://robot:9090?types=path/to/its/package'.",
+    )

@@ -1,0 +1,217 @@
+"""Goals that a link sends, where steps of two threads come in the order that is seldom."""
+
+from __future__ import annotations
+
+import threading
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.waiting import PATIENCE, wait_until
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.goals import GoalStatus
+from robot_runner.ros.action_calls import LinkGoals
+from robot_runner.ros.action_server import GoalServer
+from robot_runner.ros.ros1_actions import Ros1Actions
+from robot_runner.ros.ros2_actions import Ros2Actions
+from robot_runner.ros.sent_goal import SentGoal
+from robot_runner.ros.shapes import Shape
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+NOTHING = Shape("test/Empty", ())
+COUNT = "test/Count"
+
+
+class Dialect:
+    """Actions whose clients note what is done with them; `finding` is called while one is looked for."""
+
+    def __init__(self) -> None:
+        self.clients: list[Any] = []
+        self.finding: Callable[[], object] = lambda: None
+
+    def types(self, action_type: str) -> Any:
+        return SimpleNamespace(goal=NOTHING)
+
+    def client(self, action: str, action_type: str, timeout: float) -> Any:
+        self.finding()
+        client = SimpleNamespace(sent=[], is_open=True, is_served=lambda: True, cancel=lambda sent, timeout: None)
+        client.send = lambda goal, sent, timeout: client.sent.append(sent)
+        client.close = lambda: setattr(client, "is_open", False)
+        self.clients.append(client)
+        return client
+
+
+def goals_of(dialect: Any, check_open: Callable[[str], None] = lambda _: None) -> LinkGoals:
+    def wait(event: threading.Event, seconds: float) -> None:
+        event.wait(seconds)
+
+    return LinkGoals(dialect, wait, check_open)
+
+
+def send(goals: LinkGoals) -> SentGoal:
+    return goals.send("/count", COUNT, {}, lambda _: None, 1.0)
+
+
+def test_two_threads_that_send_the_first_goal_of_an_action_share_its_client() -> None:
+    dialect = Dialect()
+    both = threading.Barrier(2)
+    dialect.finding = lambda: both.wait(PATIENCE)
+    goals = goals_of(dialect)
+    threads = [threading.Thread(target=send, args=(goals,)) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(PATIENCE)
+    assert sorted(len(client.sent) for client in dialect.clients) == [0, 2]
+    assert [client.is_open for client in dialect.clients if not client.sent] == [False]
+    goals.close()
+    assert not any(client.is_open for client in dialect.clients)
+
+
+def test_a_client_that_is_found_after_the_link_was_closed_is_left() -> None:
+    dialect = Dialect()
+    is_closed: list[bool] = []
+
+    def check_open(action: str) -> None:
+        if is_closed:
+            raise LinkError("the link was closed", where=action)
+
+    goals = goals_of(dialect, check_open)
+
+    def close() -> None:  # as another thread does while the server is looked for
+        is_closed.append(True)
+        goals.close()
+
+    dialect.finding = close
+    with pytest.raises(LinkError, match="the link was closed"):
+        send(goals)
+    assert [client.is_open for client in dialect.clients] == [False]
+
+
+def test_an_error_of_any_kind_ends_a_goal_that_is_sent() -> None:
+    dialect = Dialect()
+    goals = goals_of(dialect)
+    send(goals)
+
+    def fail(goal: Any, sent: SentGoal, timeout: float) -> None:
+        dialect.clients[0].sent.append(sent)
+        raise RuntimeError("context is not valid")
+
+    dialect.clients[0].send = fail
+    with pytest.raises(RuntimeError):
+        send(goals)
+    assert dialect.clients[0].sent[-1].is_over
+
+
+def test_what_a_goal_is_cannot_be_overtaken_by_that_it_was_accepted() -> None:
+    sent = SentGoal("/count", lambda event, seconds: None, lambda _: None)
+    sent.note(GoalStatus.EXECUTING)
+    sent.note(GoalStatus.ACCEPTED)
+    assert sent.status is GoalStatus.EXECUTING
+    sent.note(GoalStatus.CANCELING)
+    sent.note(GoalStatus.EXECUTING)  # the server may refuse, and go on
+    assert sent.status is GoalStatus.EXECUTING
+
+
+class GraphOfRos2:
+    """A server of one action that accepts a goal as its client gives up."""
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[str, Any]] = []
+        self.receivers: dict[str, Any] = {}
+
+    def services(self) -> dict[str, str]:
+        return {"/count/_action/send_goal": "test/Count_SendGoal"}
+
+    def publishers(self, topic: str) -> list[Any]:
+        return []
+
+    def subscribe(self, topic: str, message_type: str, receive: Any, **_: Any) -> Any:
+        self.receivers[topic] = receive
+        return SimpleNamespace(close=lambda: None)
+
+    def call(self, service: str, service_type: str, request: Any, timeout: float) -> Any:
+        self.asked.append((service, request))
+        if not service.endswith("send_goal"):
+            return {"return_code": 0}
+        told = {"goal_info": {"goal_id": request["goal_id"]}, "status": 2}
+        self.receivers["/count/_action/status"](SimpleNamespace(message=lambda: {"status_list": [told]}))
+        raise LinkError("the service does not answer", where=service)
+
+
+def test_a_goal_of_ros2_that_begins_as_its_client_gives_up_is_cancelled() -> None:
+    graph = GraphOfRos2()
+    actions = Ros2Actions(graph)  # type: ignore[arg-type]
+    actions.types = lambda _: SimpleNamespace(goal=NOTHING)  # type: ignore[method-assign,assignment,return-value]
+    goals = goals_of(actions)
+    with pytest.raises(LinkError, match="does not answer"):
+        send(goals)
+    wait_until(lambda: [service for service, _ in graph.asked if service.endswith("cancel_goal")])
+
+
+class GraphOfRos1:
+    """A graph on which goals and requests to cancel come as soon as they are subscribed, or one topic fails."""
+
+    def __init__(self, failing: str = "") -> None:
+        self.published: list[tuple[str, Any]] = []
+        self.open: list[str] = []
+        self._failing = failing
+        self.handing_on: list[threading.Thread] = []
+
+    def topics(self) -> dict[str, str]:
+        return {}
+
+    def advertise(self, topic: str, message_type: str, qos: Any) -> Any:
+        for each in self.handing_on:
+            each.join(0.2)  # what came before has all the time that it may want
+        return self._opened(topic)
+
+    def subscribe(self, topic: str, message_type: str, receive: Any, **_: Any) -> Any:
+        opened = self._opened(topic)
+        if topic.endswith("/goal"):
+            goal = {"goal_id": {"id": "early", "stamp": {"sec": 1, "nanosec": 0}}, "goal": {}}
+            self.handing_on.append(
+                threading.Thread(target=receive, args=(SimpleNamespace(message=lambda: goal),), daemon=True)
+            )
+            self.handing_on[-1].start()
+        return opened
+
+    def _opened(self, topic: str) -> Any:
+        if topic == self._failing:
+            raise LinkError("the topic carries another type", where=topic)
+        self.open.append(topic)
+        return SimpleNamespace(
+            publish=lambda message: self.published.append((topic, message)), close=lambda: self.open.remove(topic)
+        )
+
+
+def test_a_goal_that_comes_while_its_server_of_ros1_begins_is_executed() -> None:
+    executed = threading.Event()
+    faults: list[Exception] = []
+    types: Any = SimpleNamespace(goal=NOTHING, result=NOTHING, feedback=NOTHING)
+    graph = GraphOfRos1()
+
+    def execute(_: object) -> dict[str, Any]:
+        executed.set()
+        return {}
+
+    server = GoalServer("/count", types, execute, None, faults.append)
+    served = Ros1Actions(graph).serve("/count", COUNT, server)  # type: ignore[arg-type]
+    assert executed.wait(5.0)
+    wait_until(lambda: [topic for topic, _ in graph.published if topic == "/count/result"], seconds=5.0)
+    served.close()
+    assert faults == []
+    assert graph.open == []
+
+
+@pytest.mark.parametrize("failing", ["/count/goal", "/count/cancel", "/count/feedback"])
+def test_a_client_of_ros1_that_cannot_be_opened_leaves_no_topic_behind(failing: str) -> None:
+    graph = GraphOfRos1(failing)
+    actions = Ros1Actions(graph)  # type: ignore[arg-type]
+    actions.actions = lambda: {"/count": COUNT}  # type: ignore[method-assign]
+    with pytest.raises(LinkError, match="another type"):
+        actions.client("/count", COUNT, 0.1)
+    assert graph.open == []

@@ -1,0 +1,131 @@
+"""What the link over DDS does where steps of its threads and of the graph come in the order that is seldom."""
+
+from __future__ import annotations
+
+import threading
+import time
+from contextlib import ExitStack, suppress
+from types import SimpleNamespace
+
+import pytest
+from tests.ros.dds_domain import LOOPBACK, claim_domain
+from tests.ros.test_graph_link import STRING, TWIST
+from tests.waiting import PATIENCE
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.ros.dds_link import open_dds_link
+
+pytest.importorskip("cyclonedds", reason="it is not published built for every machine")
+
+from robot_runner.ros import dds_services
+from robot_runner.ros.dds_reception import RawSample, Reception
+from robot_runner.ros.dds_transport import DdsTransport
+
+DOMAIN = claim_domain()
+TRIGGER = "std_srvs/Trigger"
+
+
+@pytest.fixture(autouse=True)
+def _loopback(monkeypatch):
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    monkeypatch.delenv("ROS_DISTRO", raising=False)
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+
+
+@pytest.fixture
+def opened():
+    with ExitStack() as closing:
+
+        def open_link():
+            link = open_dds_link({"domain": str(DOMAIN), "distro": "jazzy"}, SystemClock())
+            closing.callback(lambda: suppress(LinkError).__enter__() or link.close())
+            return link
+
+        yield open_link
+
+
+def test_a_service_that_is_matched_after_it_was_discovered_is_called(opened, monkeypatch):
+    robot, link = opened(), opened()
+    robot.offer("lamp", TRIGGER, lambda _: {"success": True})
+    matched, asked = dds_services.matched_subscriptions, []
+
+    def matched_later(writer):  # of which nobody is told: DDS tells of who is discovered, and matches it afterwards
+        asked.append(time.monotonic())
+        return matched(writer) if time.monotonic() - asked[0] > 0.3 else []
+
+    monkeypatch.setattr(dds_services, "matched_subscriptions", matched_later)
+    assert link.call("lamp", TRIGGER, timeout=10.0)["success"]
+    assert time.monotonic() - asked[0] < 5.0
+
+
+def test_a_service_that_is_matched_later_is_called_from_a_callback(opened, monkeypatch):
+    robot, link, answers = opened(), opened(), []
+    robot.offer("lamp", TRIGGER, lambda _: {"success": True})
+    matched, asked, is_over = dds_services.matched_subscriptions, [], threading.Event()
+
+    def matched_later(writer):
+        asked.append(time.monotonic())
+        return matched(writer) if time.monotonic() - asked[0] > 0.3 else []
+
+    def call(_):
+        try:
+            answers.append(link.call("lamp", TRIGGER, timeout=10.0)["success"])
+        finally:
+            is_over.set()
+
+    monkeypatch.setattr(dds_services, "matched_subscriptions", matched_later)
+    link.subscribe("chatter", STRING, call)
+    robot.publish("chatter", STRING, {"data": "now"})
+    assert is_over.wait(PATIENCE)
+    assert answers == [True]
+    assert time.monotonic() - asked[0] < 5.0
+
+
+def test_a_reply_to_another_client_that_comes_while_a_client_is_made_is_left_out(opened, monkeypatch):
+    robot, link = opened(), opened()
+    robot.offer("lamp", TRIGGER, lambda _: {"success": True})
+    goes_on, came = Reception.add, []
+
+    def add(reception, reader, handler, where):
+        source = goes_on(reception, reader, handler, where)
+        if where == "/lamp":
+            sample = RawSample(bytes(28))
+            sample.sample_info = SimpleNamespace(valid_data=True)
+            handler(sample)
+            came.append(where)
+        return source
+
+    monkeypatch.setattr(Reception, "add", add)
+    assert link.call("lamp", TRIGGER)["success"]
+    assert came == ["/lamp"]
+
+
+def test_that_a_robot_does_not_take_the_last_command_is_told(opened):
+    robot, link = opened(), opened()
+    robot.subscribe("cmd_vel", TWIST, print)
+    link.publish("cmd_vel", TWIST, {"linear": {"x": 0.2}})
+    transport: DdsTransport = link._transport
+    assert isinstance(transport, DdsTransport)
+    publisher = link._advertised["/cmd_vel", "default"].publisher
+    publisher._writer = Unheard(publisher._writer)
+    with pytest.raises(
+        LinkError, match=r"could not be told to stand still: a subscriber does not take it within 7\.5 s"
+    ):
+        link.close()
+
+
+class Unheard:
+    """A writer whose reader does not acknowledge anything: cyclonedds 11.0 fails where the time is over."""
+
+    def __init__(self, writer):
+        self._writer = writer
+
+    def wait_for_acks(self, _):
+        raise AttributeError("type object 'DDSException' has no attribute 'DDS_RETCODE_TIMEOUT'")
+
+    def __getattr__(self, name):
+        return getattr(self._writer, name)
+
+    def __del__(self):
+        self._writer.__del__()

@@ -1,0 +1,235 @@
+"""What the transport over rospy does while rospy has told others of something that it has not completed, or lost it."""
+
+from __future__ import annotations
+
+import errno
+import socket
+import threading
+import time
+from contextlib import ExitStack
+from importlib import import_module
+from types import SimpleNamespace
+
+import pytest
+from tests.ros.ros1_master import quiet_about_rospy
+from tests.ros.test_ros1_link import execute
+from tests.waiting import PATIENCE, wait_until
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.robot import Qos
+from robot_runner.ros import ros1_publisher
+from robot_runner.ros.ros1_link import open_ros1_link
+
+TWIST, STRING = "geometry_msgs/Twist", "std_msgs/String"
+
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+@pytest.fixture
+def opened(master_uri):
+    with ExitStack() as closing:
+
+        def open_link(namespace=""):
+            link = open_ros1_link({"master": master_uri}, SystemClock(), namespace)
+            closing.callback(link.close)
+            return link
+
+        yield open_link
+
+
+def publisher_of(topic):
+    return import_module("rospy").topics.get_topic_manager().get_publisher_impl(topic)
+
+
+def driven(opened):
+    """Return a link that drives a robot, and what the robot hears."""
+    robot, link, heard = opened(), opened(), []
+    robot.subscribe("cmd_vel", TWIST, lambda message: heard.append(message["linear"]["x"]))
+    link.publish("cmd_vel", TWIST, {"linear": {"x": 0.2}})
+    wait_until(lambda: heard == [0.2])
+    return link, heard
+
+
+@quiet_about_rospy
+class TestCommands:
+    def test_that_rospy_was_shut_down_is_told_as_it_says_nothing_of_commands_that_it_drops(self, opened, monkeypatch):
+        link, _ = driven(opened)
+        monkeypatch.setattr(import_module("rospy.core"), "is_shutdown_requested", lambda: True)
+        with pytest.raises(LinkError, match=r"could not be told to stand still.*shut down") as caught:
+            link.close()
+        assert caught.value.where == "/cmd_vel"
+
+    def test_a_connection_that_breaks_at_the_last_command_is_told(self, opened):
+        link, _ = driven(opened)
+        (connection,) = publisher_of("/cmd_vel").connections
+
+        def reset(_):
+            raise OSError(errno.ECONNRESET, "connection reset by peer")
+
+        connection._connection.write_data = reset
+        with pytest.raises(LinkError, match=r"could not be told to stand still.*connected any more"):
+            link.close()
+
+    def test_a_connection_that_breaks_to_who_has_gone_is_not_missed(self, opened, monkeypatch):
+        link, _ = driven(opened)
+        (connection,) = publisher_of("/cmd_vel").connections
+        with monkeypatch.context() as changed:
+            changed.setattr(connection, "_error", OSError(errno.ECONNRESET, "connection reset by peer"))
+            # It was killed, and is at the master no more.
+            changed.setattr(connection._connection, "endpoint_id", "/recorder")
+            link._advertised["/cmd_vel", "default"].publisher.flush(1.0)
+
+    def test_a_robot_that_is_there_and_not_connected_any_more_is_told(self, opened):
+        link, heard = driven(opened)
+        (connection,) = publisher_of("/cmd_vel").connections
+        connection.close()
+        wait_until(lambda: not publisher_of("/cmd_vel").connections)
+        with pytest.raises(LinkError, match=r"could not be told to stand still.*connected any more"):
+            link.close()
+        assert heard == [0.2]
+
+    def test_a_subscriber_that_has_left_is_not_missed(self, opened):
+        robot, other, link = opened(), opened(), opened()
+        heard = []
+        robot.subscribe("cmd_vel", TWIST, lambda message: heard.append(message["linear"]["x"]))
+        link.publish("cmd_vel", TWIST, {"linear": {"x": 0.2}})
+        wait_until(lambda: heard == [0.2])
+        robot.close()
+        other.close()
+        wait_until(lambda: not publisher_of("/cmd_vel").connections)
+        link.close()
+
+
+def test_a_connection_that_rospy_has_nothing_to_send_on_is_idle():
+    lock, queue = threading.Lock(), []
+    waiting = threading.Condition(lock)
+    connection = SimpleNamespace(_cond_data_available=waiting, _lock=lock, _queue=queue, done=False)
+    assert ros1_publisher._is_idle(connection) is False
+    waiting._waiters.append(None)
+    assert ros1_publisher._is_idle(connection) is True
+    queue.append(b"")
+    assert ros1_publisher._is_idle(connection) is False
+
+
+@pytest.mark.parametrize(
+    "connection",
+    [
+        SimpleNamespace(),
+        SimpleNamespace(_cond_data_available=object(), _lock=threading.Lock(), _queue=[], done=False),
+        SimpleNamespace(_cond_data_available=threading.Condition(), done=False),
+        SimpleNamespace(_cond_data_available=threading.Condition(), _lock=object(), _queue=[], done=False),
+    ],
+)
+def test_a_connection_of_another_version_of_rospy_keeps_no_command_from_being_sent(connection):
+    assert ros1_publisher._is_idle(connection) is None
+
+
+@quiet_about_rospy
+class TestRegistration:
+    def test_who_connects_before_a_publisher_is_complete_is_told_that_it_keeps_its_message(self, opened, monkeypatch):
+        goes_on = import_module("rospy.topics")._PublisherImpl.add_subscriber_listener
+
+        def go_on(impl, listener):  # rospy has told the master of the publisher by now, and completes it afterwards
+            wait_until(impl.has_connections)
+            goes_on(impl, listener)
+
+        monkeypatch.setattr(import_module("rospy.topics")._PublisherImpl, "add_subscriber_listener", go_on)
+        robot, link = opened(), opened()
+        robot.subscribe("kept", STRING, print)
+        subscriber = import_module("rospy").topics.get_topic_manager().get_subscriber_impl("/kept")
+        monkeypatch.setattr(subscriber, "tcp_nodelay", False)  # else the publisher does as it is asked
+        link.advertise("kept", STRING, qos=Qos.TRANSIENT_LOCAL)
+        (connection,) = publisher_of("/kept").connections
+        assert connection.protocol.is_latch
+        wait_until(lambda: subscriber.connections[0].is_latched)
+
+    def test_whom_a_subscription_is_told_of_before_it_is_complete_is_asked_not_to_hold_messages_back(
+        self, opened, monkeypatch
+    ):
+        goes_on = import_module("rospy.topics")._SubscriberImpl.set_tcp_nodelay
+
+        def go_on(impl, is_asked):  # rospy has told the master of the subscription by now, and completes it afterwards
+            if not impl.ref_count:
+                return goes_on(impl, is_asked)
+            wait_until(impl.has_connections)
+            return goes_on(impl, is_asked)
+
+        monkeypatch.setattr(import_module("rospy.topics")._SubscriberImpl, "set_tcp_nodelay", go_on)
+        robot, link = opened(), opened()
+        robot.advertise("undelayed", STRING)
+        link.subscribe("undelayed", STRING, print)
+        (connection,) = import_module("rospy").topics.get_topic_manager().get_subscriber_impl("/undelayed").connections
+        assert connection.protocol.tcp_nodelay
+        (sender,) = publisher_of("/undelayed").connections
+        assert sender.socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+    def test_a_kept_message_that_comes_while_its_subscription_begins_comes_once(self, opened, monkeypatch):
+        goes_on = import_module("rospy.topics")._SubscriberImpl.receive_callback
+
+        def go_on(impl, messages, connection):  # rospy has kept the message by now, for those who come later
+            wait_until(lambda: impl.callbacks)
+            time.sleep(0.1)
+            goes_on(impl, messages, connection)
+
+        monkeypatch.setattr(import_module("rospy.topics")._SubscriberImpl, "receive_callback", go_on)
+        subscriber = import_module("rospy.topics")._SubscriberImpl
+        adds = subscriber.add_callback
+
+        def add(impl, *given):
+            wait_until(lambda: any(each.latch is not None for each in impl.connections))
+            adds(impl, *given)
+
+        monkeypatch.setattr(subscriber, "add_callback", add)
+        robot, link = opened(), opened()
+        robot.publish("kept", STRING, {"data": "once"}, qos=Qos.TRANSIENT_LOCAL)
+        heard = []
+        link.subscribe("kept", STRING, lambda message: heard.append(message["data"]))
+        robot.publish("kept", STRING, {"data": "then"}, qos=Qos.TRANSIENT_LOCAL)
+        wait_until(lambda: "then" in heard)
+        assert heard == ["once", "then"]
+
+
+@quiet_about_rospy
+def test_the_messages_of_two_publishers_come_one_after_the_other(opened):
+    link, at_work, most, heard = opened(), [], [], []
+
+    def take(message):
+        at_work.append(message)
+        most.append(len(at_work))
+        time.sleep(0.02)
+        at_work.pop()
+        heard.append(message)
+
+    inner = link.subscribe_raw("chatter", STRING, take).inner
+    header = {"md5sum": "*", "callerid": "/other"}
+    message = SimpleNamespace(_connection_header=header, _buff=b"")
+    threads = [threading.Thread(target=inner._take, args=(message,)) for _ in range(4)]  # rospy has one for each
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(PATIENCE)
+    assert len(heard) == 4
+    assert max(most) == 1
+    assert [each.received_ns for each in heard] == sorted(each.received_ns for each in heard)
+
+
+@pytest.mark.long
+@quiet_about_rospy
+def test_a_robot_is_not_taken_for_stopped_where_rospy_was_shut_down(master_uri):
+    printed = execute(
+        master_uri,
+        """
+        import rospy
+        from robot_runner.core.events.context import SystemClock
+        from robot_runner.ros.ros1_link import open_ros1_link
+        link = open_ros1_link({}, SystemClock())
+        link.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
+        rospy.signal_shutdown("a test")  # as `rosnode kill` does, and Ctrl-C where a config has initialised the node
+        try:
+            link.close()
+        except Exception as error:
+            print(error)
+        """,
+    )
+    assert "could not be told to stand still" in printed

@@ -1,0 +1,207 @@
+"""What the link through a rosbridge does where steps of its threads and of the server come in the seldom order."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from contextlib import ExitStack, closing, suppress
+
+import pytest
+from tests.waiting import PATIENCE, wait_until
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.goals import GoalStatus
+from robot_runner.core.links.robot import Qos
+from robot_runner.ros import rosbridge_actions, rosbridge_frames
+from robot_runner.ros.rosbridge_link import open_rosbridge_link
+from robot_runner.testing import RosbridgeServer
+
+STRING, TWIST, TRIGGER = "std_msgs/String", "geometry_msgs/Twist", "std_srvs/Trigger"
+FIBONACCI = "example_interfaces/Fibonacci"
+
+
+@pytest.fixture(params=[1, 2])
+def server(request):
+    with closing(RosbridgeServer(generation=request.param)) as opened:
+        yield opened
+
+
+@pytest.fixture
+def server_of_ros2():
+    with closing(RosbridgeServer(generation=2)) as opened:
+        yield opened
+
+
+@pytest.fixture
+def opened():
+    with ExitStack() as leaving:
+
+        def open_link(server):
+            link = open_rosbridge_link(server.url, SystemClock())
+            leaving.push(lambda *_: True)
+            leaving.callback(link.close)
+            return link
+
+        yield open_link
+
+
+def test_a_kept_message_that_comes_before_its_subscription_is_confirmed_is_received(server, opened, monkeypatch):
+    server.publish("/map", STRING, {"data": "kept"}, is_latched=True)
+    link = opened(server)
+    confirms = link._transport._rosapi.confirm_subscription
+
+    def confirm_late(*given):
+        time.sleep(0.2)
+        return confirms(*given)
+
+    monkeypatch.setattr(link._transport._rosapi, "confirm_subscription", confirm_late)
+    assert link.wait_for("map", STRING, timeout=2.0) == {"data": "kept"}
+
+
+def test_a_subscription_that_the_server_refuses_leaves_nobody_who_receives(server, opened, monkeypatch):
+    link, heard = opened(server), []
+
+    def refuse(*_):
+        raise LinkError("the server does not take it", where="/map")
+
+    monkeypatch.setattr(link._transport._rosapi, "confirm_subscription", refuse)
+    with pytest.raises(LinkError, match="does not take it"):
+        link.subscribe("map", STRING, heard.append)
+    server.publish("/map", STRING, {"data": "a"})
+    assert link._transport._topics == {}
+    assert heard == []
+
+
+def test_a_message_that_comes_while_another_subscription_begins_comes_once(server, opened):
+    link, heard = opened(server), []
+    first = link.subscribe("map", STRING, print)
+    (topic,) = link._transport._topics.values()
+
+    class Keeping(type(topic.kept)):
+        """Kept messages; another subscription begins as soon as one was added."""
+
+        def append(self, each):
+            super().append(each)
+            beginning = threading.Thread(
+                target=lambda: link.subscribe("map", STRING, heard.append, qos=Qos.TRANSIENT_LOCAL)
+            )
+            beginning.start()
+            beginning.join(0.3)
+
+    topic.kept = Keeping(maxlen=1)
+    server.publish("/map", STRING, {"data": "once"})
+    wait_until(lambda: heard)
+    time.sleep(0.1)
+    assert heard == [{"data": "once"}]
+    first.close()
+
+
+def test_last_words_that_cannot_be_said_to_one_robot_are_said_to_the_others(server, opened):
+    link = opened(server)
+    for robot in ("alice", "bob"):
+        link.publish(f"/{robot}/cmd_vel", TWIST, {"linear": {"x": 0.2}})
+
+    def fail():
+        raise RuntimeError("no such attribute")
+
+    link._transport._publishers["/alice/cmd_vel"].stop = fail
+    assert [operation["topic"] for operation in link._transport._stops()] == ["/bob/cmd_vel"]
+
+
+def test_a_server_that_takes_nothing_is_given_up_while_a_message_is_sent(monkeypatch):
+    monkeypatch.setattr(rosbridge_frames, "_SENDING", 0.5)
+    with closing(RosbridgeServer()) as server, ExitStack() as leaving:
+        listening = leaving.enter_context(socket.create_server(("127.0.0.1", 0)))
+        is_stopped = threading.Event()
+
+        def forward(source, target, *, stops):
+            with suppress(OSError):
+                while not (stops and is_stopped.is_set()) and (data := source.recv(1 << 16)):
+                    target.sendall(data)
+
+        def take():
+            near = leaving.enter_context(listening.accept()[0])
+            far = leaving.enter_context(socket.create_connection(("127.0.0.1", server.port)))
+            threading.Thread(target=forward, args=(near, far), kwargs={"stops": True}, daemon=True).start()
+            threading.Thread(target=forward, args=(far, near), kwargs={"stops": False}, daemon=True).start()
+
+        threading.Thread(target=take, daemon=True).start()
+        url = f"rosbridge://127.0.0.1:{listening.getsockname()[1]}"
+        link = open_rosbridge_link(url, SystemClock())
+        link.advertise("chatter", STRING)
+        is_stopped.set()
+        faults = []
+
+        def send():
+            try:
+                for _ in range(40):
+                    link.publish("chatter", STRING, {"data": "a" * 1_000_000})
+            except LinkError as error:
+                faults.append(error.problem)
+
+        sending = threading.Thread(target=send, daemon=True)
+        sending.start()
+        sending.join(20.0)
+        assert faults
+        assert "the connection is lost" in faults[0]
+        with suppress(LinkError):
+            link.close()
+
+
+def test_whether_a_goal_is_taken_may_be_asked_of_the_robot(server_of_ros2, opened):
+    robot, link = opened(server_of_ros2), opened(server_of_ros2)
+    server_of_ros2.offer("/lamp", TRIGGER, lambda _: {"success": True})
+    robot.offer_action(
+        "count", FIBONACCI, lambda _: {"sequence": [1]}, accept=lambda _: robot.call("lamp", TRIGGER)["success"]
+    )
+    begun = time.monotonic()
+    assert link.send_goal("count", FIBONACCI, {"order": 1}, timeout=20.0).result(timeout=20.0).has_succeeded
+    assert time.monotonic() - begun < 4.0
+
+
+def test_a_goal_that_is_cancelled_before_it_was_taken_is_cancelled_once_it_is(server_of_ros2, opened):
+    robot = opened(server_of_ros2)
+    is_asked, may_accept, states = threading.Event(), threading.Event(), []
+
+    def accept(_):
+        is_asked.set()
+        return may_accept.wait(PATIENCE)
+
+    def execute(execution):
+        with suppress(AssertionError):
+            wait_until(lambda: execution.is_cancel_requested, seconds=5.0)
+        states.append(execution.status)
+        return {"sequence": []}
+
+    robot.offer_action("count", FIBONACCI, execute, accept=accept)
+    served = robot._transport.actions._served["/count"]
+    goal = {"op": "send_action_goal", "id": "1", "action": "/count", "args": {"order": 1}}
+    taking = threading.Thread(target=served.take, args=(goal,))
+    taking.start()
+    assert is_asked.wait(PATIENCE)
+    served.take({"op": "cancel_action_goal", "id": "1", "action": "/count"})
+    may_accept.set()
+    wait_until(lambda: states)
+    assert states == [GoalStatus.CANCELING]
+
+
+def test_a_goal_that_is_none_does_not_end_the_connection(server_of_ros2, opened):
+    robot = opened(server_of_ros2)
+    robot.offer_action("count", FIBONACCI, lambda _: {"sequence": []})
+    served = robot._transport.actions._served["/count"]
+    ended = []
+    served._tell_end = lambda key, result: ended.append((key, result.status))
+    served.take({"op": "send_action_goal", "id": "1", "action": "/count", "args": {"no such field": 1}})
+    wait_until(lambda: ended)
+    assert ended == [("1", GoalStatus.ABORTED)]
+
+
+def test_a_goal_whose_connection_is_left_as_it_is_given_up_is_an_error_of_the_link(server_of_ros2, opened, monkeypatch):
+    robot, link = opened(server_of_ros2), opened(server_of_ros2)
+    robot.offer_action("count", FIBONACCI, lambda _: {"sequence": []})
+    server_of_ros2.actions.rejects["/count"] = lambda _: True
+    monkeypatch.setattr(rosbridge_actions._Client, "cancel", lambda self, sent, timeout: self._leave(sent))
+    with pytest.raises(LinkError, match="does not accept the goal"):
+        link.send_goal("count", FIBONACCI, {"order": 1}, timeout=0.2)
