@@ -17,8 +17,7 @@ from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STATU
 from robot_runner.core.errors import AnalysisError, Finding, StorageError
 from robot_runner.core.events.measure import QUALITY_SUFFIX, Quality, quality_of_value
 from robot_runner.core.storage.cells import RunStatus, typed_value, typed_values
-from robot_runner.core.storage.edited_cells import edited_findings
-from robot_runner.core.storage.executed_runs import ExcludedRuns, unrecorded_findings
+from robot_runner.core.storage.executed_runs import ExcludedRuns, edited_findings, unrecorded_findings
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.run_table_reading import read_run_table

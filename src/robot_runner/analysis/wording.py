@@ -40,7 +40,9 @@ def shown_number(value: float | None, digits: int = _DIGITS) -> str:
         return MISSING
     if value == 0:
         return "0"
-    if isinstance(value, int) or (_LARGE <= abs(value) < _HUGE):
+    if isinstance(value, int):
+        text = f"{value:,}"  # and not as a float, which has 53 bits
+    elif _LARGE <= abs(value) < _HUGE:
         text = f"{value:,.0f}"
     elif abs(value) < _SMALL or abs(value) >= _HUGE:
         text = f"{value:.{digits - 1}e}"

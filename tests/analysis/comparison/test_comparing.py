@@ -249,6 +249,15 @@ def test_values_that_are_all_equal_cannot_be_tested(two_tasks):
     assert video.verdict is Verdict.UNDECIDED
 
 
+@pytest.mark.parametrize(("offset", "step"), [(2.0**53, 2.0), (1e6, 2.0**-30)])
+def test_values_that_differ_by_too_little_beside_their_size_are_not_called_equal(two_tasks, offset, step):
+    values = [offset + step * number for number in (0, 3, 1, 4, 2)]
+    one, other = (two_tasks(video=[each + more * step for each in values]) for more in (0, 7))
+    video = compare(one.root, other.root).measure("Energy").differences[0]
+    assert "differ by too little beside their size" in video.not_computed
+    assert "equal" not in video.not_computed
+
+
 @pytest.mark.parametrize(("size", "told"), [(1e300, "too large"), (1e-300, "too small")])
 def test_values_that_cannot_be_computed_with_are_not_tested(two_tasks, size, told):
     odd = two_tasks(video=tuple(size * value for value in (1.0, 3.0, 2.0, 5.0, 4.0)))

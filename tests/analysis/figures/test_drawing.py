@@ -185,6 +185,16 @@ def test_crowds_of_points_and_bars_are_kept_as_pixels():
         assert len(svg) < 150_000
 
 
+def test_a_timeline_tells_treatments_apart_without_colours():
+    names = ["Video", "Network", "Idle", "Map"]
+    spans = [AttemptSpan(f"r_{n}", names[n % 4], n, n + 0.9, None, is_done=True) for n in range(8)]
+    figure = draw_timeline(spans, order=names)
+    told = {line.get_label(): line.get_marker() for line in figure.axes[0].lines if line.get_label() in names}
+    assert len(set(told.values())) == 4
+    [legend] = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == names
+
+
 def test_a_timeline_of_thousands_of_runs_has_few_artists():
     spans = [AttemptSpan(f"r_{n}", "Video", n, n + 0.9, (n + 0.1, n + 0.8), is_done=n % 7 > 0) for n in range(5_000)]
     [axes] = draw_timeline(spans, order=["Video"]).axes

@@ -14,6 +14,7 @@ from tests.long_cases import long_but
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.planning.assumed_values import assumed_scenario, differences_of, numbers_of, with_blocks
 from robot_runner.analysis.planning.planned_study import Study
+from robot_runner.analysis.planning.power_analysis import Assumptions, power_analysis
 from robot_runner.analysis.planning.power_search import Search, search_repetitions
 from robot_runner.analysis.planning.power_simulation import Simulation
 from robot_runner.analysis.statistics.families import claim_of, effect_key
@@ -23,6 +24,7 @@ from robot_runner.core.design.hypothesis import Hypothesis
 from robot_runner.core.design.outliers import Outliers
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import AnalysisError
+from robot_runner.designs import Blocks
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -234,3 +236,15 @@ def test_the_search_begins_with_the_fewest_repetitions_of_which_there_is_a_test(
     assert "it takes 4 runs of each treatment" in answer.too_few
     with pytest.raises(AnalysisError, match="with 3 repetitions nothing can be tested"):
         search_repetitions(study, scenario_of(study, "Task=9"), Search(last=3))
+
+
+@pytest.mark.parametrize("design", [None, Blocks("Day")], ids=["blocks", "design"])
+def test_where_few_blocks_keep_a_study_from_its_power_that_is_told(design: Blocks | None) -> None:
+    model = RunTableModel(
+        [TASK, Factor("Day", ["Mon", "Tue"])], design=design, blocks=None if design else "Day", repetitions=2
+    )
+    study = Study.of_model("study", model, None, {"Energy": "J"})
+    search = Search(power=0.999, first=2, last=4, simulations=50)
+    assumptions = Assumptions(spreads=["10"], differences=["Task=1"])
+    notes = " ".join(power_analysis(study, assumptions, search).notes)
+    assert "Day makes 2 blocks" in notes

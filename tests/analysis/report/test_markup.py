@@ -11,13 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.analysis.report.blocks import Cell, Chart, Code, Column, Document, Paragraph, Place, Section, Table
+from robot_runner.analysis.report.latex_signs import latex_text
 from robot_runner.analysis.report.rendering import (
     SafeNames,
     csv_of,
+    files_of_tables,
     html_of,
     latex_label,
     latex_of,
-    latex_text,
     markdown_of,
     markdown_text,
 )
@@ -100,6 +101,9 @@ def test_latex_takes_the_beginning_of_a_row_for_no_argument_and_two_hyphens_for_
         ("CO₂ in kg/m³", r"CO\textsubscript{2} in kg/m\textsuperscript{3}"),
         ("a ≠ b ≈ ∞ ≤ √2", r"a $\neq$ b $\approx$ $\infty$ $\leq$ $\surd$2"),
         ("e\u0301", "é"),
+        ("Ωμέγα, Άλφα", r"$\Omega$$\mu$$\acute{\varepsilon}$$\gamma$$\alpha$, \'{A}$\lambda$$\varphi$$\alpha$"),
+        ("\u0390", r"$\acute{\ddot{\iota}}$"),
+        ("∆T ∉ ∅", r"$\Delta$T $\notin$ $\emptyset$"),
     ],
 )
 def test_greek_and_the_signs_of_units_and_formulas_need_no_further_package_in_latex(text, written):
@@ -107,7 +111,7 @@ def test_greek_and_the_signs_of_units_and_formulas_need_no_further_package_in_la
 
 
 def test_all_greek_letters_are_ones_that_latex_has():
-    letters = [chr(code) for code in (*range(0x391, 0x3A2), *range(0x3A3, 0x3AA), *range(0x3B1, 0x3CA))]
+    letters = [chr(code) for code in (*range(0x391, 0x3A2), *range(0x3A3, 0x3AA), *range(0x3AA, 0x3CF))]
     assert not [letter for letter in letters if not latex_text(letter).isascii()]
 
 
@@ -167,16 +171,21 @@ def test_markdown_takes_the_beginning_of_a_text_for_no_list_heading_or_code(text
     assert markdown_text(text) == written
 
 
+def page_of(section):
+    document = Document("k", "t", "", (), (section,))
+    return html_of(document, {}, files_of_tables(document))
+
+
 def test_a_name_turns_the_direction_of_no_number_beside_it():
     section = Section("s", "S", (Paragraph("\u202eabc: 17 J"), Chart("c", "points", "", {"name": "\u202eabc"})))
-    page = html_of(Document("k", "t", "", (), (section,)), {})
+    page = page_of(section)
     assert "\u202e" not in page
     assert " abc: 17 J" in page
 
 
 def test_a_caption_begins_or_ends_its_figure_as_the_standard_of_html_asks_for():
     table = Table("t", "c", (Column("a"),), ((Cell(1, "1"),),))
-    page = html_of(Document("k", "t", "", (), (Section("s", "S", (Chart("c", "points", "d", {}), table)),)), {})
+    page = page_of(Section("s", "S", (Chart("c", "points", "d", {}), table)))
     figures = re.findall(r"<figure[^>]*>(.*?)</figure>", page, re.DOTALL)
     assert len(figures) == 2
     for figure in figures:
@@ -185,7 +194,7 @@ def test_a_caption_begins_or_ends_its_figure_as_the_standard_of_html_asks_for():
 
 
 def test_what_is_scrolled_can_be_reached_by_keys():
-    page = html_of(Document("k", "t", "", (), (Section("s", "S", (Code("pip install " * 40),)),)), {})
+    page = page_of(Section("s", "S", (Code("pip install " * 40),)))
     assert '<pre class="code" tabindex="0" role="region" aria-label="Code">' in page
 
 

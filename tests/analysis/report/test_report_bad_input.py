@@ -48,7 +48,23 @@ def test_without_a_run_that_is_done_there_is_a_report_that_says_so(two_tasks):
     assert "0 of 10" in text
     assert "No run is done: there is nothing to describe." in text
     assert "There is nothing to draw: no run is done." in text
+    assert "had one treatment only" not in text  # it had none
+    assert "after the fact" not in text  # there is none yet
     assert p_values(text) == []
+
+
+def test_a_column_of_numbers_and_texts_is_not_called_one_of_texts(two_tasks):
+    text = text_of(two_tasks(video=(870.1, "inf", 869.0, 874.2, 871.3)))
+    assert "inf is no number, in 1 of 10 runs" in text
+    assert "There is nothing to draw: no run that is done has a number." in text
+    text = text_of(two_tasks(video=("a",) * 5, network=("b",) * 5))
+    assert "Its values are neither numbers nor True and False." in text
+
+
+def test_whole_numbers_of_more_than_53_bits_are_shown_as_they_are(make_folder):
+    rows = [("a", 1764000000000000797 + place) for place in range(3)]
+    folder = make_folder(factors={"Task": ["a"]}, rows=rows, measures={"Begun": "ns"}, types={"Begun": "integer"})
+    assert "1,764,000,000,000,000,799" in text_of(folder)
 
 
 def test_when_all_runs_failed_their_reasons_are_told(two_tasks):

@@ -130,6 +130,45 @@ def test_values_far_from_0_that_vary_are_compared(tmp_path: Path, offset: float,
     assert found.test.spread == pytest.approx(spread, rel=0.5)
 
 
+@pytest.mark.parametrize(
+    ("offset", "step", "told"), [(1.764e18, 256, "256"), (2.0**53, 2, "2.00"), (1e6, 2.0**-33 * 16, "1.16e-10")]
+)
+def test_values_that_differ_by_too_little_beside_their_size_are_not_called_equal(
+    tmp_path: Path, offset: float, step: float, told: str
+) -> None:
+    found = energy(
+        tmp_path,
+        lambda of, repetition: offset + step * (repetition**2 % 5 + (of["Task"] == "Video")),
+        [Factor("Task", ["Video", "Network"])],
+        repetitions=6,
+    )
+    assert found.test is None
+    reasons = {each.what: each.why for each in found.not_computed}
+    assert f"told apart by {told} only" in reasons["spreads in full"]
+    assert "differ by too little" in reasons["the test"]
+    assert not any("equal" in why for why in reasons.values())
+
+
+def test_measures_that_hardly_vary_beside_their_size_are_not_called_equal_where_they_are_correlated(
+    tmp_path: Path,
+) -> None:
+    made = make_experiment(
+        tmp_path / "made",
+        values=lambda _, repetition: {"Begun": 2.0**53 + 2 * repetition, "Energy": repetition**2.0},
+        measures=("Begun", "Energy"),
+        repetitions=5,
+    )
+    [correlation] = [each for each in analyse(load_results(made.root)).not_computed if "correlation" in each.what]
+    assert correlation.why == "one of them hardly varies beside its size."
+
+
+@pytest.mark.parametrize("value", [lambda number: 0.1 * number / number, lambda _: 2.0**60])
+def test_values_that_are_equal_but_for_rounding_are_called_equal(tmp_path: Path, value: Callable[[int], float]) -> None:
+    found = energy(tmp_path, lambda _, repetition: value(repetition), [Factor("Task", ["Video", "Network"])])
+    assert all("all values are equal" in each.why for each in found.not_computed if each.what == "the test")
+    assert "spreads in full" not in {each.what for each in found.not_computed}
+
+
 @pytest.mark.parametrize("size", [3e98, 3e-98])
 def test_values_whose_squared_variances_cannot_be_computed_are_told(tmp_path: Path, size: float) -> None:
     noise = iter(np.random.default_rng(3).normal(size=10))

@@ -22,7 +22,7 @@ from robot_runner.analysis.comparison.compared import Agreement, Bound, Practica
 from robot_runner.analysis.comparison.matching import of_one_quantity
 from robot_runner.analysis.comparison.shared_units import APART, MeansTest, Units, estimate_of, shares_of
 from robot_runner.analysis.importing.units import known_units, unit_of
-from robot_runner.analysis.statistics.descriptive import out_of_range, quiet
+from robot_runner.analysis.statistics.descriptive import STEPS_OF_NOISE, out_of_range, quiet, step_of
 from robot_runner.analysis.statistics.proportions import difference_ends, score_of
 from robot_runner.analysis.statistics.tested import Interval
 from robot_runner.core.errors import AnalysisError, did_you_mean
@@ -55,10 +55,20 @@ def why_not_testable(first: Floats, second: Floats, *, is_paired: bool, units: U
         return f"One of the experiments {odd}"
     spread = float(np.ptp(second - first)) if is_paired else float(np.ptp(first)) + float(np.ptp(second))
     if spread <= _ROUNDING * max(float(np.abs(first).max()), float(np.abs(second).max())):
-        return "All values are equal, so chance cannot be told from a difference."
+        return _hardly_varies(first, second, spread, is_paired=is_paired)
     if units.are_shared and not _means_test(second, first, is_paired=is_paired, units=units).error > 0:
         return f"The means of each {units.name} are equal, so chance cannot be told from a difference."
     return ""
+
+
+def _hardly_varies(first: Floats, second: Floats, spread: float, *, is_paired: bool) -> str:
+    values = np.concatenate((first, second))
+    noise = STEPS_OF_NOISE * step_of(values) if np.any(values % 1) else 0.0
+    if spread > noise:
+        fix = "Compare how far they are from a fixed value, such as the time since the mission began."
+        return f"The values differ by too little beside their size, where they are rounded. {fix}"
+    same = "All pairs differ by the same" if is_paired else "Within each experiment all values are equal"
+    return f"{same}, so chance cannot be told from a difference."
 
 
 def spread_of(values: Floats) -> float | None:

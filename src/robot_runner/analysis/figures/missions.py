@@ -24,6 +24,7 @@ from robot_runner.analysis.figures.style import (
     INK,
     PAGE,
     add_legend,
+    draw_points,
     figure_style,
     label_axes,
     looks_by,
@@ -216,7 +217,10 @@ class AttemptSpan:
 
 @figure_style()
 def draw_timeline(spans: Sequence[AttemptSpan], *, order: Sequence[str]) -> Figure:
-    """Draw a line for each run, with a bar for each attempt; what was measured is dark, what failed is hatched."""
+    """Draw a line for each run, with a bar for each attempt; what was measured is dark, what failed is hatched.
+
+    The marks at the ends tell the treatments.
+    """
     run_ids = list(dict.fromkeys(span.run_id for span in spans))
     rows = {run_id: place for place, run_id in enumerate(run_ids)}
     figure, axes = new_axes(PAGE, min(7.0, 0.75 + 0.13 * len(rows)))
@@ -233,7 +237,10 @@ def draw_timeline(spans: Sequence[AttemptSpan], *, order: Sequence[str]) -> Figu
         if done:
             draw_bars(done, [(span.start, span.end) for span in done], facecolor=look.colour, alpha=0.3)
             measured = [span.measured or (span.start, span.end) for span in done]
-            draw_bars(done, measured, facecolor=look.colour, alpha=1.0, label=verbatim(name))
+            draw_bars(done, measured, facecolor=look.colour, alpha=1.0)
+            # Colours alone do not tell more than three apart in grey.
+            places = [rows[span.run_id] for span in done]
+            draw_points(axes, [span.end / scale for span in done], places, look, label=verbatim(name))
     failed = [span for span in spans if not span.is_done]
     hatched = {"facecolor": "white", "edgecolor": _FAILED, "hatch": "/////", "linewidth": 0.8}
     draw_bars(failed, [(span.start, span.end) for span in failed], **hatched)

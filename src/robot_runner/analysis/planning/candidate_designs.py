@@ -13,7 +13,7 @@ from robot_runner.core.design.design import CombinationDesign, Design, FullFacto
 from robot_runner.core.design.factor import Factor, full_size
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import DesignError
-from robot_runner.core.inactive import INACTIVE
+from robot_runner.core.words import INACTIVE
 from robot_runner.designs.covering import CoveringArray
 from robot_runner.designs.fractional import FractionalFactorial
 from robot_runner.designs.one_at_a_time import OneFactorAtATime

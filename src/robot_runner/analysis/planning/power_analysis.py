@@ -155,7 +155,9 @@ def scenarios_of(study: Study, assumptions: Assumptions) -> list[Scenario]:
     found = [with_blocks(each, blocks, responses) for each in scenarios]
     for name in dict.fromkeys(measure.name for each in found for measure in each.measures if measure.is_constant):
         problem = f"runs of one combination are assumed to have the same {name}, so that nothing can be tested"
-        raise AnalysisError(problem, where="power", fix=f"Say how much they vary: --sd {name}=...")
+        plan = "analysis = AnalysisPlan(measures=[...]) in the config"
+        fix = f"Say how much they vary: --sd {name}=... Or leave it out, and name the primary measures: {plan}."
+        raise AnalysisError(problem, where="power", fix=fix)
     return found
 
 
@@ -239,9 +241,12 @@ def _notes(study: Study, measures: Sequence[str], pilot: Pilot | None, found: Se
     if study.plan is not None and study.plan.covariates:
         yield "Covariates are drawn as if they told nothing of the measures: where they do, fewer repetitions suffice."
     yield "Values are drawn from normal distributions; skewed ones, and runs that fail, take more repetitions."
-    blocks = study.blocks if study.plan is None or study.plan.blocks is None else study.plan.blocks
-    if blocks is not None and blocks in study.factors and any(each.needed is None for each in found):
-        count = counted(len(study.factors[blocks]), "block")
+    planned = study.blocks if study.plan is None or study.plan.blocks is None else study.plan.blocks
+    # A design of its own tells how many runs each of its blocks has; its blocks are no factors of the study.
+    sizes = {name: each["sizes"] for name, each in study.facts.get("balance", {}).items()}
+    blocked = sizes | ({planned: study.factors[planned]} if planned and planned in study.factors else {})
+    for blocks, of_them in blocked.items() if any(each.needed is None for each in found) else ():
+        count = counted(len(of_them), "block")
         told = "how these differ is the chance that effects are compared with"
         yield f"{blocks} makes {count}: {told}, so that more of them help where more repetitions do not."
 

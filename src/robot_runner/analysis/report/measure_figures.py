@@ -251,5 +251,6 @@ def figures_section(material: Material) -> Section:
         words = f"{counted(others, 'more measure')} {'is' if others == 1 else 'are'} not drawn"
         blocks.append(Paragraph(f"{words}: name those to draw by --measure.", Tone.NOTE))
     if not blocks:
-        blocks.append(Paragraph("There is nothing to draw: no run is done.", Tone.WARNING))
+        why = "no run that is done has a number" if len(material.done) else "no run is done"
+        blocks.append(Paragraph(f"There is nothing to draw: {why}.", Tone.WARNING))
     return Section("figures", "Figures", tuple(blocks))

@@ -8,22 +8,26 @@ from __future__ import annotations
 
 import base64
 import csv
+import gzip
 import io
 import json
 import re
+import tarfile
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from itertools import chain
 from typing import TYPE_CHECKING, Any
-from unicodedata import normalize
-from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from robot_runner.analysis.figures.style import file_name, verbatim
+from robot_runner.analysis.report.drawings import drawing_of
+from robot_runner.analysis.report.latex_signs import latex_text
+from robot_runner.analysis.statistics.experiment_statistics import OnStep, unheard
 
 if TYPE_CHECKING:
     from robot_runner.analysis.report.blocks import Document, Table
@@ -37,35 +41,11 @@ _COLUMN_OF_A_PAPER, _GAP = 50, 2
 _PAGE_OF_A_PAPER, _LINE_OF_A_CELL = 105, 36
 #: What is kept in one line of a cell, and what stands for its blanks meanwhile.
 _INTERVAL, _UNBROKEN = re.compile(r"\[[^\[\]]*\]"), "\N{NO-BREAK SPACE}"
-#: Screen pixels for a point of a figure: a column of a paper becomes 470 pixels wide.
-_SCALE = 1.87
-_SIZE = re.compile(rb'<svg[^>]*? viewBox="0 0 ([\d.]+) ([\d.]+)"', re.DOTALL)
-_PATH = re.compile(rb' d="[^"]*"')
-_LONG_DECIMALS = re.compile(rb"(\d\.\d\d)\d+")
 #: What shows nothing itself and is kept on a page: the ends of lines, and what joins letters and parts of a sign.
 _KEPT = "\n\u200c\u200d"
 _BLANK_LINES = re.compile(r"\n{3,}")
 #: Signs that mean something anywhere, and those that begin a list or underline a heading.
 _MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#|~$!&]|(?:^|(?<=^[0-9])|(?<=^[0-9]{2}))[-+=.)](?=[-=\s]|$))")
-_LATEX = {
-    "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "_": r"\_", "%": r"\%",
-    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}",
-    "|": r"\textbar{}", '"': r"\char34{}", "`": r"\textasciigrave{}", "\N{EN DASH}": "--", "°": r"\textdegree{}",
-    "…": r"\ldots{}", "\N{MINUS SIGN}": "$-$", "\N{MULTIPLICATION SIGN}": r"$\times$",
-    "±": r"$\pm$", "≤": r"$\leq$", "≥": r"$\geq$", "≪": r"$\ll$", "≫": r"$\gg$", "≈": r"$\approx$", "≠": r"$\neq$",
-    "≡": r"$\equiv$", "∝": r"$\propto$", "∞": r"$\infty$", "√": r"$\surd$", "∂": r"$\partial$", "∇": r"$\nabla$",
-    "∈": r"$\in$", "·": r"$\cdot$", "⋅": r"$\cdot$", "⇒": r"$\Rightarrow$", "↔": r"$\leftrightarrow$",
-    **{sign: rf"\textsuperscript{{{plain}}}" for sign, plain in zip("⁰¹²³⁴⁵⁶⁷⁸⁹⁺", "0123456789+", strict=True)},
-    **{sign: rf"\textsubscript{{{plain}}}" for sign, plain in zip("₀₁₂₃₄₅₆₇₈₉₊", "0123456789+", strict=True)},
-    "⁻": r"\textsuperscript{$-$}", "₋": r"\textsubscript{$-$}",
-    # Greek, from alpha on: LaTeX has no command for letters that look like Latin ones.
-    **{chr(code): rf"$\{letter}$" if len(letter) > 1 else letter for first, letters in (
-        (0x391, "A B Gamma Delta E Z H Theta I K Lambda M N Xi O Pi P"),
-        (0x3A3, "Sigma T Upsilon Phi X Psi Omega"),
-        (0x3B1, "alpha beta gamma delta varepsilon zeta eta theta iota kappa lambda mu nu xi o pi rho"),
-        (0x3C2, "varsigma sigma tau upsilon varphi chi psi omega"),
-    ) for code, letter in enumerate(letters.split(), first)},
-}  # fmt: skip
 
 
 class SafeNames:
@@ -95,8 +75,33 @@ class SafeNames:
         return self._given[name]
 
 
-def html_of(document: Document, drawings: Mapping[str, bytes]) -> str:
-    """Return a document as one HTML file that fetches nothing: style, scripts, figures and data stand in it."""
+@dataclass(frozen=True, slots=True)
+class TableFiles:
+    """A table as files: their name without an ending, and what they hold."""
+
+    name: str
+    csv: str
+    latex: str
+
+
+def files_of_tables(document: Document, on_step: OnStep = unheard) -> dict[str, TableFiles]:
+    """Return the files of all tables of a document, by the table's name; `on_step` is told how many are made."""
+    names, labels = SafeNames(), SafeNames(latex_label)
+    made = {}
+    for number, table in enumerate(document.tables):
+        on_step("tables", number, len(document.tables))
+        made[table.name] = TableFiles(names(table.name), csv_of(table), latex_of(table, labels))
+    return made
+
+
+def html_of(document: Document, drawings: Mapping[str, bytes], tables: Mapping[str, TableFiles]) -> str:
+    """Return a document as one HTML file that fetches nothing: style, scripts, figures and data stand in it.
+
+    Args:
+        document: it.
+        drawings: its figures as SVG, by their names.
+        tables: its tables as files, which the page offers.
+    """
     anchors = SafeNames()
     for section in document.sections:  # their names are promised, so nothing else may take them
         anchors(section.name)
@@ -105,10 +110,10 @@ def html_of(document: Document, drawings: Mapping[str, bytes]) -> str:
         .get_template("report.html.j2")
         .render(
             document=document,
-            drawings={name: _drawing(svg) for name, svg in drawings.items()},
+            drawings={name: drawing_of(svg) for name, svg in drawings.items()},
+            tables=tables,
+            archive=_archive(tables.values()),
             anchor=anchors,
-            safe_name=SafeNames(),
-            labels=SafeNames(latex_label),
             most_rows=_MOST_ROWS,
         )
     )
@@ -169,23 +174,6 @@ def csv_of(table: Table) -> str:
     return into.getvalue()
 
 
-def latex_text(text: str) -> str:
-    r"""Return a text that LaTeX prints as it is.
-
-    Example:
-        >>> latex_text("50% of $x_1$ \\input{a}")
-        '50\\% of \\$x\\_1\\$ \\textbackslash{}input\\{a\\}'
-        >>> latex_text("--fast"), latex_text("[0, 1]")  # neither a dash nor the argument of the line that ends before
-        ('-{}-fast', '{}[0, 1]')
-    """
-    line = normalize("NFC", verbatim(text))  # a letter and its accents are one sign, an ohm sign is an omega
-    signs = (
-        _LATEX.get(sign, sign) + "{}" * (sign == after and sign in "-',")
-        for sign, after in zip(line, f"{line[1:]} ", strict=False)
-    )
-    return "{}" * line.startswith(("[", "*")) + "".join(signs)
-
-
 def markdown_text(text: str) -> str:
     r"""Return a text that Markdown shows as it is, on one line, in a table as well.
 
@@ -228,9 +216,7 @@ def _environment(escape: Callable[[str], str] | None = None, **settings: str) ->
 @cache
 def _pages() -> Environment:
     environment = _environment()
-    environment.globals.update(
-        asset=_asset, shared_asset=_shared_asset, json_of=_json_of, data_uri=_data_uri, csv_of=csv_of, latex_of=latex_of
-    )
+    environment.globals.update(asset=_asset, shared_asset=_shared_asset, json_of=_json_of)
     return environment
 
 
@@ -266,15 +252,15 @@ def _json_of(data: Mapping[str, Any]) -> Markup:
     return Markup(text)  # noqa: S704 - every character that HTML knows was escaped
 
 
-def _data_uri(text: str, kind: str) -> str:
-    return f"data:{kind};charset=utf-8,{quote(text)}"
-
-
-def _drawing(svg: bytes) -> dict[str, object]:
-    """Return a figure as a page shows it: its URI, and its size in pixels."""
-    found = _SIZE.search(svg)
-    width, height = map(float, found.groups()) if found else (252.0, 180.0)
-    # A hundredth of a point is less than anybody sees.
-    small = _PATH.sub(lambda path: _LONG_DECIMALS.sub(rb"\1", path[0]), svg[svg.index(b"<svg") :])
-    uri = f"data:image/svg+xml;base64,{base64.b64encode(small).decode('ascii')}"
-    return {"uri": uri, "width": round(width * _SCALE), "height": round(height * _SCALE)}
+def _archive(tables: Iterable[TableFiles]) -> Markup:
+    """Return the address of an archive of all tables, which are much alike: each by itself takes ten times the room."""
+    into = io.BytesIO()
+    # Without times, so that the same tables are the same bytes.
+    with gzip.GzipFile(fileobj=into, mode="wb", mtime=0) as packed, tarfile.open(fileobj=packed, mode="w") as archive:
+        for table in tables:
+            for ending, text in (("csv", table.csv), ("tex", table.latex)):
+                content = text.encode()
+                entry = tarfile.TarInfo(f"{table.name}.{ending}")
+                entry.size = len(content)
+                archive.addfile(entry, io.BytesIO(content))
+    return Markup(f"data:application/gzip;base64,{base64.b64encode(into.getvalue()).decode()}")  # noqa: S704 - as said

@@ -109,7 +109,7 @@ def _plan(material: Material) -> Threats:
     if material.manifest("analysis_changes"):
         text = "The plan was changed after runs had been executed: only its first version counts as planned."
         yield "The plan of the analysis was changed", text, Tone.WARNING
-    if not statistics.is_planned and statistics.measures:
+    if not statistics.is_planned and statistics.measures and len(material.done):
         text = "Measures and tests were chosen after the fact: p-values are those of an exploration."
         yield "Nothing was fixed beforehand", text, Tone.NOTE
     missed = [*statistics.not_computed, *(each for measure in statistics.measures for each in measure.not_computed)]
@@ -389,6 +389,6 @@ def _origins(material: Material) -> Threats:
 
 def _constant_factors(material: Material) -> Threats:
     constant = material.statistics.design.constant_factors
-    if constant:
+    if constant and len(material.done):
         text = f"{listed(constant)} had one treatment only among the runs that are done."
         yield "Factors were not varied", text, Tone.NOTE

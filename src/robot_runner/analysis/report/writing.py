@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -16,7 +16,7 @@ from robot_runner.analysis.figures.pdf_worker import PdfWorker
 from robot_runner.analysis.figures.style import FigureFormat, figure_bytes
 from robot_runner.analysis.report.document import json_of_report, report_document
 from robot_runner.analysis.report.material import Material
-from robot_runner.analysis.report.rendering import SafeNames, csv_of, html_of, latex_label, latex_of, markdown_of
+from robot_runner.analysis.report.rendering import SafeNames, TableFiles, files_of_tables, html_of, markdown_of
 from robot_runner.analysis.results import Results, results_of
 from robot_runner.analysis.statistics.experiment_statistics import OnStep, analyse, unheard
 from robot_runner.core.storage.guarded_files import make_folder, replace
@@ -132,7 +132,7 @@ def write_page(document: Document, path: Path) -> None:
         StorageError: the file cannot be written.
     """
     drawings = {block.name: figure_bytes(block.draw(), FigureFormat.SVG) for block in document.figures}
-    text = html_of(document, drawings)
+    text = html_of(document, drawings, files_of_tables(document))
     write_beside_and_rename(path, lambda file: file.write(text))
 
 
@@ -144,7 +144,7 @@ def write_parts(document: Document, folder: Path) -> tuple[Path, ...]:
     """
     place = _Place(*report_folder(folder, folder))
     figures, _ = _write_figures(document, place, SafeNames(), tuple(FigureFormat))
-    return (*figures, *_write_tables(document, place))
+    return (*figures, *_write_tables(files_of_tables(document), place))
 
 
 def made_by(what: str, moment: datetime) -> str:
@@ -165,11 +165,12 @@ def _write_document(
     kinds = [each for each in FigureFormat if each in needed.union(formats)]
     names = SafeNames()
     figures, drawings = _write_figures(document, place, names, kinds, worker, on_step)
-    tables = _write_tables(document, place, on_step)
+    files = files_of_tables(document, on_step)
+    tables = _write_tables(files, place)
     if kind is ReportFormat.MARKDOWN:
         text = markdown_of(document, lambda name: f"figures/{names(name)}.svg")
     else:
-        text = html_of(document, drawings)
+        text = html_of(document, drawings, files)
     return WrittenReport(place.write(f"report.{kind.value}", text.encode()), tables, figures)
 
 
@@ -200,11 +201,10 @@ def _write_figures(
     return tuple(files), drawings
 
 
-def _write_tables(document: Document, place: _Place, on_step: OnStep = unheard) -> tuple[Path, ...]:
-    names, labels = SafeNames(), SafeNames(latex_label)
-    files: list[Path] = []
-    for number, table in enumerate(document.tables):
-        on_step("tables", number, len(document.tables))
-        for ending, text in (("csv", csv_of(table)), ("tex", latex_of(table, labels))):
-            files.append(place.write(f"tables/{names(table.name)}.{ending}", text.encode("utf-8"), is_part=True))
-    return tuple(files)
+def _write_tables(tables: Mapping[str, TableFiles], place: _Place) -> tuple[Path, ...]:
+    parts = [
+        (each.name, ending, text)
+        for each in tables.values()
+        for ending, text in (("csv", each.csv), ("tex", each.latex))
+    ]
+    return tuple(place.write(f"tables/{name}.{ending}", text.encode(), is_part=True) for name, ending, text in parts)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from itertools import combinations, permutations
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ from scipy import stats
 
 from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.analysed_design import PLACE, VALUE, MeasureData
-from robot_runner.analysis.statistics.descriptive import quiet
+from robot_runner.analysis.statistics.descriptive import are_equal, quiet
 from robot_runner.analysis.statistics.designed_columns import grouped, residuals_of
 from robot_runner.analysis.statistics.effect_sizes import correlation_magnitude
 from robot_runner.analysis.statistics.outcome import Correlation, Drift
@@ -46,7 +46,7 @@ def correlations_of(
     """
     found: list[Correlation] = []
     missing: list[NotComputed] = []
-    for first, second in combinations(measures, 2):
+    for first, second in combinations(map(_Correlated, measures), 2):
         result = _correlation(first, second)
         (found if isinstance(result, Correlation) else missing).append(result)  # type: ignore[arg-type]
     after = iter(adjusted([each.p_value for each in found if each.p_value is not None], correction))
@@ -54,14 +54,29 @@ def correlations_of(
     return tuple(listed), tuple(missing)
 
 
-def _correlation(first: MeasureData, second: MeasureData) -> Correlation | NotComputed:
+@dataclass(frozen=True)
+class _Correlated:
+    """A measure that is correlated with all others."""
+
+    data: MeasureData
+
+    @cached_property
+    def residuals(self) -> Mapping[str, float]:
+        """What is left of each run's value once the means of the combinations are taken away, by the run's id."""
+        return dict(zip(self.data.frame[RUN_ID], residuals_of(self.data)[0], strict=True))
+
+
+def _correlation(one: _Correlated, other: _Correlated) -> Correlation | NotComputed:
+    first, second = one.data, other.data
     what = f"correlation of {first.name} and {second.name}"
     joined = first.frame[[RUN_ID, VALUE]].merge(second.frame[[RUN_ID, VALUE]], on=RUN_ID, suffixes=("_1", "_2"))
     x, y = (joined[f"{VALUE}_{which}"].to_numpy(dtype=np.float64) for which in (1, 2))
     if len(joined) < _LEAST:
         return NotComputed(what, f"a correlation takes {_LEAST} runs that have both measures.")
     if _is_flat(x, x) or _is_flat(y, y):
-        return NotComputed(what, "all values of one of them are equal.")
+        is_equal = are_equal(x) or are_equal(y)
+        why = "all values of one of them are equal" if is_equal else "one of them hardly varies beside its size"
+        return NotComputed(what, f"{why}.")
     with quiet():  # values that hardly vary
         pearson = stats.pearsonr(x, y)
         rho, p_value = spearman(x, y)
@@ -81,7 +96,7 @@ def _correlation(first: MeasureData, second: MeasureData) -> Correlation | NotCo
         spearman=rho,
         p_value=p_value if is_known else None,
         adjusted_p_value=p_value if is_known else None,
-        within=_within(first, second),
+        within=_within(one, other),
         magnitude=correlation_magnitude(rho),
     )
 
@@ -107,12 +122,11 @@ def _orders(count: int) -> Numbers:
     return np.array(list(permutations(range(count))))
 
 
-def _within(first: MeasureData, second: MeasureData) -> float | None:
-    """Return Pearson's r of what is left of both once the means of the combinations are taken away."""
-    residuals = [dict(zip(data.frame[RUN_ID], residuals_of(data)[0], strict=True)) for data in (first, second)]
-    shared = [run_id for run_id in residuals[0] if run_id in residuals[1]]
-    x, y = (np.array([each[run_id] for run_id in shared]) for each in residuals)
-    if not first.factors or _is_flat(x, first.values) or _is_flat(y, second.values):
+def _within(one: _Correlated, other: _Correlated) -> float | None:
+    """Return Pearson's r of what is left of both."""
+    shared = [run_id for run_id in one.residuals if run_id in other.residuals]
+    x, y = (np.array([each.residuals[run_id] for run_id in shared]) for each in (one, other))
+    if not one.data.factors or any(_is_flat(left, each.data.values) for left, each in ((x, one), (y, other))):
         return None
     return float(stats.pearsonr(x, y).statistic)
 

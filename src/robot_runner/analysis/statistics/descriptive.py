@@ -46,6 +46,8 @@ _SEED = 20210525
 #: Tukey's fences (Tukey, Exploratory Data Analysis, 1977): interquartile ranges beyond the quartiles.
 _FENCE = 1.5
 _OUTER_FENCE = 3.0
+#: Sums of few fractions differ by less, in steps of the last digit; whole numbers are as they were counted.
+STEPS_OF_NOISE = 8
 #: What computing with values may add to them, as a share of the largest: 45 units in the last place.
 _UNITS_IN_LAST_PLACE = 1e-14
 
@@ -65,6 +67,22 @@ def out_of_range(values: Floats) -> str:
     if 0 < largest < _SMALLEST:
         return f"has no value above {_SMALLEST:g}: they are too small to compute with."
     return ""
+
+
+def step_of(values: Floats) -> float:
+    """Return how far apart neighbouring numbers are at the size of the largest value."""
+    return float(np.spacing(np.max(np.abs(values))))
+
+
+def are_equal(values: Floats) -> bool:
+    """Return whether values are the same, but for what adding up leaves of fractions, such as 0.1 + 0.2.
+
+    Example:
+        >>> are_equal(np.array([0.1 + 0.2, 0.3])), are_equal(np.array([2.0**53, 2.0**53 + 2]))
+        (True, False)
+    """
+    widest = float(np.ptp(values))
+    return widest == 0 or (widest <= STEPS_OF_NOISE * step_of(values) and bool(np.any(values % 1)))
 
 
 def describe(group: Group, *, level_of_looks: float | None = None) -> Description:

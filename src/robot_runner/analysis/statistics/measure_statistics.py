@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
 
 from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
 from robot_runner.analysis.statistics.adjustment import adjustment_of
 from robot_runner.analysis.statistics.analysed_design import VALUE, Design, MeasureData
 from robot_runner.analysis.statistics.assumptions import equal_variances, normality, quantile_pairs
 from robot_runner.analysis.statistics.batch_strata import comparable
+from robot_runner.analysis.statistics.contrasts import rounding_of
 from robot_runner.analysis.statistics.correlations import drift_of
-from robot_runner.analysis.statistics.descriptive import describe, out_of_range
+from robot_runner.analysis.statistics.descriptive import are_equal, describe, out_of_range, step_of
 from robot_runner.analysis.statistics.designed_columns import grouped, residuals_of
 from robot_runner.analysis.statistics.detectable_effect import power_of, units_of
 from robot_runner.analysis.statistics.disclosed import LeftOut, Reason
@@ -25,8 +30,9 @@ from robot_runner.analysis.statistics.proportions import carry_out_proportions, 
 from robot_runner.analysis.statistics.surface_model import SurfaceModel
 from robot_runner.analysis.statistics.tested import AssumptionCheck, ContrastTest, NotComputed
 from robot_runner.analysis.statistics.tests import Choices, carry_out, planned_model_of
+from robot_runner.analysis.wording import shown_number
 from robot_runner.core.design.columns import RUN_ID
-from robot_runner.core.words import enumerated, listed
+from robot_runner.core.words import counted, enumerated, listed
 
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.grouped_runs import Group
@@ -39,6 +45,9 @@ _Found = TypeVar("_Found")
 _MOST_DESCRIBED = 200
 
 _PAIR = 2
+_SAME = re.compile(
+    "all (values are equal(ly far from the median)?|blocks respond (alike|to the treatments in the same way))"
+)
 
 
 class _Gathered:
@@ -85,14 +94,17 @@ def measure_statistics(
     odd = out_of_range(data.values) if data is not None else ""
     if data is None or not len(data.frame) or odd:
         is_text = data is None and answers is None
-        why = "its values are neither numbers nor True and False." if is_text else "no run that is done has a value."
+        why = (
+            _no_numbers(design.results.done[name].dropna().tolist()) if is_text else "no run that is done has a value."
+        )
         why = f"the measure {odd}" if odd else why
         missing = (NotComputed(f"statistics of {name}", why),)
         return MeasureStatistics(
             name, column.unit, column.origin, is_planned, is_primary, not_computed=missing, left_out=tuple(left_out)
         )
     compared, note, apart = comparable(data)
-    gathered.missing += apart
+    coarse = _too_coarse(data)
+    gathered.missing += [*coarse, *apart]
     found = planned_model_of(compared, choices.estimand, choices.statistic)
     if compared.factors or not apart:
         gathered.take(found)
@@ -129,13 +141,41 @@ def measure_statistics(
             drift_of(data, choices.alpha, column.unit, is_ordered=execution_order(design.results).is_known)
         ),
         power=_power(gathered, data, choices.alpha),
-        not_computed=tuple(dict.fromkeys(gathered.missing)),
+        not_computed=tuple(dict.fromkeys(map(_of_coarse, gathered.missing) if coarse else gathered.missing)),
         left_out=(*left_out, *_lacking(data)),
         rule_false_positives=_rule_false_positives(every, plan, left_out),
         adjustment=adjustment,
         surface=model.surface(choices.alpha) if isinstance(model, SurfaceModel) else None,
         kept_together=tuple(grouped(data)),
     )
+
+
+def _no_numbers(told: Sequence[object]) -> str:
+    """Return why values that have texts among them cannot be computed with."""
+    texts = [str(each) for each in told if not isinstance(each, int | float) or not math.isfinite(each)]
+    if len(texts) in {0, len(told)}:
+        return "its values are neither numbers nor True and False."
+    are = "is no number" if len(set(texts)) == 1 else "are no numbers"
+    return f"{listed(dict.fromkeys(texts))} {are}, in {len(texts)} of {counted(len(told), 'run')}."
+
+
+def _too_coarse(data: MeasureData) -> tuple[NotComputed, ...]:
+    """Return that runs differ by too little beside the size of their values, such as times in ns since 1970."""
+    groups = [group.values for group in data.groups(data.factors)]
+    if max(np.max(np.abs(each - each.mean())) for each in groups) > rounding_of(data.values):
+        return ()
+    if all(map(are_equal, groups)):
+        return ()
+    step, widest = step_of(data.values), max(float(np.ptp(each)) for each in groups)
+    told = f"numbers as large as these are told apart by {shown_number(step, 3)} only"
+    differ = f"runs of a group differ by {shown_number(widest, 3)}"
+    fix = "Publish how far values are from a fixed one, such as the time since the mission began"
+    return (NotComputed("spreads in full", f"{told}, and {differ}: they are rounded. {fix}."),)
+
+
+def _of_coarse(missing: NotComputed) -> NotComputed:
+    """Return why something was not computed of values of which none is told to be equal that is not."""
+    return replace(missing, why=_SAME.sub("runs differ by too little beside the size of their values", missing.why))
 
 
 def _of_answers(

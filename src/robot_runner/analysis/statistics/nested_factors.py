@@ -19,8 +19,7 @@ from scipy import linalg
 
 from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.effect_coding import Term, coded_columns, kron, sum_coding
-from robot_runner.core.inactive import INACTIVE
-from robot_runner.core.words import enumerated
+from robot_runner.core.words import INACTIVE, enumerated
 
 if TYPE_CHECKING:
     import pandas as pd

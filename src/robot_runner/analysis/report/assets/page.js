@@ -1,4 +1,5 @@
-// The link of the section that is read is marked; what is folded is unfolded for paper; light and dark can be chosen.
+// The link of the section that is read is marked; what is folded is unfolded for paper; light and dark can be chosen;
+// a table is unpacked from the archive of all.
 (function () {
   "use strict";
   const scheme = document.querySelector(".scheme");
@@ -32,6 +33,32 @@
   }
   document.addEventListener("scroll", mark, { passive: true });
   mark();
+  // Each link of a table leads to the archive of all; where the browser can unpack that, it yields the one file.
+  let files = null;
+  async function unpack(address) {
+    const packed = Uint8Array.from(atob(address.slice(address.indexOf(",") + 1)), function (each) { return each.charCodeAt(0); });
+    const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
+    const archive = new Uint8Array(await new Response(stream).arrayBuffer());
+    function text(from, to) { return new TextDecoder().decode(archive.subarray(from, to)); }
+    const found = new Map();
+    for (let at = 0; archive[at]; ) {
+      const size = parseInt(text(at + 124, at + 135), 8);
+      found.set(text(at, at + 100).split("\0")[0], text(at + 512, at + 512 + size));
+      at += 512 * (1 + Math.ceil(size / 512));
+    }
+    return found;
+  }
+  document.querySelectorAll("[data-file]").forEach(function (link) {
+    link.addEventListener("click", async function (event) {
+      if (!window.DecompressionStream) { return; }
+      event.preventDefault();
+      files = files || await unpack(document.querySelector(link.getAttribute("href")).href);
+      const file = document.createElement("a");
+      file.download = link.dataset.file;
+      file.href = "data:text/plain;charset=utf-8," + encodeURIComponent(files.get(link.dataset.file));
+      file.click();
+    });
+  });
   window.addEventListener("beforeprint", function () {
     document.querySelectorAll("details").forEach(function (each) { each.dataset.was = String(each.open); each.open = true; });
   });
