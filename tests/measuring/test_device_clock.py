@@ -6,8 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_runner.core.errors import PluginError
-from robot_runner.measuring.device_clock import ClockMap, fit_clock
+from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.measuring.device_clock import (
+    ClockExchange,
+    ClockMap,
+    ClockOffset,
+    ClockRecord,
+    estimate_offset,
+    fit_clock,
+)
 
 
 def stamped(*, seconds: float, offset: float, skew: float, least_delay: float, jitter: float, seed: int = 1):
@@ -74,3 +81,96 @@ def test_no_message_is_placed_after_its_arrival(delays, offset):
 def test_many_times_are_brought_to_the_run_as_each_of_them():
     clock, moments = ClockMap(7.0123456, 1.0000037), [number / 200 for number in range(400)]
     assert clock.all_to_run(moments) == [clock.to_run(each) for each in moments]
+
+
+delays = st.floats(0.0, 2.0)
+
+
+def exchange(sent, there, back, *, ahead):
+    """A question and its answer, with a clock that is so far ahead, over ways that take so long."""
+    return ClockExchange(
+        sent, sent + there + back, sent + there + ahead, sent + there + ahead, sent + (there + back) / 2
+    )
+
+
+def offset(at, steady, uncertainty=0.0):
+    return ClockOffset(at, steady, wall_offset=0.0, round_trip=0.0, uncertainty=uncertainty, exchanges=1)
+
+
+@given(ahead=st.floats(-1e6, 1e6), ways=st.lists(st.tuples(delays, delays), min_size=1, max_size=8))
+def test_the_true_offset_is_within_the_uncertainty_however_uneven_the_ways_are(ahead, ways):
+    exchanges = [exchange(10.0 * number, there, back, ahead=ahead) for number, (there, back) in enumerate(ways)]
+    estimate = estimate_offset(exchanges)
+    assert abs(estimate.wall_offset - ahead) <= estimate.uncertainty + 1e-6
+    assert abs(estimate.steady - estimate.at - ahead) <= estimate.uncertainty + 1e-6
+
+
+@given(ways=st.lists(st.tuples(delays, delays), min_size=2, max_size=8))
+def test_the_exchange_with_the_least_delay_wins(ways):
+    exchanges = [exchange(10.0 * number, there, back, ahead=3.0) for number, (there, back) in enumerate(ways)]
+    least = min(there + back for there, back in ways)
+    estimate = estimate_offset(exchanges)
+    assert estimate.round_trip == pytest.approx(least, abs=1e-9)
+    assert estimate.exchanges == len(ways)
+
+
+def test_the_steps_of_a_coarse_clock_are_part_of_the_uncertainty():
+    coarse = ClockExchange(0.0, 0.002, 5.0, 5.0, 0.001, resolution=0.01)
+    assert estimate_offset([coarse]).uncertainty == pytest.approx(0.011)
+
+
+def test_without_an_exchange_there_is_no_offset():
+    with pytest.raises(LinkError, match="no exchange"):
+        estimate_offset([])
+
+
+@given(
+    start=st.floats(-1e5, 1e5),
+    drift=st.floats(-0.05, 0.05),
+    seconds=st.floats(1.0, 1e4),
+    share=st.floats(0.0, 1.0),
+)
+def test_a_clock_that_runs_fast_or_slow_is_brought_to_the_runs_time_everywhere(start, drift, seconds, share):
+    def device(run):
+        return start + run * (1.0 + drift)
+
+    record = ClockRecord("pi", offset(0.0, device(0.0)), offset(seconds, device(seconds)))
+    moment = share * seconds
+    assert record.to_run.to_run(device(moment)) == pytest.approx(moment, abs=1e-4)
+    assert record.drift == pytest.approx(drift, abs=1e-4)
+
+
+def test_where_it_could_not_be_asked_again_the_clock_is_taken_to_be_even():
+    record = ClockRecord("pi", offset(10.0, 500.0))
+    assert record.to_run.to_run(503.0) == 13.0
+    assert record.drift is None
+
+
+def test_a_clock_that_went_back_is_not_believed_to_have_drifted():
+    record = ClockRecord("pi", offset(10.0, 500.0), offset(20.0, 3.0))
+    assert record.to_run.rate == 1.0
+
+
+def test_a_steady_clock_that_lost_more_than_any_quartz_is_told_as_a_suspended_computer():
+    (doubt,) = ClockRecord("pi", offset(0.0, 500.0, 0.001), offset(95.0, 590.0, 0.001)).doubts()
+    assert doubt.startswith("while 95.000 s went by here, the steady clock of pi went on by 90.000 s")
+    assert "up to 5.000 s" in doubt
+
+
+@pytest.mark.parametrize(
+    "after",
+    [
+        None,
+        offset(95.0, 595.1, 0.001),  # 0.1 % fast
+        offset(95.0, 595.5, 0.4),  # known no better
+    ],
+)
+def test_a_steady_clock_that_goes_as_clocks_do_is_not_doubted(after):
+    assert not list(ClockRecord("pi", offset(0.0, 500.0, 0.001), after).doubts())
+
+
+def test_the_worse_of_both_estimates_is_the_uncertainty():
+    record = ClockRecord("pi", offset(0.0, 0.0, 0.001), offset(10.0, 10.0, 0.004))
+    assert record.uncertainty == 0.004
+    assert record.facts()["uncertainty"] == 0.004
+    assert record.facts()["before"]["at"] == 0.0

@@ -45,6 +45,29 @@ def test_single_missing_samples_are_no_gap():
     assert quality.coverage == 100.0
 
 
+@pytest.mark.parametrize(
+    ("lost", "overdue"),
+    [((0.6,), 1.0), ((4.6,), 1.0), ((9.6,), 1.0), ((3.6, 4.6), 2.0), ((), 0.0), ((-0.4,), 0.6), ((10.6,), 0.4)],
+)
+def test_a_sample_that_is_missing_from_a_short_window_or_beside_its_edge_is_told(lost, overdue):
+    times = [number - 0.4 for number in range(-1, 13) if number - 0.4 not in lost]
+    quality = quality_of(times, Window(0.0, 10.0), 1.0)
+    assert quality.overdue == pytest.approx(overdue)
+    assert bool(quality.warnings()) is (overdue > 0.5)
+    assert quality.is_sufficient
+
+
+def test_a_sample_that_is_missing_from_a_long_window_is_not_told():
+    times = [number - 0.4 for number in range(-1, 43) if number != 1]
+    assert quality_of(times, Window(0.0, 40.0), 1.0).warnings() == ()
+
+
+@given(shifts=st.lists(st.floats(-0.2, 0.2), min_size=7, max_size=60), start=st.floats(0.0, 1.0))
+def test_samples_that_all_came_are_never_called_overdue(shifts, start):
+    times = [number + shift for number, shift in enumerate(shifts)]
+    assert quality_of(times, Window(1.0 + start, len(times) - 3.0 + start), 1.0).warnings() == ()
+
+
 def test_no_samples_are_not_sufficient_even_in_a_short_window():
     quality = quality_of([], Window(0.0, 0.1), 10.0)
     assert not quality.is_sufficient

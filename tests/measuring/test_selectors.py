@@ -5,6 +5,7 @@ import pytest
 from robot_runner.core.errors import LinkError
 from robot_runner.measuring.host import checked_words, process_selector
 from robot_runner.measuring.local_host import matches
+from robot_runner.measuring.on_board.loop import names_of
 
 
 @pytest.mark.parametrize(
@@ -65,6 +66,25 @@ def test_a_node_in_a_namespace_is_found_by_both_as_launch_files_give_them(select
     words = ["/opt/listener", "--ros-args", "-r", "__node:=ear", "-r", "__ns:=/alice"]
     assert matches(selector, 7, "listener", words) is expected
     assert not matches(selector, 7, "listener", words[:-2]), "it is in no namespace"
+
+
+@pytest.mark.parametrize(
+    ("words", "selector", "expected"),
+    [
+        ("python3 -u -X dev nav/planner.py", "name:planner.py", True),
+        ("python3 -m nav.planner --map hall", "name:nav.planner", True),
+        ("python3 -m nav.planner planner.py", "name:planner.py", False),
+        ("bash -e ./start.sh", "name:start.sh", True),
+        ("bash -lc /opt/talker", "name:talker", False),  # the program that it starts has that name
+        ("bash --norc start.sh", "name:start.sh", True),
+        ("python3 -V", "name:-V", False),
+        ("planner -m hall", "name:hall", False),
+    ],
+)
+def test_a_script_is_found_behind_the_options_of_its_interpreter_and_a_module_by_its_name(words, selector, expected):
+    given = words.split()
+    assert matches(selector, 7, given[0], given) is expected
+    assert (selector[5:] in names_of(given, "python3")) is expected, "over ssh"
 
 
 def test_a_ros_1_node_is_found_by_its_name():

@@ -122,6 +122,12 @@ def test_a_column_that_holds_no_numbers_has_no_value_and_says_why(measure, cell,
     assert problem.endswith(f"rows hold no number in column 'watts', the first {told}")
 
 
+def test_what_one_column_lacks_makes_no_other_one_doubtful(measure):
+    context = measure("--watts", "N/A")
+    doubted = [fields["measures"] for _, fields in context.broker.records if "no number" in fields.get("problem", "")]
+    assert doubted == [["Energy"]]
+
+
 def _rows_of_ten_seconds(cells, column=COLUMNS[0]):
     plugin = CommandProfiler(command=["meter"], columns=[column], period_s=0.1)
     times = [number / 10 for number in range(-1, 102)]
@@ -129,7 +135,7 @@ def _rows_of_ten_seconds(cells, column=COLUMNS[0]):
     ending = Ending(0, was_asked=True, was_killed=False, complaint="")
     rows = [{column.source: cells(time)} for time in times]
     plugin._measured = measured = Measured(rows, times, window, window, ending)
-    return plugin._evaluated(window), list(plugin.doubts(measured))
+    return plugin._evaluated(window), [*plugin.doubts(measured), *(told for _, told in plugin.column_doubts(measured))]
 
 
 def test_numbers_that_cover_a_part_of_the_window_pass_for_no_value_of_the_whole():

@@ -11,8 +11,8 @@ from robot_runner.testing import FakeClock, make_context, rehearse
 class ScriptedMeter(ElectricalProfiler):
     """Says what a function of time says."""
 
-    def __init__(self, say):
-        super().__init__(name="Meter", rate_hz=10.0)
+    def __init__(self, say, rate_hz=10.0):
+        super().__init__(name="Meter", rate_hz=rate_hz)
         self._say = say
 
     def open(self, context):
@@ -76,6 +76,26 @@ def test_power_that_the_meter_seldom_renews_is_doubted(measure, every, is_doubte
     assert values["Energy"] == pytest.approx(400.0, rel=0.05)
     message = f"the meter renews its power every {every:.1f} s only: the energy lacks what changed in between"
     assert [each for each in problems if "renews" in each] == ([message] if is_doubted else [])
+
+
+@pytest.mark.parametrize(
+    ("busy", "period", "told"),
+    [
+        (
+            15.0,
+            1.0,
+            ["the power changed between samples that are 1.0 s apart: the energy may be off by 5.8 J of 115 J"],
+        ),
+        (15.0, 0.1, []),  # the same load
+        (6.0, 1.0, []),
+    ],
+)
+def test_an_energy_is_doubted_where_power_changed_much_between_samples_that_are_far_apart(tmp_path, busy, period, told):
+    clock = FakeClock()  # 113 J, in truth
+    plugin = ScriptedMeter(lambda time: ElectricalReading(busy if 0.7 < time < 8.7 else 5.0), rate_hz=1 / period)
+    context = make_context(tmp_path, plugin, robot=None, clock=clock)
+    rehearse(context, plugin, mission=lambda: clock.sleep(8.0))
+    assert [one.problem for one in context.broker.findings if "apart" in one.problem] == told
 
 
 def test_a_counter_that_is_told_for_a_part_of_the_window_does_not_stand_for_the_whole(measure):

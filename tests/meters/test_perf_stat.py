@@ -73,6 +73,12 @@ def _busy(seconds: float) -> None:
         pass
 
 
+def test_a_clock_of_all_processors_says_that_it_counts_idle_ones():
+    told = [each.description for each in PerfStat(events=["task-clock", "cycles"]).measures]
+    assert ["idle ones too" in description for description in told] == [True, False]
+    assert "idle" not in PerfStat(events=["task-clock"], pid=4711).measures[0].description
+
+
 @needs_perf
 def test_the_clocks_of_all_processors_tick_all_the_time(measure):
     context = measure(lambda: time.sleep(0.5), events=["task-clock"])
@@ -198,7 +204,9 @@ def test_an_event_that_had_no_counter_in_an_interval_is_unknown_there_and_doubte
     window = Window(0.0, 1.0)
     measured = Measured(rows, [0.2, 0.4], window, window, Ending(0, was_asked=True, was_killed=False, complaint=""))
     assert rows[1]["cycles"] is None
-    assert any("'cycles' was counted in 0 % of the time only" in problem for problem in plugin.doubts(measured))
+    assert any(
+        "'cycles' was counted in 0 % of the time only" in problem for _, problem in plugin.column_doubts(measured)
+    )
 
 
 def test_measures_are_named_after_events():

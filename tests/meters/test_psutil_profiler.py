@@ -232,6 +232,19 @@ def test_a_process_that_was_never_there_has_no_value_and_is_told_of():
     ]
 
 
+def test_what_is_doubted_of_one_process_or_core_leaves_the_others_and_the_whole_computer_undoubted():
+    there = ProcessUtilisation(1, 5.0, 1.0)
+    samples = [
+        UtilisationSample(float(at), 50.0, 10.0, processes=(ProcessUtilisation(0, None, 0.0), there)) for at in range(3)
+    ]
+    selection = Selection(("name:talker", "name:listener"), (7,))
+    measured = Utilisation(samples, Window(0.0, 2.0), selection, SamplingReport(rate=1.0), is_simulated=False)
+    assert [each.measures for each in measured.doubted()] == [("CPU_talker", "Memory_talker"), ("CPU_core7",)]
+    assert all(each.fix for each in measured.doubted())
+    doubted = {name for each in measured.doubted() for name in each.measures}
+    assert doubted <= {one.name for one in selection.measures()}
+
+
 def test_a_process_that_ended_before_the_mission_is_told_of():
     def seen(at):
         return (ProcessUtilisation(1 if at < 2 else 0, 5.0 if at < 2 else 0.0, 0.0),)

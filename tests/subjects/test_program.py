@@ -286,6 +286,19 @@ def test_a_program_that_had_begun_before_the_mission_makes_values_doubtful_and_o
     assert ("Solver had been executed for" in doubts) is (per == "run")
 
 
+@pytest.mark.parametrize("leaves", ["(BURN &); sleep 0.4", "BURN & sleep 0.4", "BURN"])
+def test_what_a_program_did_not_await_is_told_to_be_missing_from_its_cpu_time(tmp_path: Path, leaves: str) -> None:
+    loop = "sh -c 'i=0; while [ $i -lt 60000 ]; do i=$((i+1)); done; sleep 0.6'"  # some 50 ms, and there when it ends
+    if leaves == "BURN":
+        loop = loop.replace("; sleep 0.6", "")
+    solver = Program(["sh", "-c", leaves.replace("BURN", loop)], name="Solver", exit_codes=[0], per="mission")
+    context = make_context(tmp_path, solver, clock=SystemClock())
+    rehearse(context, solver, mission=lambda: solver.wait(context, timeout_s=20))
+    told = [finding.problem for finding in context.broker.findings if "did not await" in finding.problem]
+    assert len(told) == (leaves != "BURN"), told
+    assert all("which CPUTime lacks" in problem for problem in told)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("per", ["run", "experiment"])
 def test_nobody_is_left_when_the_orchestrator_is_killed(

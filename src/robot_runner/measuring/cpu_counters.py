@@ -6,12 +6,9 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
-from typing import TYPE_CHECKING
 
+from robot_runner.measuring.device_clock import ClockMap
 from robot_runner.measuring.host import RESCAN, ProcessUtilisation, UtilisationSample
-
-if TYPE_CHECKING:
-    from robot_runner.measuring.device_clock import ClockMap
 
 #: One that lasts two looks for new processes is not missed, s.
 _BRIEF = 2 * RESCAN

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import RobotRunnerContext, SystemClock
+from robot_runner.core.events.resources import Resources
 from robot_runner.core.links.connect import SIMULATED, is_simulated, lives_by_simulation, robot_namespace, run_robot
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.kinds import link_key
+from robot_runner.core.links.robot_name import RobotName
+from robot_runner.measuring.host import HostLink
 from robot_runner.measuring.serial_line import SerialLine, SerialPort
 from robot_runner.measuring.ssh_host import SshHost
-
-if TYPE_CHECKING:
-    from robot_runner.core.events.resources import Resources
-    from robot_runner.core.links.robot_name import RobotName
-    from robot_runner.measuring.host import HostLink
-
 
 _NAME_IT = (
     "Name the port or the host in the plugin, as in Ina219(port='/dev/ttyUSB0') or PsUtil(host='pi@robot'). "

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, TypeVar, runtime_checkable
+from typing import Protocol, TypeVar, runtime_checkable
 
 from robot_runner.core.errors import LinkError, did_you_mean
-
-if TYPE_CHECKING:
-    from robot_runner.measuring.clock_offset import ClockRecord
+from robot_runner.measuring.device_clock import ClockRecord
 
 #: Seconds between two looks for new processes.
 RESCAN = 1.0

@@ -6,13 +6,9 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.core.storage.guarded_files import open_to_append, remove
-
-if TYPE_CHECKING:
-    from robot_runner.measuring.quality import Column
-
+from robot_runner.measuring.quality import Column
 
 #: What the file's name ends in; it begins with a dot, so that nobody takes it for samples to be analysed.
 LIVE = ".live"

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from importlib import import_module
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from robot_runner.core.errors import LinkError
@@ -30,13 +30,13 @@ from robot_runner.measuring.host import (
     UtilisationSample,
     checked_words,
 )
+from robot_runner.measuring.on_board.loop import names_of
 from robot_runner.measuring.periodic import PeriodicSampler, Sampling
 
 #: Looks during which a process may still turn into another program.
 _YOUNG = 5
 #: Which cores are switched on, such as `0,3-5`. Source: Linux, Documentation/admin-guide/cputopology.rst.
 _ONLINE = "/sys/devices/system/cpu/online"
-_INTERPRETERS = ("python", "perl", "ruby", "node", "sh", "bash", "dash")
 
 
 class LocalProcesses:
@@ -148,10 +148,7 @@ def matches(selector: str, pid: int, name: str, words: Sequence[str], subject: s
         namespace, _, bare = value.strip("/").rpartition("/")
         is_there = not namespace or f"__ns:=/{namespace}" in words or f"__ns:={namespace}" in words
         return is_there and (f"__name:={bare}" in words or f"__node:={bare}" in words)
-    names = {name, *(PurePath(word).name for word in words[:1])}
-    if len(words) > 1 and PurePath(words[0]).name.startswith(_INTERPRETERS):
-        names.add(PurePath(words[1]).name)
-    return value in names
+    return value in names_of(list(words), name)
 
 
 _INSTALL = "Install it: pip install 'robot-runner[psutil]'."

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import Generic, TypeVar
 
 from robot_runner.core.errors import LinkError
-from robot_runner.measuring.clock_offset import ClockRecord
 from robot_runner.measuring.cpu_counters import (
     CoreCounters,
     CounterSample,
@@ -16,12 +15,9 @@ from robot_runner.measuring.cpu_counters import (
     placed_cores,
     utilisation_of,
 )
+from robot_runner.measuring.device_clock import ClockMap, ClockRecord
 from robot_runner.measuring.host import FileSample, SamplingReport, UtilisationSample
 from robot_runner.measuring.on_board_session import FORMS, OnBoardSession, new_token
-
-if TYPE_CHECKING:
-    from robot_runner.measuring.device_clock import ClockMap
-
 
 _KILOBYTE = 1024.0
 

@@ -23,7 +23,7 @@ from pathlib import Path
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import Clock
-from robot_runner.measuring.clock_offset import ClockExchange, ClockOffset, estimate_offset
+from robot_runner.measuring.device_clock import ClockExchange, ClockOffset, estimate_offset
 
 
 @dataclass(frozen=True, slots=True)

@@ -92,6 +92,8 @@ def write_quality(
 MINIMUM_COVERAGE = 95.0
 #: A pause longer than this many periods of sampling is a gap: what happened in it was not seen.
 _GAP_PERIODS = 5.0
+#: An interval that is longer than this many periods lacks a sample.
+_OVERDUE_PERIODS = 1.5
 #: By how many percent the samples may be fewer than expected; one sample depends on where the window's edges fall.
 _FEWER = 2.0
 #: Jitter (95th percentile) in periods above which the samples are not what their rate says.
@@ -126,6 +128,8 @@ class SampleQuality:
         period: the nominal time between two samples, s.
         largest_gap: the longest time without a sample, the window's edges included, s.
         coverage: percentage of the window outside gaps; a gap is a pause of more than five periods.
+        overdue: for how long within the window a sample was overdue, s: what intervals of more than one and a half
+            periods have beyond a period, those that reach across the window's edges included.
         jitter: of the times between the window's samples, those that were taken for its edges left out; None for fewer
             than two samples.
         duplicates: samples that came twice and were left out.
@@ -145,6 +149,7 @@ class SampleQuality:
     period: float
     largest_gap: float
     coverage: float
+    overdue: float = 0.0
     jitter: Jitter | None = None
     duplicates: int = 0
     lost: int = 0
@@ -200,6 +205,11 @@ class SampleQuality:
         elif self.jitter is not None and self.jitter.p95 > _JITTER_PERIODS * self.period:
             off = self.jitter.p95
             yield f"the samples are uneven: 1 in 20 came {off:.3f} s or more off a period of {self.period:.3f} s"
+        elif self.overdue > (1 - MINIMUM_COVERAGE / 100) * self.duration:
+            yield (
+                f"samples are missing for {self.overdue:.3f} s of the measured window of {self.duration:.3f} s, "
+                f"or at its edges, at a period of {self.period:.3f} s"
+            )
 
 
 def quality_of(  # noqa: PLR0913 - each is one thing that a sensor may know of its samples
@@ -234,6 +244,7 @@ def quality_of(  # noqa: PLR0913 - each is one thing that a sensor may know of i
         period=period,
         largest_gap=max(gaps),
         coverage=100.0 * (1.0 - unseen / window.duration) if window.duration else 0.0,
+        overdue=_overdue(times, window, period),
         jitter=jitter_of(times[bisect_right(times, window.start) : bisect_left(times, window.end)]),
         duplicates=duplicates,
         lost=lost,
@@ -246,6 +257,22 @@ def quality_of(  # noqa: PLR0913 - each is one thing that a sensor may know of i
         clock_uncertainty=clock_uncertainty,
         cpu_seconds=cpu_seconds,
         duration=window.duration,
+    )
+
+
+def _overdue(times: Sequence[float], window: Window, period: float) -> float:
+    """Return for how long within a window a sample was overdue, s.
+
+    Of an interval that reaches across an edge, the samples on both sides tell together: what is interpolated between
+    them is as uncertain within the window as if it lay there.
+    """
+    near = list(times[max(bisect_right(times, window.start) - 1, 0) : bisect_left(times, window.end) + 1])
+    near = [*([] if near and near[0] <= window.start else [window.start]), *near]
+    near = [*near, *([] if near[-1] >= window.end else [window.end])]
+    return sum(
+        min(later - sooner - period, min(later, window.end) - max(sooner, window.start))
+        for sooner, later in pairwise(near)
+        if later - sooner > _OVERDUE_PERIODS * period
     )
 
 

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import Clock
 from robot_runner.core.links.ssh_command import gist, remedy, ssh_command
+from robot_runner.measuring.device_clock import ClockOffset
 from robot_runner.measuring.host import FileSample, UtilisationSample, checked_words
 from robot_runner.measuring.on_board_sampler import (
     OnBoardSampler,
@@ -20,10 +21,6 @@ from robot_runner.measuring.on_board_sampler import (
     utilisation_counters,
 )
 from robot_runner.measuring.on_board_session import REMOTE_COMMAND, OnBoardSession, remove_leftovers
-
-if TYPE_CHECKING:
-    from robot_runner.measuring.clock_offset import ClockOffset
-
 
 S = TypeVar("S")
 

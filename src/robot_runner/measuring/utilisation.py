@@ -8,22 +8,38 @@ from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 from robot_runner.core.events.measure import Measure, Over
+from robot_runner.core.events.window import Window
 from robot_runner.measuring.host import RESCAN, SamplingReport, UtilisationSample
 from robot_runner.measuring.on_board_session import FORMS
 from robot_runner.measuring.quality import Column, SampleQuality, quality_of, write_quality, write_samples
 from robot_runner.measuring.series import Series, cut, mean, mean_of_intervals
 
-if TYPE_CHECKING:
-    from robot_runner.core.events.window import Window
-
-
 #: In steps of how many seconds ps tells what a process has used.
 _PS_STEP = 1.0
 #: Percentage of one core, over the window, above which what ended processes may have used unseen is worth a doubt.
 _UNSEEN_SHARE = 1.0
+_NO_PROCESS = (
+    "Start it before or during the mission, and compare its selector with what `ps -eo pid,comm,args` shows then."
+)
+_ENDED = "Have it end after the mission, or measure it as Program(..., per='mission'), whose CPUTime is exact."
+_CORES = "Name cores that are switched on: /sys/devices/system/cpu/online has their numbers."
+
+
+class Doubt(NamedTuple):
+    """What is doubtful about the samples.
+
+    Attributes:
+        problem: with figures.
+        measures: the names of those that it is about; none: all.
+        fix: what to do; empty where that is for the profiler to say.
+    """
+
+    problem: str
+    measures: tuple[str, ...] = ()
+    fix: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,32 +143,43 @@ class Utilisation:
         }
 
     def doubts(self, started: Container[str] = ()) -> Iterator[str]:
-        """Yield what is doubtful, with figures, besides the quality of the samples.
+        """Yield what is doubtful, with figures, besides the quality of the samples; see `doubted`."""
+        return (each.problem for each in self.doubted(started))
+
+    def doubted(self, started: Container[str] = ()) -> Iterator[Doubt]:
+        """Yield what is doubtful, of which measures, and what to do.
 
         Args:
             started: the names of software under test that the run has started; a probe before it starts none.
         """
-        yield from self.report.problems
+        yield from map(Doubt, self.report.problems)
         if self.report.form == FORMS["ps"].description and self.window.duration > 0:
             off = _PS_STEP / self.window.duration * 100
-            yield (
+            problem = (
                 f"ps tells CPU time in whole seconds: over {self.window.duration:.1f} s, utilisation may be off by "
                 f"{off:.0f} % of a core for each process"
             )
+            yield Doubt(problem)
         for place, selector in enumerate(self.selection.processes):
             kind, _, name = selector.partition(":")
             if kind == "subject" and name not in started:
                 continue
+            label = self.selection.labels[place]
+            names = (f"CPU_{label}", f"Memory_{label}")
             if self.samples and not self._was_seen(place):
-                yield f"no process {selector} was seen; new ones are looked for once a second"
+                yield Doubt(
+                    f"no process {selector} was seen; new ones are looked for once a second", names, _NO_PROCESS
+                )
             elif self.samples and not self._was_seen(place, within=self.window):
-                yield f"no process {selector} was there in the measured window, only before or after it"
-            yield from self._doubts_about_ends(place)
+                problem = f"no process {selector} was there in the measured window, only before or after it"
+                yield Doubt(problem, names, _NO_PROCESS)
+            yield from (Doubt(problem, names, _ENDED) for problem in self._doubts_about_ends(place))
         for core in self.selection.cores:
+            problem = f"the computer tells of core {core} for a part of the window only: it was switched off meanwhile"
             if self.samples and not self._tells_of(core):
-                yield f"the computer tells of no core {core}"
+                yield Doubt(f"the computer tells of no core {core}", (f"CPU_core{core}",), _CORES)
             elif self.quality.is_sufficient and not self._covers(core):
-                yield f"the computer tells of core {core} for a part of the window only: it was switched off meanwhile"
+                yield Doubt(problem, (f"CPU_core{core}",), _CORES)
 
     def _doubts_about_ends(self, place: int) -> Iterator[str]:
         selector, label = self.selection.processes[place], self.selection.labels[place]

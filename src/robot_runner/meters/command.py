@@ -230,6 +230,11 @@ class CommandProfiler(Profiler):
             return
         for problem in self.doubts(measured):
             context.doubt(problem, fix=self._look)
+        doubted: dict[str, list[str]] = {}
+        for measure, problem in self.column_doubts(measured):
+            doubted.setdefault(problem, []).append(measure)
+        for problem, names in doubted.items():
+            context.doubt(problem, fix=self._look, measures=names)
         details = {**clock_details(context), "command": self.command, "program": asdict(measured.ending)}
         quality = self._quality(measured.times, measured.window)
         report_quality(context, quality, measured.window, sampled=measured.sampled, fix=self._look, details=details)
@@ -258,10 +263,12 @@ class CommandProfiler(Profiler):
         if measured.rows and missing:
             lacking, found = (", ".join(map(repr, names)) for names in (missing, there))
             yield f"the program's output has no column {lacking}; it has {found}"
-        yield from dict.fromkeys(self._cell_doubts(measured))
 
-    def _cell_doubts(self, measured: Measured) -> Iterator[str]:
-        """Yield where cells hold texts such as `N/A`, `7,5` or `7.5 W`, too few hold anything, or a counter fell."""
+    def column_doubts(self, measured: Measured) -> Iterator[tuple[str, str]]:
+        """Yield what makes single measures doubtful, with their names; a subclass may add to it.
+
+        Their cells hold texts such as `N/A`, `7,5` or `7.5 W`, or too few hold anything, or their counter fell.
+        """
         window = measured.window
         rows = [
             row for time, row in zip(measured.times, measured.rows, strict=True) if window.start <= time <= window.end
@@ -276,9 +283,10 @@ class CommandProfiler(Profiler):
             texts = [cell for cell in missing if cell and isinstance(cell, str)]
             if texts or (missing and not self._is_told(column, measured, window)):
                 first = f", the first {texts[0]!r}" if texts else ""
-                yield f"{len(missing)} of {len(told)} rows hold no number in column {column.source!r}{first}"
+                problem = f"{len(missing)} of {len(told)} rows hold no number in column {column.source!r}{first}"
+                yield column.measure.name, problem
             elif column.aggregate in _COUNTERS and column.value(measured.times, measured.rows, window) is None:
-                yield f"the counter in column {column.source!r} was set back: no value"
+                yield column.measure.name, f"the counter in column {column.source!r} was set back: no value"
 
     def _is_told(self, column: CommandColumn, measured: Measured, window: Window) -> bool:
         """Whether the cells that hold a number cover enough of a window; the last one may stand alone."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import groupby
+from itertools import groupby, pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robot_runner.core.events.measure import Measure, Over
@@ -14,6 +15,7 @@ from robot_runner.meters.counters import fall_count, unwrapped
 from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:
+    from robot_runner.core.events.window import Window
     from robot_runner.measuring.periodic import Sampling
 
 #: What a counter's step and its seldom renewal may hide at one edge of the window, as a share of its increase: with
@@ -24,6 +26,9 @@ _FINE = 0.005
 _STUCK_READINGS, _STUCK_SHARE = 30, 0.2
 #: Power is renewed seldom where that takes so many readings, and this share of the window.
 _SELDOM_READINGS, _SELDOM_SHARE = 3, 0.05
+
+#: Where power that changed between samples may bend the energy by more than this share, that is told.
+_OFF_SHARE = 0.05
 
 
 class ElectricalReading(NamedTuple):
@@ -198,8 +203,32 @@ class ElectricalProfiler(PolledProfiler[Readings]):
             yield f"the energy{{of}} is {integral:.4g} J: the meter is the wrong way round, or the load feeds back"
         if self._energy(sampling, place)[1] == "power":
             yield from _seldom_renewed(sampling, place)
+            yield from _stepped(sampling, place, integral)
         yield from _stuck(sampling, place)
         yield from _partly_told(sampling, place)
+
+
+def _off(power: Series, window: Window) -> float:
+    """Return how far the integral of power may be off, J: twice its standard deviation.
+
+    Between two samples power may have changed at once, at any moment: a step that is uniformly distributed over an
+    interval has a variance of a twelfth of (change x interval) squared.
+    """
+    steps = zip(pairwise(power.times), pairwise(power.values), strict=True)
+    inside = (
+        (min(later, window.end) - max(sooner, window.start), right - left) for (sooner, later), (left, right) in steps
+    )
+    return 2 * math.sqrt(math.fsum((span * change) ** 2 for span, change in inside if span > 0) / 12)
+
+
+def _stepped(sampling: Sampling[Readings], place: int, joules: float | None) -> Iterator[str]:
+    off = _off(_told(sampling, place, "power"), sampling.window)
+    if joules is not None and off > _OFF_SHARE * abs(joules):
+        apart = f"{1 / sampling.rate:.1f} s apart"
+        yield (
+            f"the power{{of}} changed between samples that are {apart}: "
+            f"the energy may be off by {off:.2g} J of {joules:.3g} J"
+        )
 
 
 def _series(sampling: Sampling[Readings], place: int, quantity: str) -> Series:

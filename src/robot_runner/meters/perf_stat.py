@@ -6,7 +6,7 @@ import os
 import re
 import signal
 import subprocess
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import ClassVar
@@ -27,6 +27,8 @@ _FULL_TIME, _ALL_TIME = 90.0, 100.0
 _OF_SECOND = MappingProxyType(
     {"task-clock": 1e-3, "cpu-clock": 1e-3, "duration_time": 1e-9, "user_time": 1e-9, "system_time": 1e-9}
 )
+#: On all processors they tick whether these work or not: what they count is the window times the processors.
+_CLOCKS = ("task-clock", "cpu-clock")
 _SEPARATOR = ";"  # events may have commas in their names
 _COUNTED = " counted"
 _NOT_SUPPORTED, _NOT_COUNTED = "<not supported>", "<not counted>"
@@ -128,7 +130,8 @@ class PerfStat(CommandProfiler):
             command=[*counting, "-I", str(interval_ms), *scope, "--output", "{output}"],
             output="perf.csv",
             columns=[
-                CommandColumn(event, _measure_of(event), Aggregate.SUM, _seconds(event) or 1.0) for event in self.events
+                CommandColumn(event, _measure_of(event, pid), Aggregate.SUM, _seconds(event) or 1.0)
+                for event in self.events
             ],
             parse=parse_perf,
             time=TimeColumn("span", TimeKind.SINCE_START),
@@ -146,16 +149,17 @@ class PerfStat(CommandProfiler):
             findings = self._refused_scope() or self._refused_events()
         return [*findings, *simulation_findings(self.name, circumstances.robot)]
 
-    def doubts(self, measured: Measured) -> Iterable[str]:
-        """Yield what is doubtful, which events were not counted, and which only for a share of the time."""
-        yield from super().doubts(measured)
+    def column_doubts(self, measured: Measured) -> Iterator[tuple[str, str]]:
+        """Yield which events were not counted, and which only for a share of the time."""
+        yield from super().column_doubts(measured)
         for event in self.events:
+            name = _measure_of(event).name
             told = [row[event] for row in measured.rows if event in row]
             shares = [float(share) for row in measured.rows if (share := row.get(event + _COUNTED))]
             if told and not shares:
-                yield f"this machine cannot count {event!r}"
+                yield name, f"this machine cannot count {event!r}"
             elif shares and min(shares) < _FULL_TIME:
-                yield f"{event!r} was counted in {min(shares):.0f} % of the time only, and scaled up by perf"
+                yield name, f"{event!r} was counted in {min(shares):.0f} % of the time only, and scaled up by perf"
 
     def _refused_scope(self) -> list[Finding]:
         if self.pid is not None or os.geteuid() == 0 or not self.paranoia.exists():
@@ -198,11 +202,12 @@ class PerfStat(CommandProfiler):
         ]
 
 
-def _measure_of(event: str) -> Measure:
+def _measure_of(event: str, pid: int | None = None) -> Measure:
     words = [word for word in re.split(r"[^A-Za-z0-9]+", event.removeprefix("power/")) if word]
     name = "".join(word[:1].upper() + word[1:] for word in words)
     unit = "s" if _seconds(event) else "J" if event.startswith("power/energy") else "1"
-    return Measure(name, unit, f"{event} over the measured window, by perf.")
+    idle = ": all processors together, idle ones too" if pid is None and event in _CLOCKS else ""
+    return Measure(name, unit, f"{event} over the measured window, by perf{idle}.")
 
 
 def _seconds(event: str) -> float | None:

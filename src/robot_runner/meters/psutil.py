@@ -208,7 +208,9 @@ class PsUtil(Profiler):
             context.doubt("nothing was measured: the measurement was never started", fix=_REMEDY)
         else:
             measured = sampled.over(mission)
-            for problem in (*measured.doubts(context.plugin_data), *measured.quality.warnings()):
+            for each in measured.doubted(context.plugin_data):
+                context.doubt(each.problem, fix=each.fix or _REMEDY, measures=each.measures)
+            for problem in measured.quality.warnings():
                 context.doubt(problem, fix=_REMEDY)
         origin = Origin.SIMULATED if sampled is not None and sampled.is_simulated else Origin.MEASURED
         publish_measures(context, self.measures, self._evaluated, origin=origin, clock=self._clock)

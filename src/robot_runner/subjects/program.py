@@ -6,21 +6,21 @@ import shlex
 import time
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.storage.input_files import InputFile
 from robot_runner.measuring.own_scripts import script_inputs, scripts_in, unread_findings
 from robot_runner.subjects.subject import Subject
+from robot_runner.subjects.supervised_program import Ended
 from robot_runner.subjects.surroundings import holds_revision, is_known, word
-
-if TYPE_CHECKING:
-    from robot_runner.core.storage.input_files import InputFile
-    from robot_runner.subjects.supervised_program import Ended
 
 _LOOK = 0.02
 _CPU_TIME = (Measure("CPUTime", "s", "CPU time of the program and of the children that it awaited, by the kernel."),)
+#: What processes that it did not await may have used without a word, s: less than the kernel's tick tells.
+_ASTRAY = 0.01
 #: What may have happened before the mission, as a share of all that a program does, before that is doubted.
 _UNMEASURED = 0.01
 
@@ -146,3 +146,14 @@ class Program(Subject):
             context.publish("ExitCode", code, origin=Origin.MEASURED)
             if self.per == "mission":
                 context.publish("CPUTime", None if code is None or ended is None else ended.cpu, origin=Origin.MEASURED)
+                if ended is not None and ended.cpu is not None:
+                    self._doubt_what_went_astray(context, ended.cpu, ended.astray)
+
+    def _doubt_what_went_astray(self, context: RobotRunnerContext, used: float, astray: float) -> None:
+        if astray > max(_ASTRAY, _UNMEASURED * (used + astray)):
+            problem = (
+                f"processes that {self.name} started and did not await used {astray:.3g} s of CPU time, "
+                f"which CPUTime lacks"
+            )
+            fix = f"Measure all of them: PsUtil(host='localhost', processes=['subject:{self.name}'])."
+            context.doubt(problem, fix=fix, measures=["CPUTime"])

@@ -17,7 +17,7 @@ from typing import IO, Any
 
 from robot_runner.core.errors import PluginError, StorageError, did_you_mean
 from robot_runner.core.links.ssh_command import gist, remedy, ssh_command
-from robot_runner.core.storage.user_folders import user_folder
+from robot_runner.core.storage.layout import user_folder
 from robot_runner.core.words import listed, one_line
 from robot_runner.subjects.orphans import end_orphans, mark_of
 from robot_runner.subjects.remote_supervision import BOOTSTRAP, LEASE
@@ -100,6 +100,7 @@ class Ended:
         was_asked: whether we asked it to.
         was_killed: whether it took SIGKILL.
         cpu: the CPU time of the program and of the children that it awaited, s; None where nobody knows it.
+        astray: the CPU time until then of what else it had started, s.
     """
 
     code: int | None
@@ -107,6 +108,7 @@ class Ended:
     was_asked: bool = False
     was_killed: bool = False
     cpu: float | None = None
+    astray: float = 0.0
 
 
 class Start:
@@ -143,7 +145,8 @@ class Start:
         told = self._told("ended")
         if told:
             code = told["ended"]
-            return Ended(code, _how(code), bool(told["asked"]), bool(told["killed"]), told.get("cpu"))
+            used = (told.get("cpu"), told.get("astray", 0.0))
+            return Ended(code, _how(code), bool(told["asked"]), bool(told["killed"]), *used)
         lost = self._told("lost")
         if lost:
             return Ended(None, f"the connection is lost: {gist(str(lost['lost']))}")

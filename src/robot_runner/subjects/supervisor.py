@@ -87,6 +87,16 @@ def tell(pid: int, number: int) -> bool:
     return True
 
 
+def used_by(pid: int) -> float:
+    """Return the CPU time of a process and of the children that it has awaited, s; 0 where it cannot be read."""
+    try:
+        with open(f"/proc/{pid}/stat", "rb") as file:
+            times = file.read().rpartition(b")")[2].split()[11:15]
+    except OSError:
+        return 0.0
+    return sum(map(int, times)) / os.sysconf("SC_CLK_TCK")
+
+
 class Supervisor:
     """Starts the program of a task, and is there until all of it has ended."""
 
@@ -95,6 +105,7 @@ class Supervisor:
         self.waiting = bytearray()
         self.code = None  # type: int | None
         self.cpu = None  # type: float | None
+        self.astray = 0.0  # what orphans used that we reaped, s
         self.pipes = {}  # type: dict[int, str]
         self.wakes, wake = os.pipe()
         for end in (self.wakes, wake):
@@ -123,7 +134,8 @@ class Supervisor:
             self.look(1.0)
         asked = self.code is None
         killed = asked and not self.end_program()
-        self.say(ended=self.code, asked=asked, killed=killed, cpu=self.cpu, at=time.time())
+        astray = self.astray + sum(map(used_by, descendants(os.getpid())))
+        self.say(ended=self.code, asked=asked, killed=killed, cpu=self.cpu, astray=astray, at=time.time())
         left = self.end_rest()
         self.wait(lambda: not self.pipes, 1.0)  # the last of the output
         self.clean_up()
@@ -202,6 +214,8 @@ class Supervisor:
                 if pid == self.pid:
                     self.cpu = used.ru_utime + used.ru_stime
                     self.code = -os.WTERMSIG(status) if os.WIFSIGNALED(status) else os.WEXITSTATUS(status)
+                else:
+                    self.astray += used.ru_utime + used.ru_stime
         except ChildProcessError:
             return
 

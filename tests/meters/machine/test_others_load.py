@@ -65,6 +65,14 @@ def test_a_whole_family_that_ended_counts_for_who_reaped_it_and_only_from_the_fi
     assert shares(found) == {7: 25.0}
 
 
+def test_an_orphan_that_another_one_reaped_counts_no_more_than_the_processor_was_busy() -> None:
+    # As above, but make ended first: the first process reaped the compiler, and its counter takes 20 s of before.
+    before = state(0.0, 100.0, process(1, 3.0, children=5.0), process(8, 0.5, parent=7), process(9, 20.0, parent=8))
+    found = load(before, state(10.0, 102.5, process(1, 3.0, children=27.0), process(7, 0.5, started="2")))
+    assert shares(found) == {1: 20.0, 7: 5.0}
+    assert found.unseen == pytest.approx(0.0)
+
+
 def test_a_pid_that_went_to_another_process_begins_anew() -> None:
     found = load(state(0.0, None, process(7, 500.0)), state(10.0, None, process(7, 2.0, started="2")))
     assert shares(found) == {7: 20.0}

@@ -38,6 +38,7 @@ import time
 TICK = os.sysconf("SC_CLK_TCK")
 PAGE = os.sysconf("SC_PAGE_SIZE")
 CORES = os.sysconf("SC_NPROCESSORS_ONLN")
+OPTIONS_WITH_VALUE = ("-X", "-W")  # of Python
 INTERPRETERS = ("python", "perl", "ruby", "node", "sh", "bash", "dash")
 RESCAN = 1.0  # seconds between two looks for new processes
 YOUNG = 5  # looks during which a process may still turn into another program
@@ -166,15 +167,31 @@ class Processes:
     def places(self, pid: str) -> "list[int]":
         """Return which selectors a process matches."""
         words = first_bytes(f"/proc/{pid}/cmdline").decode("utf-8", "replace").split("\0")
-        program = os.path.basename(words[0])
-        names = {program, first_bytes(f"/proc/{pid}/comm").decode("utf-8", "replace").strip()}
-        if len(words) > 1 and program.startswith(INTERPRETERS):
-            names.add(os.path.basename(words[1]))
+        names = names_of(words, first_bytes(f"/proc/{pid}/comm").decode("utf-8", "replace").strip())
         found = [place for place, one in enumerate(self.selectors) if is_match(one[0], one[1], pid, names, words)]
         stat = first_bytes(f"/proc/{pid}/stat").rpartition(b")")[2].split()
         parents = self.matched.get(stat[1].decode(), []) if stat else []
         # A process that a subject has started belongs to it, also where sudo removed the mark.
         return found + [at for at in parents if self.selectors[at][0] == "subject" and at not in found]
+
+
+def names_of(words: "list[str]", known: str) -> "set[str]":
+    """Return the names that a process goes by: the kernel's, its program's, and that of the script or module."""
+    program = os.path.basename(words[0]) if words else ""
+    names = {known, program}
+    left = iter(words[1:] if program.startswith(INTERPRETERS) else ())
+    for word in left:
+        if word == "-m":
+            names.add(next(left, ""))
+            break
+        if word.startswith("-") and not word.startswith("--") and word.endswith("c"):
+            break  # the program stands on the command line
+        if not word.startswith("-"):
+            names.add(os.path.basename(word))
+            break
+        if word in OPTIONS_WITH_VALUE:
+            next(left, "")
+    return names
 
 
 def is_match(kind: str, value: str, pid: str, names: "set[str]", words: "list[str]") -> bool:

@@ -126,15 +126,27 @@ def _is_own_loop(words: Sequence[str]) -> bool:
 
 
 def _spent(before: MachineState, after: MachineState) -> dict[int, float]:
-    """Return the CPU time of each process that is there, s: its own, and that of children which ended meanwhile."""
+    """Return the CPU time of each process that is there, s: its own, and that of children which ended meanwhile.
+
+    Who adopted an orphan has in its counter what that had used before the first look. So children count for no more
+    than the processor was busy.
+    """
     ended = {each.pid: (each.parent, each.own + each.children) for each in _ended(before, after)}
     earlier = counted_before(ended)
     spent: dict[int, float] = {}
+    by_children: dict[int, float] = {}
     for process in after.processes.values():
         old = before.processes.get(process.pid)
         own, children = (old.own, old.children) if old and old.started == process.started else (0.0, 0.0)
-        by_children = process.children - children - earlier.get(process.pid, 0.0)
-        spent[process.pid] = max(0.0, process.own - own) + max(0.0, by_children)
+        spent[process.pid] = max(0.0, process.own - own)
+        by_children[process.pid] = max(0.0, process.children - children - earlier.get(process.pid, 0.0))
+    excess = 0.0
+    if before.busy is not None and after.busy is not None:
+        excess = sum(spent.values()) + sum(by_children.values()) - (after.busy - before.busy)
+    for pid in sorted(by_children, key=by_children.__getitem__, reverse=True):
+        counted = min(by_children[pid], max(0.0, by_children[pid] - excess))
+        excess -= by_children[pid] - counted
+        spent[pid] += counted
     return spent
 
 

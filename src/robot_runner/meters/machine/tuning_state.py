@@ -12,8 +12,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from robot_runner.core.errors import PluginError
+from robot_runner.core.storage.layout import user_folder
 from robot_runner.core.storage.safe_write import write_beside_and_rename
-from robot_runner.core.storage.user_folders import user_folder
 
 
 def state_file() -> Path:

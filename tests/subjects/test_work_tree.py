@@ -10,9 +10,8 @@ import pytest
 
 from robot_runner.core.config.treatment_makers import Workshop
 from robot_runner.core.storage.git_repository import git
-from robot_runner.subjects import kept_repository
-from robot_runner.subjects.kept_repository import is_kept, kept_name
-from robot_runner.subjects.work_tree import WorkTree
+from robot_runner.subjects import work_tree
+from robot_runner.subjects.work_tree import WorkTree, is_kept, kept_name
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -52,7 +51,7 @@ def test_what_is_too_large_or_lies_in_other_repositories_or_cannot_be_had_is_not
     repository.git("commit", "--quiet", "-m", "with a submodule")
     clones = {"submodule": {repository.commit_of("main"): repository.folder}, "gone": {first: tmp_path / "gone"}}
     assert not any(is_kept(tmp_path / name, each) for name, each in clones.items())
-    monkeypatch.setattr(kept_repository, "_LARGEST", 10)
+    monkeypatch.setattr(work_tree, "_LARGEST", 10)
     assert not is_kept(tmp_path / "large", {first: repository.folder})
     assert not [path for path in tmp_path.iterdir() if path.name.lstrip(".").startswith(("submodule", "gone", "large"))]
 
