@@ -72,19 +72,19 @@ if TYPE_CHECKING:
     from robot_runner.core.events.condition import Condition as Condition
     from robot_runner.core.events.condition import Look as Look
     from robot_runner.core.events.context import ExperimentContext as ExperimentContext
+    from robot_runner.core.events.context import ExperimentEnd as ExperimentEnd
+    from robot_runner.core.events.context import NextRun as NextRun
     from robot_runner.core.events.context import RobotRunnerContext as RobotRunnerContext
-    from robot_runner.core.events.host_access import CommandResult as CommandResult
     from robot_runner.core.events.manager import EventSubscriptionController as EventSubscriptionController
     from robot_runner.core.events.manager import RobotRunnerEvents as RobotRunnerEvents
     from robot_runner.core.events.measure import Measure as Measure
     from robot_runner.core.events.measure import Origin as Origin
-    from robot_runner.core.events.outlook import ExperimentEnd as ExperimentEnd
-    from robot_runner.core.events.outlook import NextRun as NextRun
-    from robot_runner.core.inactive import INACTIVE as INACTIVE
+    from robot_runner.core.events.resources import CommandResult as CommandResult
     from robot_runner.core.links.declared_host import Host as Host
     from robot_runner.core.links.declared_host import Reboot as Reboot
     from robot_runner.core.links.robot_name import Robots as Robots
     from robot_runner.core.treatments import treatment as treatment
+    from robot_runner.core.words import INACTIVE as INACTIVE
     from robot_runner.notebook.from_python import ExperimentResults as ExperimentResults
     from robot_runner.notebook.from_python import run_experiment as run_experiment
 else:

@@ -12,8 +12,8 @@ import pytest
 
 from robot_runner import Factor, Range, RunTableModel
 from robot_runner.adaptive import Optimise, optimise
+from robot_runner.adaptive.explored import SearchedSpace
 from robot_runner.adaptive.optimise import _Search
-from robot_runner.adaptive.searched_space import SearchedSpace
 from robot_runner.core.design.asking import Decision, Told
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import DesignError

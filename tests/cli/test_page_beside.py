@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from robot_runner.cli.page_beside import page_beside
+from robot_runner.cli.executing import page_beside
 from robot_runner.core.errors import ExecutionError
 
 if TYPE_CHECKING:

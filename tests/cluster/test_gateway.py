@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("distributed")
 
-from robot_runner.cluster import gateway
+from robot_runner.cluster import cluster_members, gateway
 from robot_runner.cluster.cluster_members import Member
 from robot_runner.core.execution.run_records import RecordReader
 
@@ -119,7 +119,7 @@ def test_an_attempt_whose_worker_has_not_begun_it_is_over_as_soon_as_it_is_stopp
         await asyncio.sleep(0)
         assert not member.is_lost
 
-    monkeypatch.setattr(gateway, "answer_of", answer_of)
+    monkeypatch.setattr(cluster_members, "answer_of", answer_of)
     asyncio.run(stopped())
     over = {"token": "89ab", "because": "interrupted", "is_interrupted": True, "seconds": 0.0}
     assert told.replies() == [("over", over)]

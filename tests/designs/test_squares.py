@@ -11,7 +11,7 @@ from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import DesignError
 from robot_runner.designs import GraecoLatinSquare, LatinSquare
-from robot_runner.designs.latin_squares import has_orthogonal_pair, orthogonal_pair
+from robot_runner.designs.squares import has_orthogonal_pair, orthogonal_pair
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -23,7 +23,7 @@ from typing import IO, TYPE_CHECKING, Any, Self
 
 from robot_runner.core.links.connect import preload_robot
 from robot_runner.replication.distributions import installed_distributions
-from robot_runner.replication.imported_packages import owners_of
+from robot_runner.replication.environment import owners_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

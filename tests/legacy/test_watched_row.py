@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from robot_runner.core.design.watched_combination import WatchedCombination
-from robot_runner.legacy.stand_ins.watched_row import WatchedRow, unwatched
+from robot_runner.legacy.run_data import WatchedRow, unwatched
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -16,8 +16,8 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import Holder
 from robot_runner.page import followed_experiment, found_experiments, sampled_curves
 from robot_runner.page.followed_experiment import FollowedExperiment
+from robot_runner.page.followed_table import JournalTail
 from robot_runner.page.found_experiments import FoundExperiments, id_of
-from robot_runner.page.journal_tail import JournalTail
 from robot_runner.page.sampled_curves import RunCurves, ThinnedSamples
 
 if TYPE_CHECKING:

@@ -11,8 +11,7 @@ import pytest
 import yaml
 from jsonschema import Draft7Validator, FormatChecker
 
-from robot_runner.replication.about import About
-from robot_runner.replication.citation_files import citation_text, licence_text, missing_text, zenodo_text
+from robot_runner.replication.about import About, citation_text, licence_text, missing_text, zenodo_text
 
 ABOUT = About(
     'naps: "short" ones',

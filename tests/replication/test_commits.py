@@ -13,11 +13,11 @@ from tests.subjects.conftest import Repository, own_cache, repository
 from robot_runner.core.storage.git_repository import git
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.replication.cleaning import Searched, search
 from robot_runner.replication.opening import open_package, unpack
 from robot_runner.replication.packing import pack
 from robot_runner.replication.redaction import Redactor
 from robot_runner.replication.replicating import made_for
-from robot_runner.replication.searched_files import Searched, search
 
 __all__ = ["own_cache", "repository", "robot_runner"]
 

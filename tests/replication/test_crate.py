@@ -22,8 +22,8 @@ from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRol
 from robot_runner.replication.about import About
 from robot_runner.replication.crate import crate_text
 from robot_runner.replication.crate_actions import ExecutedRun
-from robot_runner.replication.crate_requirements import crate_faults
 from robot_runner.replication.packing import pack
+from robot_runner.replication.sealing import crate_faults
 
 CONTEXT = json.loads((Path(rocrate.__file__).parent / "data" / "ro-crate.jsonld").read_text(encoding="utf-8"))
 # The library brings the context of RO-Crate 1.3; that of 1.1 has these terms of workflows elsewhere.

@@ -25,7 +25,7 @@ from robot_runner.core.storage.input_files import (
 )
 from robot_runner.plugins.systems import PlayBag
 from robot_runner.replication.differences import missing_modules
-from robot_runner.replication.imported_packages import imported_names
+from robot_runner.replication.environment import imported_names
 from robot_runner.ros.graph_links import GRAPH_LINKS
 from robot_runner.ros.type_catalogue import TypeCatalogue
 

@@ -107,6 +107,7 @@ OTHERS: dict[str, str] = {
             "measuring/meter_process.py: _take",
             "meters/power_model/power_model.py: _keep",
         ),
+        "an archive in memory": ("analysis/report/rendering.py: _archive",),
         "part of Robot Runner": (
             "analysis/report/rendering.py: _asset",
             "cli/commands/__init__.py: _read",
@@ -119,7 +120,7 @@ OTHERS: dict[str, str] = {
             "replication/opening.py: _header_faults",
             "replication/plain_zip.py: add",
             "replication/plain_zip.py: written_beside",
-            "replication/searched_files.py: _members_of_tar",
+            "replication/cleaning.py: _members_of_tar",
         ),
     }.items()
     for place in places

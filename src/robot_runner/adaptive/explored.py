@@ -1,18 +1,23 @@
-"""What a search has seen: the combinations that were executed, with their values, and which of them are best."""
+"""What a search chooses from, none of it listed, and what it has seen: combinations with their values."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from itertools import chain, product
+from math import prod
+from random import Random
 from typing import Any
 
 from robot_runner.core.design.asking import Decision, Told
-from robot_runner.core.design.factor import Combination
+from robot_runner.core.design.design import IsAllowed
+from robot_runner.core.design.factor import Combination, Factor, factor_places
 from robot_runner.core.design.numeric_range import is_number
+from robot_runner.core.design.planned_runs import RunOrder, arranged
 from robot_runner.core.errors import Finding, did_you_mean
-from robot_runner.core.words import counted, enumerated, listed
+from robot_runner.core.words import INACTIVE, counted, enumerated, listed
 
 #: Squares of larger values are beyond all numbers.
 _LARGEST = 1e100
@@ -164,3 +169,145 @@ def count_findings(where: str, least: int = 0, **counts: object) -> Iterator[Fin
             yield Finding.error(where, f"{name} is {value!r}, of type {type(value).__name__}", "Give a whole number.")
         elif value < least:
             yield Finding.error(where, f"{name} is {value}", f"Give a whole number from {least}.")
+
+
+#: A combination as the place of each factor's treatment.
+Places = tuple[int, ...]
+
+#: How many combinations are drawn, at most, to find one that is allowed and new.
+_DRAWS = 2000
+#: A space of so many combinations is gone through, one by one, where drawing finds none.
+_FEW = 20_000
+
+
+class SearchedSpace:
+    """What a search chooses from.
+
+    Treatments that are numbers have places in ascending order, others as they are listed; a range has all its steps.
+
+    Args:
+        factors: what is varied.
+        is_allowed: whether the exclusions leave a combination.
+
+    Attributes:
+        levels: the treatments of each factor, by place.
+        are_numbers: whether those of each factor are numbers.
+
+    Example:
+        >>> from robot_runner.core.design.factor import Factor
+        >>> space = SearchedSpace([Factor("Speed", [0.2, 0.1])], lambda combination: True)
+        >>> space.combination((0,))["Speed"], space.places(space.combination((1,)))
+        (0.1, (1,))
+    """
+
+    def __init__(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> None:
+        self.are_numbers = [all(map(is_number, factor.treatments)) for factor in factors]
+        self.levels: list[list[Any]] = [
+            sorted(settings(factor)) if is_numeric else settings(factor)
+            for factor, is_numeric in zip(factors, self.are_numbers, strict=True)
+        ]
+        self._is_allowed = is_allowed
+        # Exclusions know the ends of a range and no step between them, so that its conditions are looked at here.
+        self._conditions = [
+            (factor.name, [(other, set(map(str, wanted))) for other, wanted in factor.when.items()])
+            for factor in factors
+            if factor.when
+        ]
+        self._names = factor_places(factor.name for factor in factors)
+        self._place_of = [{str(level): place for place, level in enumerate(levels)} for levels in self.levels]
+
+    @property
+    def size(self) -> int:
+        """How many combinations there are, those that are not allowed included."""
+        return prod(map(len, self.levels))
+
+    def combination(self, places: Places) -> Combination:
+        """Return the combination of treatments at these places."""
+        treatments = (levels[place] for levels, place in zip(self.levels, places, strict=True))
+        return Combination(self._names, tuple(treatments))
+
+    def places(self, combination: Combination) -> Places | None:
+        """Return the places of a combination's treatments; None where the config has them no longer."""
+        try:
+            return tuple(own[str(each)] for own, each in zip(self._place_of, combination.treatments, strict=True))
+        except KeyError:
+            return None
+
+    def is_allowed(self, places: Places) -> bool:
+        """Return whether the exclusions leave this combination, and each factor applies where it has a treatment."""
+        combination = self.combination(places)
+        for name, conditions in self._conditions:
+            holds = all(str(combination[other]) in wanted for other, wanted in conditions)
+            if holds is (combination[name] is INACTIVE):
+                return False
+        return self._is_allowed(combination)
+
+    def spread(self, count: int, seed: str) -> list[Places]:
+        """Return so many combinations, spread over the space, or fewer where it has no more that are allowed.
+
+        A Latin hypercube that reaches both ends of each factor: the best is often there.
+        """
+        if count < 2:  # noqa: PLR2004 - one combination has no ends
+            return self._filled([], count, seed)
+        seeds = [Random(f"{seed} {own}").getrandbits(32) for own in self._names]  # noqa: S311 - reproducible, not secret
+        orders = [arranged(count, None, RunOrder(shuffle=True, seed=each)) for each in seeds]
+        spread = [
+            tuple(
+                round(order[number] * (len(levels) - 1) / (count - 1))
+                for order, levels in zip(orders, self.levels, strict=True)
+            )
+            for number in range(count)
+        ]
+        return self._filled([each for each in dict.fromkeys(spread) if self.is_allowed(each)], count, seed)
+
+    def _filled(self, places: list[Places], count: int, seed: str) -> list[Places]:
+        while len(places) < count and (found := self.another(places, f"{seed} {len(places)}")) is not None:
+            places.append(found)
+        return places
+
+    def another(self, tried: Collection[Places], seed: str) -> Places | None:
+        """Return any combination that is allowed and not among these; None where none is found."""
+        draw = Random(seed).random  # noqa: S311 - reproducible, not secret
+        drawn = (tuple(int(draw() * len(levels)) for levels in self.levels) for _ in range(_DRAWS))
+        # The first factor changes first, as it always did: the same seed gives the same runs.
+        listed = (each[::-1] for each in product(*(range(len(levels)) for levels in reversed(self.levels))))
+        candidates = chain(drawn, listed) if self.size <= _FEW else drawn
+        return next((each for each in candidates if each not in tried and self.is_allowed(each)), None)
+
+
+def settings(factor: Factor) -> list[Any]:
+    """Return what a factor can be set to: its treatments, or of a range all of its steps."""
+    span = factor.range
+    if span is None:
+        return list(factor.treatments)
+    own = dict(zip(factor.texts, factor.treatments, strict=True))  # its own objects: exclusions go by these
+    steps = (span.at(number / span.step_count) for number in range(span.step_count + 1))
+    found = {str(each): own.get(str(each), each) for each in steps}
+    return [*found.values(), *(each for each in factor.treatments if each is INACTIVE)]
+
+
+def baseline_findings(where: str, factors: Sequence[Factor], baseline: Mapping[str, Any]) -> Iterator[Finding]:
+    """Say where a baseline is no combination of these factors."""
+    known = {factor.name: factor for factor in factors}
+    for name, treatment in baseline.items():
+        if name not in known:
+            yield Finding.error(where, f"the baseline names the factor {name!r}", did_you_mean(str(name), known))
+            continue
+        whole = known[name].with_treatments(settings(known[name]))
+        if whole.position_of(treatment) is None:
+            problem = f"the baseline has {treatment!r}, which is no treatment of {name}"
+            yield Finding.error(where, problem, whole.suggestion(treatment))
+    for factor in factors:
+        if factor.name not in baseline and len(factor.treatments) > 1:
+            problem = f"the baseline has no treatment of {factor.name}"
+            yield Finding.error(where, problem, f"Add it, such as {factor.name!r}: {factor.treatments[0]!r}.")
+
+
+def baseline_of(factors: Sequence[Factor], baseline: Mapping[str, Any]) -> Combination:
+    """Return the combination that a baseline names, which has no findings; factors of one treatment need no mention."""
+    treatments = []
+    for factor in factors:
+        whole = factor.with_treatments(settings(factor))
+        place = whole.position_of(baseline.get(factor.name, factor.treatments[0])) or 0
+        treatments.append(whole.treatments[place])
+    return Combination(factor_places(factor.name for factor in factors), tuple(treatments))

@@ -15,6 +15,10 @@ from typing import Any
 from robot_runner.adaptive.explored import (
     Direction,
     Explored,
+    Places,
+    SearchedSpace,
+    baseline_findings,
+    baseline_of,
     best_of,
     confirmation,
     count_findings,
@@ -26,7 +30,6 @@ from robot_runner.adaptive.explored import (
     shown,
     without_values,
 )
-from robot_runner.adaptive.searched_space import Places, SearchedSpace, baseline_findings, baseline_of
 from robot_runner.core.design.asking import Decision, Told
 from robot_runner.core.design.design import ChosenCombinations, IsAllowed
 from robot_runner.core.design.factor import Combination, Factor

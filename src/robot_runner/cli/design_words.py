@@ -14,8 +14,7 @@ from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.events.measure import MeasureColumns
-from robot_runner.core.inactive import INACTIVE
-from robot_runner.core.words import counted, enumerated, listed, plain, shown_treatment
+from robot_runner.core.words import INACTIVE, counted, enumerated, listed, plain, shown_treatment
 
 # The columns that tell runs apart: id, treatments, repetition.
 

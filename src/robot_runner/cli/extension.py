@@ -38,12 +38,7 @@ from robot_runner.core.execution.begun_experiment import shown_config, unplanned
 from robot_runner.core.execution.circumstances import keep_config_files, kept_manifest, restored_manifest
 from robot_runner.core.execution.given_values import accept_given
 from robot_runner.core.execution.recovered_table import RecoveredTable
-from robot_runner.core.execution.recovery import (
-    ACCEPT,
-    Resumption,
-    TableDisagreementError,
-    config_changes,
-)
+from robot_runner.core.execution.recovery import ACCEPT, Resumption, TableDisagreementError, config_changes
 from robot_runner.core.execution.table_recovery import digest_of, recover_table
 from robot_runner.core.storage.journal import Journal, read_journal, utc_now
 from robot_runner.core.storage.lock import ExperimentLock

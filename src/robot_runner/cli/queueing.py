@@ -16,13 +16,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import FrameType
 
 from robot_runner.cli.commands import run
 from robot_runner.cli.console import command_line
 from robot_runner.cli.findings import show_findings
 from robot_runner.cli.guard import INTERRUPTED, REFUSED, SOME_FAILED, guarded
 from robot_runner.cli.parser import parser_of
+from robot_runner.cli.queued_experiments import ExperimentQueue, QueuedExperiment
 from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, StorageError
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.interruption import stop_signals_handled
@@ -30,11 +31,6 @@ from robot_runner.core.storage.claim_locks import claim_holders
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of
-
-if TYPE_CHECKING:
-    from types import FrameType
-
-    from robot_runner.cli.queued_experiments import ExperimentQueue, QueuedExperiment
 
 #: Variables that say which robot a config means; an experiment has them as they were when it was added.
 NAMES_A_ROBOT = ("ROS_DOMAIN_ID", "ROS_MASTER_URI", "ROS_NAMESPACE")

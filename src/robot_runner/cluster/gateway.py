@@ -31,18 +31,9 @@ from typing import Any
 
 from distributed import Client, Future
 
-from robot_runner.cluster import on_worker
+from robot_runner.cluster import cluster_members, on_worker
 from robot_runner.cluster.cluster_checks import cluster_settings
-from robot_runner.cluster.cluster_members import (
-    ANSWER,
-    Member,
-    UnansweredError,
-    answer_of,
-    joined,
-    refusal_of,
-    why_unanswered,
-)
-from robot_runner.cluster.gateway_replies import Replies
+from robot_runner.cluster.piped_process import Replies
 from robot_runner.cluster.raw_data_transfer import TransferError, bring_home
 from robot_runner.core.errors import StorageError
 from robot_runner.core.execution.run_records import RecordReader
@@ -65,7 +56,7 @@ class _Attempt:
     """One attempt at a run, on its way."""
 
     order: dict[str, Any]
-    member: Member
+    member: cluster_members.Member
     future: Future | None = None
     received: int = 0
     is_over: bool = False
@@ -94,7 +85,7 @@ class Gateway:
         self._requests = RecordReader(requests)
         self._descriptor = requests
         self._replies = Replies(replies)
-        self._members: dict[str, Member] = {}
+        self._members: dict[str, cluster_members.Member] = {}
         self._attempts: dict[str, _Attempt] = {}
         self._transfers = asyncio.Semaphore(_TRANSFERS)
         self._is_ending = asyncio.Event()
@@ -135,7 +126,7 @@ class Gateway:
         except (OSError, TimeoutError) as error:
             silent = f"it has not answered for {self._facts['lease']:g} s"
             because = f"the scheduler cannot be reached: {str(error) or silent}"
-        except UnansweredError as error:
+        except cluster_members.UnansweredError as error:
             because = f"the scheduler cannot pass runs on to the workers: {error}"
             fix = "Install Robot Runner there as it is here (with the extra `cluster`), and start the scheduler again."
         finally:
@@ -169,7 +160,7 @@ class Gateway:
             async with asyncio.timeout(4 * self._facts["lease"]):  # it may have to import all of it
                 await client.run_on_scheduler(on_worker.be_there)
         except (ImportError, AttributeError) as error:
-            raise UnansweredError(f"{type(error).__name__}: {error}") from error
+            raise cluster_members.UnansweredError(f"{type(error).__name__}: {error}") from error
 
     async def _look_for_workers(self, client: Client) -> None:
         async with asyncio.timeout(self._facts["lease"]):
@@ -179,30 +170,30 @@ class Gateway:
             self._lose(self._members[address], f"worker {self._members[address].name} is gone")
         for address, facts in workers.items():
             if address not in self._members:
-                member = self._members[address] = Member(
+                member = self._members[address] = cluster_members.Member(
                     address, str(facts["name"]), facts["nthreads"], facts["resources"]
                 )
                 self._go_on(self._keep(client, member))
 
-    async def _keep(self, client: Client, member: Member) -> None:
+    async def _keep(self, client: Client, member: cluster_members.Member) -> None:
         """Have a worker join, and renew its lease as long as it answers."""
         self._replies.tell("joining", {"address": member.address})
         try:
-            findings = await joined(client, member, self._facts)
+            findings = await cluster_members.joined(client, member, self._facts)
             if findings:
                 self._replies.tell("refused", {"address": member.address, "findings": findings})
                 return
             self._replies.tell("joined", member.facts())
             while not (member.is_lost or self._is_ending.is_set()):
                 member.renewed = time.monotonic()
-                await answer_of(client, member, self._facts["lease"], on_worker.renew, self._session)
+                await cluster_members.answer_of(client, member, self._facts["lease"], on_worker.renew, self._session)
                 await asyncio.sleep(self._facts["lease"] / 4)
-        except ANSWER as error:
+        except cluster_members.ANSWER as error:
             lease = self._facts["lease"]
             if not member.has_joined:
-                findings = [] if member.is_lost else refusal_of(member, lease, error)
+                findings = [] if member.is_lost else cluster_members.refusal_of(member, lease, error)
                 self._replies.tell("refused", {"address": member.address, "findings": findings})
-            self._lose(member, why_unanswered(member, lease, error))
+            self._lose(member, cluster_members.why_unanswered(member, lease, error))
 
     def _take_requests(self) -> None:
         requests, is_open = self._requests.read()
@@ -258,8 +249,10 @@ class Gateway:
             attempt.killed.set()
         client, member, lease, asked = self._client, attempt.member, self._facts["lease"], {"kind": kind, **request}
         if client is not None and not member.is_lost:
-            with contextlib.suppress(*ANSWER):
-                is_begun = await answer_of(client, member, lease, on_worker.stop, self._session, attempt.token, asked)
+            with contextlib.suppress(*cluster_members.ANSWER):
+                is_begun = await cluster_members.answer_of(
+                    client, member, lease, on_worker.stop, self._session, attempt.token, asked
+                )
                 if not is_begun and not attempt.is_ending:
                     self._tell_unbegun(attempt, request)
 
@@ -302,7 +295,7 @@ class Gateway:
                 await self._brought_home(attempt, ended)
             except StorageError as error:
                 over["because"] = f"what it has left could not be brought home: {error}"
-            except (TransferError, *ANSWER) as error:
+            except (TransferError, *cluster_members.ANSWER) as error:
                 await self._tell_lost(attempt, f"what it has left could not be brought home: {error}")
                 return
         self._tell_over(attempt, over)
@@ -314,7 +307,7 @@ class Gateway:
             if client is None:
                 raise OSError("the scheduler is out of reach")
             ask = on_worker.read_piece
-            piece, digest = await answer_of(
+            piece, digest = await cluster_members.answer_of(
                 client, attempt.member, lease, ask, session, attempt.token, name, offset, size
             )
             return piece, digest
@@ -323,14 +316,14 @@ class Gateway:
         async with self._transfers:
             await bring_home(read, ended, Path(self._facts["runs"]) / attempt.order["run"], root)
         if client is not None:
-            await answer_of(client, attempt.member, lease, on_worker.discard, session, attempt.token)
+            await cluster_members.answer_of(client, attempt.member, lease, on_worker.discard, session, attempt.token)
 
     def _lose_all(self, because: str) -> None:
         self._done.clear()  # with the scheduler that knew them
         for member in list(self._members.values()):
             self._lose(member, because)
 
-    def _lose(self, member: Member, because: str) -> None:
+    def _lose(self, member: cluster_members.Member, because: str) -> None:
         """Take a worker for lost; its attempts are over once its lease has ended and its runs are closed."""
         if self._members.get(member.address) is member:
             del self._members[member.address]
@@ -370,7 +363,7 @@ class Gateway:
         if client is None:
             return
         here = [each for each in self._members.values() if each.id and not each.is_lost]  # or are about to join
-        answers = (answer_of(client, each, _GOODBYE, on_worker.leave, self._session) for each in here)
+        answers = (cluster_members.answer_of(client, each, _GOODBYE, on_worker.leave, self._session) for each in here)
         await asyncio.gather(*answers, return_exceptions=True)
 
     def _go_on(self, steps: Any) -> None:

@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.cluster.host_process import HostProcess, Outgoing
+from robot_runner.cluster.piped_process import HostProcess, Outgoing
 from robot_runner.cluster.run_host import INPUTS, OUTBOX
 from robot_runner.cluster.worker_versions import described_versions
 

@@ -10,18 +10,15 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.conditions.bounds import Bound, Quantity, Reading
 from robot_runner.conditions.computers import ComputerName
 from robot_runner.core.errors import ConditionError, Finding
+from robot_runner.core.events.condition import Condition
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.declared_host import LOCAL
+from robot_runner.measuring.local_host import LocalHost
 from robot_runner.measuring.ssh_host import SshHost
-
-if TYPE_CHECKING:
-    from robot_runner.core.events.condition import Condition
-    from robot_runner.measuring.local_host import LocalHost
 
 _PERCENT = 100.0
 #: Linux tells temperatures in thousandths of a degree.

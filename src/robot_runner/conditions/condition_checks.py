@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from robot_runner.conditions.bounds import Bound, Measured
 from robot_runner.conditions.combining import leaves
 from robot_runner.conditions.person import Confirmed
+from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.errors import Finding
+from robot_runner.core.events.condition import Condition
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.plugin import Plugin, Profiler, System
 from robot_runner.core.words import listed
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.parameters import Parameters
-    from robot_runner.core.events.condition import Condition
 
 
 def check_conditions(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> Iterator[Finding]:

@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from itertools import count
-from typing import TYPE_CHECKING
 
 from robot_runner.core.config.gate_parameters import Guard, GuardAction
+from robot_runner.core.config.parameters import Parameters
+from robot_runner.core.events.condition import LookAgain
 from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.plugin import Plugin, Profiler
 from robot_runner.measuring.periodic import PeriodicSampler
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.parameters import Parameters
-    from robot_runner.core.events.condition import LookAgain
 
 _FIX = "Repeat the run once the cause is gone, or leave its values out."
 

@@ -18,8 +18,7 @@ from robot_runner.core.errors import ConditionError, Finding, LinkError
 from robot_runner.core.events.condition import Condition, Look, LookAgain
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.connect import connect_robot, is_simulated
-from robot_runner.core.links.graph_names import full_name
-from robot_runner.core.links.message_fields import field_of
+from robot_runner.core.links.graph_names import field_of, full_name
 from robot_runner.core.links.robot import Message
 from robot_runner.core.words import one_line
 

@@ -13,7 +13,7 @@ from robot_runner.core.entry_points import EntryPoint, entry_points, named_entry
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin
-from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.core.links.graph_names import GraphNeed
 from robot_runner.core.storage.input_files import InputFile
 from robot_runner.core.treatments import Bindable
 

@@ -9,9 +9,9 @@ from functools import lru_cache
 from typing import Any, NoReturn, Self
 
 from robot_runner.core.errors import PluginError, did_you_mean
-from robot_runner.core.inactive import INACTIVE
 from robot_runner.core.late_annotations import signature_of
 from robot_runner.core.vain_parameters import check_set, parameters_of
+from robot_runner.core.words import INACTIVE
 
 _BINDING = "_robot_runner_binding"
 _WAITING = "_robot_runner_is_waiting"

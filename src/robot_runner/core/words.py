@@ -1,4 +1,4 @@
-"""Numbers, times and values in words."""
+"""Numbers, times and values in words, and the word for a treatment that does not apply."""
 
 from __future__ import annotations
 
@@ -190,3 +190,28 @@ def plain(value: object) -> bool | int | float | str | None:
     if isinstance(value, float) and math.isfinite(value):
         return value
     return str(value)
+
+
+class Inactive:
+    """The treatment of a factor that does not apply to a run: `Factor("Resolution", [...], when={"Sensor": "camera"})`.
+
+    There is one, `INACTIVE`. In the run table it is written `inactive`: a word, as an empty cell is a missing value,
+    and readers take `None` and `NA` for one. A parameter that is bound to the factor keeps its default in such a run.
+
+    Example:
+        >>> str(INACTIVE)
+        'inactive'
+    """
+
+    __slots__ = ()
+
+    def __reduce__(self) -> str:
+        return "INACTIVE"  # the one that there is, in other processes, too: combinations are compared by identity
+
+    def __str__(self) -> str:
+        return "inactive"
+
+    __repr__ = __str__
+
+
+INACTIVE = Inactive()

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 from robot_runner.core.design.design import IsAllowed
 from robot_runner.core.design.factor import Combination, Factor, factor_places, full_size
 from robot_runner.core.errors import Finding
-from robot_runner.core.inactive import INACTIVE
+from robot_runner.core.words import INACTIVE
 from robot_runner.designs.factor_roles import factor_name
 
 

@@ -11,8 +11,7 @@ from robot_runner.core.design.design import ChosenCombinations, IsAllowed
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import Finding, did_you_mean
-from robot_runner.core.inactive import INACTIVE
-from robot_runner.core.words import listed
+from robot_runner.core.words import INACTIVE, listed
 from robot_runner.designs.choosing import active_treatments, distinct, left_out_warning, with_conditions, with_values
 
 

@@ -11,17 +11,8 @@ from robot_runner.core.design.design import ChosenCombinations, IsAllowed
 from robot_runner.core.design.design_findings import MAX_RUNS
 from robot_runner.core.design.factor import Factor, full_factorial, full_size
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
-from robot_runner.core.inactive import INACTIVE
-from robot_runner.designs.choosing import (
-    Described,
-    active_treatments,
-    curve_findings,
-    library_findings,
-    more_than_all,
-    number_findings,
-    with_conditions,
-    with_values,
-)
+from robot_runner.core.words import INACTIVE
+from robot_runner.designs import choosing
 
 if TYPE_CHECKING:
     import numpy as np
@@ -41,7 +32,7 @@ _GAIN = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class DOptimal(Described):
+class DOptimal(choosing.Described):
     """So many of the allowed combinations that the effects of a model are estimated most precisely.
 
     It maximises the determinant of the information matrix by exchanges (Fedorov, 1972), from several beginnings. Only
@@ -68,9 +59,9 @@ class DOptimal(Described):
     def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
         """Say why it cannot be."""
         del repetitions
-        yield from library_findings("numpy")
-        yield from number_findings("seed", self.seed, 0)
-        wrong = list(number_findings("runs", self.runs, 1, MAX_RUNS))
+        yield from choosing.library_findings("numpy")
+        yield from choosing.number_findings("seed", self.seed, 0)
+        wrong = list(choosing.number_findings("runs", self.runs, 1, MAX_RUNS))
         yield from wrong
         if self.model not in _MODELS:
             yield Finding.error("design", f"there is no model {self.model!r}", did_you_mean(str(self.model), _MODELS))
@@ -80,9 +71,9 @@ class DOptimal(Described):
                 problem = f"runs={self.runs}, and the model {self.model!r} has {needed} parameters"
                 yield Finding.error("design", problem, f"Give {needed} runs or more, or a smaller model.")
             else:
-                yield from more_than_all(factors, self.runs)
+                yield from choosing.more_than_all(factors, self.runs)
             for factor in factors if self.model == "quadratic" else ():
-                yield from curve_findings(factor)
+                yield from choosing.curve_findings(factor)
 
     def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
         """Return the combinations whose information has the largest determinant that is found."""
@@ -90,7 +81,7 @@ class DOptimal(Described):
 
         random = np.random.default_rng(self.seed)
         offered = list(_candidates(factors, self.model, random))
-        used, candidates = with_values(factors, offered, is_allowed)
+        used, candidates = choosing.with_values(factors, offered, is_allowed)
         if len(offered) < self.runs:
             problem = f"runs={self.runs}, and there are {len(offered)} combinations of the values that the model takes"
             raise DesignError(problem, where="design", fix=f"Give {len(offered)} runs or fewer.")
@@ -116,12 +107,12 @@ class DOptimal(Described):
             "candidates": len(candidates),
             "d_efficiency": round(efficiency, 4),
         }
-        final, _ = with_values(factors, [each.treatments for each in kept], lambda _: True)
+        final, _ = choosing.with_values(factors, [each.treatments for each in kept], lambda _: True)
         return ChosenCombinations(kept, facts, final)
 
 
 def _parameters(factors: Sequence[Factor], model: str) -> int:
-    widths = [1 if each.range is not None else len(active_treatments(each)) - 1 for each in factors]
+    widths = [1 if each.range is not None else len(choosing.active_treatments(each)) - 1 for each in factors]
     count = 1 + sum(widths)
     if model != "main":
         count += sum(widths[one] * widths[other] for one, other in _pairs(factors))
@@ -147,7 +138,7 @@ def _candidates(factors: Sequence[Factor], model: str, random: np.random.Generat
         drawn = {
             factor.name: each[int(random.integers(len(each)))] for factor, each in zip(factors, values, strict=True)
         }
-        row = with_conditions(factors, drawn)
+        row = choosing.with_conditions(factors, drawn)
         key = tuple(map(id, row))  # where conditions do not hold, several draws are one combination
         if key not in seen and len(seen) < _MOST_CANDIDATES:
             seen.add(key)
@@ -157,7 +148,7 @@ def _candidates(factors: Sequence[Factor], model: str, random: np.random.Generat
 def _levels(factor: Factor, model: str) -> tuple[Any, ...]:
     span = factor.range  # of a model that is planned again its treatments are those that were chosen
     if span is None:
-        return active_treatments(factor)
+        return choosing.active_treatments(factor)
     return (span.lower, *([span.at(0.5)] if model == "quadratic" else []), span.upper)
 
 
@@ -186,7 +177,7 @@ def _effects(factor: Factor, values: Sequence[Any]) -> Matrix:
     if factor.range is not None:
         span = factor.range
         return np.array([[0.0 if each is INACTIVE else 2 * span.share_of(each) - 1] for each in values])
-    treatments = active_treatments(factor)
+    treatments = choosing.active_treatments(factor)
     count = len(treatments)
     place_of = {id(each): place for place, each in enumerate(treatments)}
     contrasts = np.zeros((count + 1, max(count - 1, 0)))  # the last row is that of an inactive factor

@@ -8,7 +8,7 @@ import importlib.util
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.config.parameters import OperationType
 from robot_runner.core.config.source import read_tree
@@ -17,6 +17,7 @@ from robot_runner.legacy.earlier_experiment import check_callback
 from robot_runner.legacy.profilers.profiler_catalogue import EarlierPlugin, plugin_of
 from robot_runner.legacy.recognition import Dialect, Recognised, is_earlier_import
 from robot_runner.legacy.run_ids import Clone, clone_around
+from robot_runner.legacy.session import Session
 from robot_runner.legacy.stand_ins.events import CONTEXT_ATTRIBUTES, RobotRunnerEvents, RunnerEvents, own_event
 from robot_runner.legacy.stand_ins.modules import MODULES, PACKAGES, names_in
 from robot_runner.legacy.syntax import (
@@ -28,10 +29,6 @@ from robot_runner.legacy.syntax import (
     nodes,
     used_names,
 )
-
-if TYPE_CHECKING:
-    from robot_runner.legacy.session import Session
-
 
 #: How alike two names are before one is taken for a slip of the other (1.0: equal).
 _ALIKE = 0.85

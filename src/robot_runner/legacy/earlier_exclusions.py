@@ -11,14 +11,12 @@ import ast
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 from robot_runner.core.design.factor import treatments_are_equal
 from robot_runner.core.errors import ConfigError, did_you_mean
+from robot_runner.legacy.session import Session
 from robot_runner.legacy.syntax import nodes
-
-if TYPE_CHECKING:
-    from robot_runner.legacy.session import Session
 
 _WHERE = "exclusions"
 _SHOWN = 3

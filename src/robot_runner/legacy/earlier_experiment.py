@@ -7,27 +7,23 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, TextIO
 
+from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import ConfigError
 from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
 from robot_runner.core.events.manager import RobotRunnerEvents, place_of
 from robot_runner.core.late_annotations import signature_of
+from robot_runner.core.plugin import Plugin
 from robot_runner.core.storage.layout import ExperimentFolder, LazyLog
 from robot_runner.legacy.recognition import Dialect
-from robot_runner.legacy.run_data import as_mapping, publish_row
+from robot_runner.legacy.run_data import WatchedRow, as_mapping, planned_of, publish_row, unwatched
 from robot_runner.legacy.run_tables import EarlierDesign, value_of
 from robot_runner.legacy.session import Session, active_session
 from robot_runner.legacy.stand_ins.events import EarlierContext
 from robot_runner.legacy.stand_ins.machinery import RunProgress
 from robot_runner.legacy.stand_ins.models import MISSING
-from robot_runner.legacy.stand_ins.watched_row import WatchedRow, planned_of, unwatched
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.run_table_model import RunTableModel
-    from robot_runner.core.plugin import Plugin
-    from robot_runner.legacy.stand_ins.modules import StandIns
-
+from robot_runner.legacy.stand_ins.modules import StandIns
 
 #: Events whose callbacks the earlier tools called without a context.
 WITHOUT_CONTEXT = frozenset(

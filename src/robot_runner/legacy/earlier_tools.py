@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from robot_runner.core.config.loader import LoadedConfig
 from robot_runner.legacy.recognition import recognise
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.loader import LoadedConfig
 
 
 class _EarlierTools:

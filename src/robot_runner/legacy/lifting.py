@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from secrets import randbits
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from robot_runner.core.config.loader import (
     LoadedConfig,
@@ -25,6 +25,7 @@ from robot_runner.core.config.local_modules import local_modules_among
 from robot_runner.core.config.parameters import PARAMETERS
 from robot_runner.core.config.source import ConfigSource
 from robot_runner.core.errors import ConfigError, Finding, StorageError, did_you_mean
+from robot_runner.core.plugin import Plugin
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.table_columns import EARLIER_SPELLING
@@ -37,15 +38,12 @@ from robot_runner.legacy.config_checks import (
     is_robot_operated,
 )
 from robot_runner.legacy.earlier_experiment import EarlierExperiment
-from robot_runner.legacy.profilers.self_measure import COLUMN, SelfMeasure
+from robot_runner.legacy.profilers.programs import COLUMN, SelfMeasure
+from robot_runner.legacy.recognition import Recognised
 from robot_runner.legacy.run_ids import clone_around
 from robot_runner.legacy.run_tables import EarlierDesign, design_of
 from robot_runner.legacy.session import Session, active_session
 from robot_runner.legacy.stand_ins.modules import StandIns
-
-if TYPE_CHECKING:
-    from robot_runner.core.plugin import Plugin
-    from robot_runner.legacy.recognition import Recognised
 
 
 @contextmanager

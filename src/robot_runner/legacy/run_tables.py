@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.design.columns import reserved_names
 from robot_runner.core.design.factor import Factor
@@ -14,12 +14,9 @@ from robot_runner.core.design.listed_runs import ListedRun, ListedRunTableModel
 from robot_runner.core.design.planned_runs import RunOrder
 from robot_runner.core.errors import ConfigError, did_you_mean
 from robot_runner.core.storage.table_columns import EARLIER_SPELLING, TableSpelling
+from robot_runner.legacy.session import Session
 from robot_runner.legacy.stand_ins.machinery import RunProgress
 from robot_runner.legacy.stand_ins.models import RunTableModel
-
-if TYPE_CHECKING:
-    from robot_runner.legacy.session import Session
-
 
 #: What headed the progress of a run.
 PROGRESS = ("__run_id", "__done")

@@ -7,16 +7,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import CodeType
+from typing import Any
 
 from robot_runner.core.errors import ConfigError, Finding, LinkError
 from robot_runner.core.events.context import RobotRunnerContext
-
-if TYPE_CHECKING:
-    from types import CodeType
-
-    from robot_runner.core.events.manager import RobotRunnerEvents
-    from robot_runner.legacy.recognition import Recognised
+from robot_runner.core.events.manager import RobotRunnerEvents
+from robot_runner.legacy.recognition import Recognised
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,16 +13,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.config import preparation
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import AnalysisError, ConfigError, ExecutionError, Finding, PluginError, RobotRunnerError
-from robot_runner.core.execution.notices import (
-    AttemptFinished,
-    AttemptStarted,
-    ExperimentFinished,
-    ExperimentStarted,
-    NextDecided,
-    Notice,
-    Observer,
-    SilentObserver,
-)
+from robot_runner.core.execution import notices
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.execution.task import AttemptStatus
@@ -98,7 +89,7 @@ def run_experiment(  # noqa: PLR0913 - one keyword for each thing that the comma
     accept_changes: bool = False,
     probe: bool = True,
     say: Callable[[str], object] | None = None,
-    observer: Observer | None = None,
+    observer: notices.Observer | None = None,
 ) -> ExperimentResults:
     """Execute an experiment, or resume it, and return its results; runs that failed are told in them.
 
@@ -159,7 +150,7 @@ def _carried_out(
     resumption: Resumption,
     asked: Mapping[str, Any],
     say: Callable[[str], object] | None,
-    observer: Observer | None,
+    observer: notices.Observer | None,
 ) -> ExperimentResults:
     if _is_free():
         return _results(_executed(config, texts, resumption, observer or _Teller(say)))
@@ -175,7 +166,7 @@ def _carried_out(
         request = {"config": path, "texts": texts, "asked": asked}
         return _results(execute_in_interpreter(f"{__name__}:requested", request, say))
 
-    def work(tell: Callable[[str], object]) -> ExperimentFinished:
+    def work(tell: Callable[[str], object]) -> notices.ExperimentFinished:
         return _executed(config, texts, resumption, _Teller(tell))
 
     return _results(execute_forked(work, say))
@@ -221,7 +212,7 @@ def _in_python(text: str) -> str:
     return _MOMENTARY.sub("the class", text)
 
 
-def requested(request: Mapping[str, Any], tell: Callable[[str], object]) -> ExperimentFinished:
+def requested(request: Mapping[str, Any], tell: Callable[[str], object]) -> notices.ExperimentFinished:
     """Execute what a program with threads asks a fresh interpreter for."""
     resumption = Resumption(**request["asked"])
     return _executed(request["config"], request["texts"], resumption, _Teller(tell))
@@ -232,7 +223,9 @@ def _is_free() -> bool:
     return threading.current_thread() is threading.main_thread() and threading.active_count() == 1
 
 
-def _executed(config: Any, texts: Mapping[str, str], resumption: Resumption, observer: Observer) -> ExperimentFinished:
+def _executed(
+    config: Any, texts: Mapping[str, str], resumption: Resumption, observer: notices.Observer
+) -> notices.ExperimentFinished:
     with ExitStack() as opened:
         if isinstance(config, str | Path):
             prepared = preparation.prepare(Path(config).expanduser(), texts)
@@ -244,7 +237,7 @@ def _executed(config: Any, texts: Mapping[str, str], resumption: Resumption, obs
         return execute_experiment(prepared.experiment, observer, findings=prepared.findings, resumption=resumption)
 
 
-def _results(finished: ExperimentFinished) -> ExperimentResults:
+def _results(finished: notices.ExperimentFinished) -> ExperimentResults:
     files = ExperimentFolder.found_at(finished.folder)
     rows = read_run_table(files.run_table, TableLayout.of_schema(read_schema(files.schema)))
     return ExperimentResults(
@@ -261,25 +254,25 @@ def _results(finished: ExperimentFinished) -> ExperimentResults:
     )
 
 
-class _Teller(SilentObserver):
+class _Teller(notices.SilentObserver):
     """Says in a line when a run starts, and when it ends."""
 
     def __init__(self, say: Callable[[str], object] | None) -> None:
         self._say = say
 
-    def notice(self, notice: Notice) -> None:
+    def notice(self, notice: notices.Notice) -> None:
         """Say what is worth a line."""
         if self._say is None:
             return
         match notice:
-            case ExperimentStarted():
+            case notices.ExperimentStarted():
                 self._say(f"{notice.experiment_name}: {notice.run_count} runs, {notice.done_count} of them done before")
-            case NextDecided():
+            case notices.NextDecided():
                 self._say(notice.told)
-            case AttemptStarted(task):
+            case notices.AttemptStarted(task):
                 treatments = ", ".join(f"{name}={value}" for name, value in task.combination.items())
                 self._say(f"run {task.run_number} of {task.run_count} ({task.run_id}) starts: {treatments}")
-            case AttemptFinished(task, outcome):
+            case notices.AttemptFinished(task, outcome):
                 how = (
                     "is done" if outcome.status is AttemptStatus.DONE else f"{outcome.status.value}: {outcome.failure}"
                 )

@@ -20,9 +20,7 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of, is_requested
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.words import harmless
-from robot_runner.page.followed_table import FollowedTable
-from robot_runner.page.journal_tail import JournalTail
-from robot_runner.page.means_so_far import MeansSoFar
+from robot_runner.page.followed_table import FollowedTable, JournalTail, MeansSoFar
 from robot_runner.page.sampled_curves import RunCurves
 
 _log = logging.getLogger(__name__)

@@ -1,18 +1,113 @@
-"""The run table as a page shows it: its rows as they are on disk, and what the journal told since."""
+"""The journal read on as it grows, and the run table as a page shows it: on disk, told since, and its means so far."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
+from robot_runner.core.design.outliers import Doubtful
+from robot_runner.core.design.repeated_intervals import CONFIDENCE, half_width_of
 from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
+from robot_runner.core.storage.guarded_files import LINE_LIMIT, MissingFileError, open_to_read
 from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.manifest import read_manifest
+from robot_runner.core.storage.record_shapes import RECORDS, Record
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows
+from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import shown_treatment
+
+#: How much is read at once: some 4,000 records, which take 50 ms.
+_AT_ONCE = 1_000_000
+#: In the place of a file that was removed: the next one is another, though the system may give it the same number.
+_GONE = (-1, -1)
+
+
+class JournalTail:
+    """Reads what was appended since it was read last.
+
+    A journal that is another file than before, or shorter, is read from its beginning. A line that is no record is
+    counted and passed over: who looks at an experiment sees what is left of it; `robot-runner status` refuses it.
+
+    Args:
+        path: the journal; one that does not exist yet has no records.
+
+    Attributes:
+        damaged: how many lines were passed over.
+        is_behind: whether there is more to read at once.
+        has_begun_anew: whether the last look began from the beginning, so that all that was known is void.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.damaged = 0
+        self.is_behind = False
+        self.has_begun_anew = False
+        self._path = path
+        self._file: tuple[int, int] | None = None
+        self._offset = 0
+        self._size = 0
+
+    def read(self) -> list[dict[str, Any]]:
+        """Return the records that came since, the oldest first; not all of them where `is_behind`.
+
+        Raises:
+            StorageError: the journal cannot be read.
+        """
+        self.has_begun_anew = False
+        try:
+            found = self._path.lstat()
+        except OSError:  # missing, or where nobody may look: opening says so
+            if self._file is not None:
+                self._file = _GONE
+            return []
+        if self._file == (found.st_dev, found.st_ino) and found.st_size == self._size and not self.is_behind:
+            return []
+        if self._file != (found.st_dev, found.st_ino) or found.st_size < self._offset:
+            self.has_begun_anew = self._file is not None
+            self._offset = self.damaged = 0
+        self._file, self._size = (found.st_dev, found.st_ino), found.st_size
+        return [record for line in self._lines() if (record := self._parsed(line)) is not None]
+
+    @property
+    def share(self) -> float:
+        """How much of the journal was read, 0 to 1."""
+        return self._offset / self._size if self._size else 0.0
+
+    def _lines(self) -> list[bytes]:
+        try:
+            with open_to_read(self._path) as file:
+                file.seek(self._offset)
+                block = file.read(_AT_ONCE)
+                if b"\n" not in block and len(block) == _AT_ONCE:
+                    block += file.readline(LINE_LIMIT)
+        except MissingFileError:
+            return []
+        except OSError as error:
+            raise storage_error(self._path, "read", error) from error
+        end = block.rfind(b"\n") + 1
+        if not end and len(block) > LINE_LIMIT:  # nothing that we wrote: go on behind it
+            end = len(block)
+        self._offset += end
+        self.is_behind = bool(end) and self._offset < self._size
+        return block[:end].splitlines()
+
+    def _parsed(self, line: bytes) -> dict[str, Any] | None:
+        record: dict[str, Any] | None
+        try:
+            record = parsed_json(line.decode())
+        except (ValueError, RecursionError):
+            record = None
+        kind = record.get("kind") if isinstance(record, dict) else None
+        if not isinstance(kind, str) or faults_of(record, RECORDS.get(kind, Record)):
+            self.damaged += 1
+            return None
+        return record
+
 
 #: How the page names what the run table has a sign for.
 _WORDS = {RunStatus.TODO: "to do", RunStatus.RUNNING: "running", RunStatus.DONE: "done", RunStatus.FAILED: "failed"}
@@ -149,3 +244,98 @@ def _shown(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value[:_LONGEST] if isinstance(value, str) else value
+
+
+#: More treatments than a reader compares; the repetitions of a long experiment are told by nobody.
+_MOST_TREATMENTS = 40
+#: More measures than a page has room for.
+_MOST_MEASURES = 24
+_COMBINATION = "Combination"
+
+
+class MeansSoFar:
+    """Means and intervals, computed anew only for treatments of which a run has changed.
+
+    The intervals are those that one look at the end would give. Who looks after each run and stops when it pleases
+    has less than 95 %, so the page says so.
+
+    Args:
+        table: whose runs are counted: those that are done, not left out, and no warm-up; of a doubtful value what the
+            plan of the analysis says.
+    """
+
+    def __init__(self, table: FollowedTable) -> None:
+        self._table = table
+        self._known: dict[tuple[int, ...], dict[tuple[str, ...], list[int]]] = {}
+        self._cells: dict[tuple[tuple[int, ...], tuple[str, ...]], list[list[Any]]] = {}
+        self._groupings: list[tuple[str, tuple[int, ...]]] = []
+        self._leaves_out_doubtful = False
+
+    def begin_anew(self, files: ExperimentFolder) -> None:
+        """Group the runs anew: the table was read again."""
+        self._cells.clear()
+        plan = read_manifest(files.manifest).get("analysis") if files.manifest.exists() else None
+        self._leaves_out_doubtful = isinstance(plan, dict) and plan.get("doubtful") == Doubtful.LEAVE_OUT.value
+        factors = [place for place, name in enumerate(self._table.factors) if name.casefold() != "repetition"]
+        groupings: list[tuple[str, tuple[int, ...]]] = [(self._table.factors[place], (place,)) for place in factors]
+        if len(factors) > 1:
+            groupings.append((_COMBINATION, tuple(factors)))
+        self._known = {places: {} for _, places in groupings}
+        for run in range(len(self._table)):
+            for places, groups in self._known.items():
+                groups.setdefault(self._key(run, places), []).append(run)
+        self._groupings = [each for each in groupings if 1 < len(self._known[each[1]]) <= _MOST_TREATMENTS]
+
+    def forget(self, places: Iterable[int]) -> None:
+        """Have the means of the treatments that these runs have be computed anew."""
+        for run in places:
+            for _, grouping in self._groupings:
+                self._cells.pop((grouping, self._key(run, grouping)), None)
+
+    def told(self, excluded: Collection[int]) -> list[dict[str, Any]]:
+        """Return the means as plain data, a mapping for each factor, and for all of them together.
+
+        A measure of which no run has a number is left out: what is yes or no, or text, has no mean.
+
+        Args:
+            excluded: the places of runs that are left out.
+        """
+        table = self._table
+        numeric = [place for place, name in enumerate(table.measures) if not name.endswith(".quality")]
+        numeric = numeric[:_MOST_MEASURES]
+        told = []
+        for name, grouping in self._groupings:
+            rows = []
+            for treatments, runs in self._known[grouping].items():
+                key = (grouping, treatments)
+                if key not in self._cells:
+                    self._cells[key] = [self._cell(runs, measure, excluded) for measure in numeric]
+                rows.append({"treatment": ", ".join(treatments), "cells": self._cells[key]})
+            there = [place for place in range(len(numeric)) if any(row["cells"][place][0] for row in rows)]
+            rows = [{**row, "cells": [row["cells"][place] for place in there]} for row in rows]
+            names = [table.measures[numeric[place]] for place in there]
+            measures = [{"name": each, "unit": table.units.get(each, "")} for each in names]
+            told.append({"factor": name, "measures": measures, "rows": rows, "confidence": CONFIDENCE})
+        return told
+
+    def _key(self, run: int, places: tuple[int, ...]) -> tuple[str, ...]:
+        treatments = self._table.treatments[run]
+        return tuple(treatments[place] for place in places)
+
+    def _cell(self, runs: list[int], measure: int, excluded: Collection[int]) -> list[Any]:
+        """Return how many values there are, their mean, and half the width of its interval."""
+        table, name = self._table, self._table.measures[measure]
+        values = [
+            value
+            for run in runs
+            if table.statuses[run] is RunStatus.DONE and run not in excluded and run not in table.warm_ups
+            if not (self._leaves_out_doubtful and name in table.doubtful.get(run, ()))
+            for value in (table.values[run][measure],)
+            if isinstance(value, int | float) and not isinstance(value, bool)
+        ]
+        try:
+            mean = math.fsum(values) / len(values)
+            width = half_width_of(values, CONFIDENCE) if len(values) > 1 else None
+        except (ArithmeticError, ValueError):  # no values, or of a size that no measure has
+            return [len(values), None, None]
+        return [len(values), *(each if each is not None and math.isfinite(each) else None for each in (mean, width))]

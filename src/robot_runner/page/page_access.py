@@ -14,8 +14,8 @@ from collections.abc import Iterable, Mapping
 from enum import IntEnum
 
 from robot_runner.core.storage.guarded_files import MissingFileError, read_text, remove, replace
+from robot_runner.core.storage.layout import user_folder
 from robot_runner.core.storage.system_refusals import storage_error
-from robot_runner.core.storage.user_folders import user_folder
 
 
 class Role(IntEnum):

@@ -21,9 +21,8 @@ from robot_runner.core.errors import ExecutionError, RobotRunnerError
 from robot_runner.core.storage.guarded_files import MissingFileError, read_bytes
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.page.event_stream import Channel, EventStream, Followers, as_json
-from robot_runner.page.found_experiments import FoundExperiments
+from robot_runner.page.found_experiments import FoundExperiments, metrics_text
 from robot_runner.page.page_access import Keys, RateLimit, Role, is_known_host, is_of_same_origin
-from robot_runner.page.page_metrics import metrics_text
 from robot_runner.page.person_actions import ACTIONS, RefusedAnswersError
 from robot_runner.page.robot_pictures import RobotPictures
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.config.operator_steps import read_answers
 from robot_runner.core.errors import ExecutionError, Finding
@@ -16,9 +16,7 @@ from robot_runner.core.execution.experiment_status import (
 )
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import forget_requests, leave_request
-
-if TYPE_CHECKING:
-    from robot_runner.page.followed_experiment import FollowedExperiment
+from robot_runner.page.followed_experiment import FollowedExperiment
 
 _LONGEST_ANSWER = 2_000
 

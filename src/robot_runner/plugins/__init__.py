@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from robot_runner.core.links.goals import ActionAborted as ActionAborted
     from robot_runner.core.links.goals import ActionCanceled as ActionCanceled
     from robot_runner.core.links.goals import GoalStatus as GoalStatus
-    from robot_runner.core.links.graph_needs import GraphNeed as GraphNeed
+    from robot_runner.core.links.graph_names import GraphNeed as GraphNeed
     from robot_runner.core.plugin import Circumstances as Circumstances
     from robot_runner.core.plugin import Plugin as Plugin
     from robot_runner.core.plugin import Profiler as Profiler

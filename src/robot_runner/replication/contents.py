@@ -17,7 +17,6 @@ from robot_runner.core.storage.input_files import read_index, shown_input
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.words import one_line
-from robot_runner.replication.redaction import forbidden_name
 
 #: Version of the package's format; readers refuse a newer one.
 FORMAT = 1
@@ -41,6 +40,13 @@ REGISTRATION = "registration.json"
 #: A licence's text that somebody put there is.
 GENERATED = frozenset(
     {CRATE, DESCRIPTION, SUMS, README, CONTAINERFILE, DATA_PACKAGE, ENVIRONMENT, REQUIREMENTS, CITATION, ZENODO, BADGES}
+)
+
+#: Files of these names hold secrets and nothing else.
+_FORBIDDEN = re.compile(
+    r"(?i)\.env(\..*)?|id_(rsa|dsa|ecdsa|ed25519)(_sk)?|known_hosts(\.old)?|authorized_keys"
+    r"|.*\.(pem|key|p12|pfx|kdbx|ppk|jks|keystore|keytab|ovpn)|ssh_host_.*_key(\.pub)?"
+    r"|\.(netrc|pypirc|npmrc|pgpass|htpasswd|git-credentials|my\.cnf|vault_pass.*)"
 )
 
 #: What the files of a package hold, in the order in which a reader meets them.
@@ -290,6 +296,6 @@ def _fault(name: str, status: os.stat_result) -> str | None:
         return "not a regular file"
     if name in GENERATED:
         return "the package has a file of its own there; rename it, and it is packed"
-    if forbidden_name(name.rpartition("/")[2]):
+    if _FORBIDDEN.fullmatch(name.rpartition("/")[2]):
         return "files of this name hold keys or passwords"
     return fault_of_name(name)

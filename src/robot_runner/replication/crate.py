@@ -11,13 +11,13 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, metadata
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import quote
 
 from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 from robot_runner.core.words import counted, shown_commit
-from robot_runner.replication.citation_files import NO_LICENCE
+from robot_runner.replication.about import NO_LICENCE, About
 from robot_runner.replication.contents import (
     CRATE,
     DESCRIBED,
@@ -30,10 +30,7 @@ from robot_runner.replication.contents import (
     media_type_of,
 )
 from robot_runner.replication.crate_actions import ExecutedRun, RunActions, action_outcome, iso_stamp
-
-if TYPE_CHECKING:
-    from robot_runner.replication.about import About
-    from robot_runner.replication.plain_zip import StoredFile
+from robot_runner.replication.plain_zip import StoredFile
 
 _PROCESS = ("https://w3id.org/ro/wfrun/process/0.5", "Process Run Crate", "0.5")
 _WORKFLOW = (

@@ -17,7 +17,7 @@ from robot_runner.core.errors import Finding
 from robot_runner.core.plugin import described_circumstances
 from robot_runner.core.storage.manifest import describe_host, describe_system, described_programs
 from robot_runner.replication.distributions import InstalledDistribution, distributions_in, installed_distributions
-from robot_runner.replication.imported_packages import imported_names, importers
+from robot_runner.replication.environment import imported_names, importers
 
 _GIBIBYTE = 1 << 30
 _SAME_MEMORY = 0.02  # what the kernel keeps for itself differs from boot to boot

@@ -14,16 +14,13 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, PackageError
 from robot_runner.core.storage.guarded_files import open_to_read, read_bytes
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.replication.contents import DESCRIPTION, DESKTOP_FILES, SUMS, fault_of_name
+from robot_runner.replication.plain_zip import Progress
 from robot_runner.replication.redaction import chunks_of
-
-if TYPE_CHECKING:
-    from robot_runner.replication.plain_zip import Progress
 
 #: The directory of some 100,000 files.
 _LARGEST_READ = 12 << 20

@@ -8,25 +8,24 @@ import zipfile
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import Finding, PackageError, StorageError
 from robot_runner.core.secret_names import forms_of, is_secret_name, secrets_of_environment
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.edited_cells import edited_findings
-from robot_runner.core.storage.executed_runs import ended_runs, unrecorded_findings
+from robot_runner.core.storage.executed_runs import edited_findings, ended_runs, unrecorded_findings
 from robot_runner.core.storage.guarded_files import open_to_read, read_text
-from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.layout import ExperimentFolder, home_folder
 from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.run_table_rows import RunTableRows
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.storage.table_columns import ColumnDescription, TableLayout
 from robot_runner.core.storage.table_schema import read_schema
-from robot_runner.core.storage.user_folders import home_folder
 from robot_runner.core.words import listed
-from robot_runner.replication.about import About
-from robot_runner.replication.citation_files import missing_text
+from robot_runner.replication.about import About, missing_text
+from robot_runner.replication.cleaning import Replaced
 from robot_runner.replication.code_secrets import secrets_in_code
 from robot_runner.replication.contents import DESCRIPTION, LICENCE, LeftOut, choose_contents
 from robot_runner.replication.crate import require_rocrate
@@ -36,10 +35,6 @@ from robot_runner.replication.plain_zip import Progress, written_beside
 from robot_runner.replication.redaction import Redactor
 from robot_runner.replication.run_by_run import statuses_that_count
 from robot_runner.replication.sealing import Packing, Sealing
-
-if TYPE_CHECKING:
-    from robot_runner.core.storage.run_table_rows import RunTableRows
-    from robot_runner.replication.cleaning import Replaced
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -21,18 +20,6 @@ from robot_runner.replication.named_secrets import (
     secrets_in_columns,
 )
 from robot_runner.replication.secret_kinds import HOME_PATH, Found, Kind, kinds, literal, reduced
-
-_FORBIDDEN = re.compile(
-    r"(?i)\.env(\..*)?|id_(rsa|dsa|ecdsa|ed25519)(_sk)?|known_hosts(\.old)?|authorized_keys"
-    r"|.*\.(pem|key|p12|pfx|kdbx|ppk|jks|keystore|keytab|ovpn)|ssh_host_.*_key(\.pub)?"
-    r"|\.(netrc|pypirc|npmrc|pgpass|htpasswd|git-credentials|my\.cnf|vault_pass.*)"
-)
-
-
-def forbidden_name(name: str) -> bool:
-    """Whether files of this name hold secrets and nothing else."""
-    return _FORBIDDEN.fullmatch(name) is not None
-
 
 _BLOCK = 1 << 20
 #: A file that is not longer is looked at as a whole.

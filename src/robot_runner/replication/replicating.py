@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from robot_runner.core.config.checks import runs_listed_in
 from robot_runner.core.config.experiment import Experiment, grown_model
@@ -33,10 +33,8 @@ from robot_runner.replication.contents import DESCRIPTION, SUMS
 from robot_runner.replication.differences import missing_modules
 from robot_runner.replication.distributions import canonical
 from robot_runner.replication.opening import open_package, unpack
+from robot_runner.replication.plain_zip import Progress
 from robot_runner.replication.verification import Environment, refuse_faults, verify_package
-
-if TYPE_CHECKING:
-    from robot_runner.replication.plain_zip import Progress
 
 _UNPACKED = "package"
 #: Beside it, what of it may be written into.

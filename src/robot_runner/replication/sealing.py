@@ -5,26 +5,29 @@ from __future__ import annotations
 import io
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
+from urllib.parse import unquote
 
-from robot_runner.core.errors import PackageError
+from robot_runner.core.config.authors import Author
+from robot_runner.core.errors import Finding, PackageError
 from robot_runner.core.storage.guarded_files import open_to_read
+from robot_runner.core.storage.run_table_rows import RunTableRows
 from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.table_columns import ColumnDescription
 from robot_runner.core.storage.table_schema import data_package, table_resource
 from robot_runner.replication import contents
-from robot_runner.replication.about import About, readme
+from robot_runner.replication.about import About, citation_text, licence_text, readme, zenodo_text
 from robot_runner.replication.badges import BadgeFacts, badges_text
-from robot_runner.replication.citation_files import citation_text, licence_text, zenodo_text
 from robot_runner.replication.cleaning import Cleaning, in_words
 from robot_runner.replication.container import containerfile
-from robot_runner.replication.contents import ALL, Contents, LeftOut, PackedFile
+from robot_runner.replication.contents import ALL, CRATE, Contents, LeftOut, PackedFile
 from robot_runner.replication.crate import crate_text
 from robot_runner.replication.crate_actions import executed_runs
-from robot_runner.replication.crate_requirements import crate_faults
 from robot_runner.replication.distributions import (
     InstalledDistribution,
     canonical,
@@ -33,15 +36,10 @@ from robot_runner.replication.distributions import (
     wheel_of,
     write_wheel,
 )
+from robot_runner.replication.environment import RecordedEnvironment
 from robot_runner.replication.named_secrets import Grammar
+from robot_runner.replication.plain_zip import PlainZip, Progress
 from robot_runner.replication.redaction import Redactor, chunks_of
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.authors import Author
-    from robot_runner.core.storage.run_table_rows import RunTableRows
-    from robot_runner.core.storage.table_columns import ColumnDescription
-    from robot_runner.replication.environment import RecordedEnvironment
-    from robot_runner.replication.plain_zip import PlainZip, Progress
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -246,3 +244,76 @@ class Sealing:
     def _add_text(self, name: str, text: str) -> None:
         """Write what was made from the manifest: whatever the manifest holds may be in it, secrets too."""
         self.archive.add(name, [self.redactor.redacted(text.encode())])
+
+
+_FIX = "Report this: what packing writes is not what RO-Crate asks for."
+_ACTIONS = frozenset({"CreateAction", "ActivateAction", "UpdateAction"})
+_WORKFLOW = frozenset({"File", "SoftwareSourceCode", "ComputationalWorkflow"})
+
+
+def crate_faults(text: str, names: Collection[str]) -> Iterator[Finding]:
+    """Yield an error finding for each rule that the crate breaks: such a package is refused, never published.
+
+    The rules are the REQUIRED ones of RO-Crate 1.1, Process Run Crate and Workflow Run Crate (0.5) that an experiment
+    could break. The tests of the project ask the validator of the formats' own authors for all of them.
+
+    Args:
+        text: of `ro-crate-metadata.json`.
+        names: the files and folders of the package; those of folders end with `/`.
+
+    Example:
+        >>> text = '{"@graph": [{"@id": "./", "@type": "Dataset", "name": "naps"}]}'
+        >>> [finding.problem for finding in crate_faults(text, [])][0]
+        'the package has no description'
+    """
+    graph: dict[str, Mapping[str, Any]] = {str(each["@id"]): each for each in json.loads(text)["@graph"]}
+    problems = (
+        *_root_problems(graph),
+        *_file_problems(graph, set(names)),
+        *_reference_problems(graph),
+        *_action_problems(graph),
+    )
+    yield from (Finding.error(CRATE, problem, _FIX) for problem in problems)
+
+
+def _root_problems(graph: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    root = graph["./"]
+    for name in ("name", "description", "datePublished", "license"):
+        if not root.get(name):
+            yield f"the package has no {name}"
+    try:
+        datetime.fromisoformat(str(root.get("datePublished")))
+    except ValueError:
+        yield f"datePublished is {root.get('datePublished')!r}, no date of ISO 8601"
+
+
+def _file_problems(graph: Mapping[str, Mapping[str, Any]], names: set[str]) -> Iterator[str]:
+    described = {unquote(key) for key, each in graph.items() if {"File", "Dataset"} & _types(each)} - {"./"}
+    for name in sorted(described - names):
+        yield f"{name} is described, and is not in the package"
+    for name in sorted(each for each in names - described - {CRATE} if not each.endswith("/")):
+        yield f"{name} is in the package, and is not described"
+
+
+def _reference_problems(graph: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    for key, each in graph.items():
+        for name, value in each.items():
+            for part in value if isinstance(value, list) else [value]:
+                other = part.get("@id") if isinstance(part, dict) else None
+                if other and "://" not in other and other not in graph:
+                    yield f"{name} of {key} names {other}, which nothing describes"
+
+
+def _action_problems(graph: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    actions = [each for each in graph.values() if _ACTIONS & _types(each)]
+    instruments = {(each.get("instrument") or {}).get("@id") for each in actions}
+    if not actions or None in instruments:
+        yield "an action has no instrument" if actions else "nothing says what was executed"
+    main = graph["./"].get("mainEntity")
+    if main and not (main["@id"] in instruments and _types(graph.get(main["@id"], {})) >= _WORKFLOW):
+        yield f"no action says that {main['@id']} was executed as a workflow"
+
+
+def _types(entity: Mapping[str, Any]) -> set[str]:
+    kinds = entity.get("@type", [])
+    return {kinds} if isinstance(kinds, str) else set(kinds)

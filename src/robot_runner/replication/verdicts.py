@@ -6,15 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.events.measure import QUALITY_SUFFIX, ROBOTS_OWNER
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 from robot_runner.core.words import counted, enumerated, has_true_zero, listed, shown_value
 from robot_runner.replication.needed_runs import needed_runs
-
-if TYPE_CHECKING:
-    from robot_runner.replication.run_by_run import Sameness
+from robot_runner.replication.run_by_run import Sameness
 
 #: What difference does not matter where nobody has said it: a convention, and said to be one wherever it counts.
 DEFAULT_BOUND = "5%"

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import Any, TypedDict
 
 from robot_runner.core.errors import Finding, PackageError
 from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
@@ -17,10 +17,8 @@ from robot_runner.core.storage.guarded_files import JSON_LIMIT
 from robot_runner.core.storage.manifest import FORMAT as MANIFEST_FORMAT
 from robot_runner.core.storage.registration import checksum_of
 from robot_runner.replication import contents
-
-if TYPE_CHECKING:
-    from robot_runner.replication.opening import OpenPackage
-    from robot_runner.replication.plain_zip import Progress
+from robot_runner.replication.opening import OpenPackage
+from robot_runner.replication.plain_zip import Progress
 
 #: Of what is read whole: descriptions and checksums.
 _LARGEST_TEXT = 32 << 20

@@ -6,19 +6,17 @@ import importlib
 import math
 import os
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from robot_runner.core.errors import LinkError
 from robot_runner.simulator.sensors import PublishedTopic, header
+from robot_runner.simulator.simulated_clock import SimulatedClock
+from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
-if TYPE_CHECKING:
-    from robot_runner.simulator.simulated_clock import SimulatedClock
-    from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
-
-    Scene = Callable[[], tuple[mujoco.MjModel, mujoco.MjData]]
+Scene = Callable[[], tuple[mujoco.MjModel, mujoco.MjData]]
 
 #: Computed only while somebody subscribes: a picture costs a thousand times as much as a laser scan.
 CAMERA_TOPICS = ("camera/image_raw", "camera/camera_info")

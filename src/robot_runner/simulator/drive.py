@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -12,13 +12,7 @@ from robot_runner.simulator.model import holding_torque, rolling_torque, slope_a
 from robot_runner.simulator.physics import CORRECTION_STEPS, Physics
 from robot_runner.simulator.rooms import Pose
 from robot_runner.simulator.simulated_clock import STEP_NS, STEPS_PER_SECOND, tick_time
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
-
-    Floats = npt.NDArray[np.float64]
+from robot_runner.simulator.turtlebot3_parameters import Floats, Turtlebot3Parameters
 
 #: A wheel that turns faster than this (rad/s; 1.7 mm/s on the ground) moves.
 MOVING_WHEEL_SPEED = 0.05

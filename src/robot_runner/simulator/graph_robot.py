@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.connect import SIMULATION_TOPIC
@@ -17,11 +17,9 @@ from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import Encoding, Message, Qos, RobotLink
 from robot_runner.ros.watchdog import HEARTBEAT_TOPIC, HEARTBEAT_TYPE, RELEASE_SERVICE, RELEASE_TYPE, Watchdog
 from robot_runner.simulator.camera import CAMERA_TOPICS
+from robot_runner.simulator.sensors import Listening
 from robot_runner.simulator.simulated_devices import MeterTerminal
-
-if TYPE_CHECKING:
-    from robot_runner.simulator.sensors import Listening
-    from robot_runner.simulator.simulated_turtlebot3 import Simulation
+from robot_runner.simulator.simulated_turtlebot3 import Simulation
 
 _SECOND_NS = 1_000_000_000
 #: It comes with tf2, which the smallest installations of ROS 2 lack.

@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from robot_runner.simulator.rooms import ARENA, ORIGIN, Cylinder, Obstacle, Pose
 from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
-
-if TYPE_CHECKING:
-    from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
+from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
 
 @dataclass(frozen=True, slots=True)

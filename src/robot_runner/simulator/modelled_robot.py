@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -16,16 +16,12 @@ from robot_runner.simulator.camera import Camera, camera_topics
 from robot_runner.simulator.drive import OdometryState
 from robot_runner.simulator.mjcf_interface import ActuatorKind, Joint, WheelPair, read_interface, read_model
 from robot_runner.simulator.physics import MORE_MEMORY, check_physics
+from robot_runner.simulator.rooms import Pose, Room
 from robot_runner.simulator.sensors import RAYS, PublishedTopic, imu, joint_state, laser_scan, odometry
 from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND, SimulatedClock
-from robot_runner.simulator.turtlebot3_parameters import NoiseStreams, Turtlebot3Parameters
+from robot_runner.simulator.turtlebot3_parameters import Floats, NoiseStreams, Turtlebot3Parameters
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    from robot_runner.simulator.rooms import Pose, Room
-
-    Message = Mapping[str, Any]
+Message = Mapping[str, Any]
 
 #: So far behind a surface (m) a ray goes on that has met the robot itself.
 _PAST = 1e-6
@@ -137,7 +133,7 @@ class ModelledRobot:
         self._angles = self._wheel_angles()
 
     @staticmethod
-    def _stand_at(place: Pose, pose: npt.NDArray[np.float64]) -> None:
+    def _stand_at(place: Pose, pose: Floats) -> None:
         """Have the robot begin where its room says, turned from how its model looks, at the model's height."""
         turn = np.array([math.cos(place.yaw / 2), 0.0, 0.0, math.sin(place.yaw / 2)])
         pose[:2] = place.x, place.y
@@ -274,7 +270,7 @@ class ModelledRobot:
         noise = self._scan_noise.of(self._clock.step)
         return laser_scan(self._clock.now_ns, self._ray_distances(), noise, self.parameters)
 
-    def _ray_distances(self) -> npt.NDArray[np.float64]:
+    def _ray_distances(self) -> Floats:
         """Return how far each ray goes, in the plane of the scanner's site; the robot itself is passed through."""
         site = self._interface.scanner or 0
         turned = self._data.site_xmat[site].reshape(3, 3)
@@ -283,7 +279,7 @@ class ModelledRobot:
         own, start = int(self._model.site_bodyid[site]), self._data.site_xpos[site]
         return np.array([self._ray_distance(start, ray, own) for ray in rays])
 
-    def _ray_distance(self, start: npt.NDArray[np.float64], ray: npt.NDArray[np.float64], own: int) -> float:
+    def _ray_distance(self, start: Floats, ray: Floats, own: int) -> float:
         roots, bodies, met = self._model.body_rootid, self._model.geom_bodyid, np.zeros(1, dtype=np.int32)
         gone, left_out = 0.0, own or -1  # what is part of the world does not leave out the world
         while (further := mujoco.mj_ray(self._model, self._data, start + gone * ray, ray, None, 1, left_out, met)) >= 0:

@@ -6,20 +6,13 @@ import math
 from collections.abc import Sequence
 from enum import Enum
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from robot_runner.measuring.host import UtilisationSample
 from robot_runner.simulator.drive import MOVING_WHEEL_SPEED, DifferentialDrive
 from robot_runner.simulator.simulated_clock import STEP_NS
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    from robot_runner.simulator.turtlebot3_parameters import NoiseStreams, Turtlebot3Parameters
-
-    Floats = npt.NDArray[np.float64]
+from robot_runner.simulator.turtlebot3_parameters import Floats, Integers, NoiseStreams, Turtlebot3Parameters
 
 
 class Task(Enum):
@@ -70,15 +63,15 @@ class TaskRunner:
             self._note(step, NO_TASK, 1.0)
         return stopped
 
-    def numbers(self, first: int, last: int) -> npt.NDArray[np.int64]:
+    def numbers(self, first: int, last: int) -> Integers:
         """Return the number of the task that ran at each of the steps `first` to `last`, both included."""
         return np.array(self._numbers)[self._entries(first, last)]
 
-    def gains(self, first: int, last: int) -> npt.NDArray[np.float64]:
+    def gains(self, first: int, last: int) -> Floats:
         """Return by what factor the task that ran at each of these steps differed from its usual power."""
         return np.array(self._gains)[self._entries(first, last)]
 
-    def _entries(self, first: int, last: int) -> npt.NDArray[np.int64]:
+    def _entries(self, first: int, last: int) -> Integers:
         return np.searchsorted(np.array(self._steps), np.arange(first, last + 1), side="right") - 1
 
     def _note(self, step: int, number: int, gain: float) -> None:
@@ -127,7 +120,7 @@ class OnboardComputer:
             UtilisationSample(time, None if math.isnan(cpu) else cpu, memory) for time, cpu, memory in rows.tolist()
         ]
 
-    def _busy(self, ends: npt.NDArray[np.int64]) -> Floats:
+    def _busy(self, ends: Integers) -> Floats:
         """Return the mean CPU utilisation between each two of these steps; NaN between a step and itself."""
         parameters = self._parameters
         first, last = int(ends[0]), int(ends[-1])
@@ -147,7 +140,7 @@ class OnboardComputer:
         ]
         return np.array(means)
 
-    def _memory(self, ends: npt.NDArray[np.int64]) -> Floats:
+    def _memory(self, ends: Integers) -> Floats:
         parameters = self._parameters
         by_task = np.array([parameters.memory_computation, parameters.memory_video, parameters.memory_network, 0.0])
         first, last = int(ends[0]), int(ends[-1])

@@ -7,21 +7,16 @@ import logging
 from collections.abc import Sequence
 from copy import copy
 from operator import itemgetter
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
 from robot_runner.core.errors import LinkError
 from robot_runner.simulator.model import Body, holding_torque, world_model
 from robot_runner.simulator.rooms import ARENA, Obstacle
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
-
-    Floats = npt.NDArray[np.float64]
+from robot_runner.simulator.turtlebot3_parameters import Floats, Turtlebot3Parameters
 
 _SETTLING_STEPS = 200
 _INITIAL_ROWS = 4096

@@ -6,18 +6,14 @@ import binascii
 import struct
 from collections.abc import Callable
 from itertools import chain
-from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from robot_runner.measuring.serial_line import Chunk
 from robot_runner.simulator.simulated_clock import STEP_NS, SimulatedClock
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    from robot_runner.simulator.supply import PowerSupply
-    from robot_runner.simulator.turtlebot3_parameters import NumberedNoise, Turtlebot3Parameters
+from robot_runner.simulator.supply import PowerSupply
+from robot_runner.simulator.turtlebot3_parameters import Floats, Integers, NumberedNoise, Turtlebot3Parameters
 
 SAMPLE_SIZE = 16
 HELLO_SIZE = 20
@@ -67,10 +63,10 @@ def hello_frame(*, sequence: int, time: int, rate: int, shunt: int, configuratio
 
 def sample_frames(
     *,
-    sequences: npt.NDArray[np.int64],
-    times: npt.NDArray[np.int64],
-    shunts: npt.NDArray[np.int64],
-    buses: npt.NDArray[np.int64],
+    sequences: Integers,
+    times: Integers,
+    shunts: Integers,
+    buses: Integers,
 ) -> bytes:
     """Return many sample frames, one after the other, `SAMPLE_SIZE` bytes each.
 
@@ -180,7 +176,7 @@ class Ina219Meter:
         due = (self._clock.now_ns - line_ns) * self._rate // _SECOND_NS + 1 - self._first
         return max(0, due - self._next)
 
-    def _sample(self, numbers: npt.NDArray[np.int64], due_ns: npt.NDArray[np.int64]) -> bytes:
+    def _sample(self, numbers: Integers, due_ns: Integers) -> bytes:
         steps = due_ns // STEP_NS
         self._reach(int(steps[-1]))
         noise = self._noise.at(self._first + numbers)
@@ -206,5 +202,5 @@ class Ina219Meter:
         )
 
 
-def _register(values: npt.NDArray[np.float64], low: int, high: int) -> npt.NDArray[np.int64]:
+def _register(values: Floats, low: int, high: int) -> Integers:
     return np.clip(np.rint(values), low, high).astype(np.int64)

@@ -5,25 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from robot_runner.simulator.drive import DifferentialDrive, OdometryState, WheelOdometry
 from robot_runner.simulator.rooms import Obstacle, Pose, Wall, ray_distances
-from robot_runner.simulator.supply import CELLS, PowerSupply
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    from robot_runner.simulator.cut_off import ProtectedDrive
-    from robot_runner.simulator.drive import DifferentialDrive, OdometryState, WheelOdometry
-    from robot_runner.simulator.simulated_clock import SimulatedClock, Ticker
-    from robot_runner.simulator.turtlebot3_parameters import NumberedNoise, Turtlebot3Parameters
-
-    Floats = npt.NDArray[np.float64]
-    Listener = Callable[[dict[str, Any]], None]
+from robot_runner.simulator.simulated_clock import SimulatedClock, Ticker
+from robot_runner.simulator.supply import CELLS, PowerSupply, ProtectedDrive
+from robot_runner.simulator.turtlebot3_parameters import Floats, NumberedNoise, Turtlebot3Parameters
 
 Message = dict[str, Any]
+Listener = Callable[[Message], None]
 
 _SECOND_NS = 1_000_000_000
 _UNKNOWN_COVARIANCE = [0.0] * 36

@@ -5,19 +5,16 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import GoalRejectedError
 from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.robot import Message
 from robot_runner.ros.action_calls import missing_action
+from robot_runner.ros.action_server import Execution, GoalServer
 from robot_runner.ros.graph_transport import GraphTypes, already_offered
 from robot_runner.ros.ros2_actions import Ros2ActionTypes
-
-if TYPE_CHECKING:
-    from robot_runner.ros.action_server import Execution, GoalServer
-    from robot_runner.ros.sent_goal import SentGoal
-    from robot_runner.simulator.simulated_clock import ClockWorker, SimulatedClock
+from robot_runner.ros.sent_goal import SentGoal
+from robot_runner.simulator.simulated_clock import ClockWorker, SimulatedClock
 
 
 class SimulatedActions:

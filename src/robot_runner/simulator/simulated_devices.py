@@ -9,15 +9,12 @@ import tty
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
+from robot_runner.measuring.host import UtilisationSample
 from robot_runner.measuring.serial_line import SIMULATED_PORT, Chunk
 from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND, SimulatedClock, Ticker
-
-if TYPE_CHECKING:
-    from robot_runner.measuring.host import UtilisationSample
-    from robot_runner.simulator.simulated_turtlebot3 import SimulatedTurtlebot3, Simulation
+from robot_runner.simulator.simulated_turtlebot3 import SimulatedTurtlebot3, Simulation
 
 _SECOND_NS = 1_000_000_000
 _HIGHEST_RATE = STEPS_PER_SECOND

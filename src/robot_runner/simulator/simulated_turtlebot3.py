@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.simulator.camera import Camera, camera_topics
-from robot_runner.simulator.cut_off import CutOff, ProtectedDrive
 from robot_runner.simulator.drive import DifferentialDrive, WheelOdometry
 from robot_runner.simulator.model import Body
 from robot_runner.simulator.onboard import OnboardComputer, Task, TaskRunner
@@ -19,7 +18,7 @@ from robot_runner.simulator.power_meter import Ina219Meter
 from robot_runner.simulator.rooms import DEFAULT_ROOM, Obstacle, Pose, Room
 from robot_runner.simulator.sensors import RAYS, SensorBoard, body_outline, published_topics, seen_by_scanner
 from robot_runner.simulator.simulated_clock import SimulatedClock
-from robot_runner.simulator.supply import Battery, PowerModel, PowerSupply
+from robot_runner.simulator.supply import Battery, CutOff, PowerModel, PowerSupply, ProtectedDrive
 from robot_runner.simulator.turtlebot3_parameters import NoiseStreams, Turtlebot3Parameters
 
 if TYPE_CHECKING:

@@ -7,15 +7,16 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from robot_runner.core.errors import LinkError
 from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
+#: Arrays, as signatures name them.
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 _MAY_BE_ZERO = (
     *("_deviation", "cpu_", "memory_", "initial_charge", "rolling_resistance"),
@@ -210,9 +211,9 @@ class NumberedNoise:
     def __init__(self, entropy: Sequence[int], width: int) -> None:
         self._entropy = tuple(entropy)
         self._width = width
-        self._blocks: dict[int, npt.NDArray[np.float64]] = {}
+        self._blocks: dict[int, Floats] = {}
 
-    def at(self, numbers: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    def at(self, numbers: ArrayLike) -> Floats:
         """Return the noise of these numbers (0 and up), one row for each."""
         wanted = np.atleast_1d(np.asarray(numbers, dtype=np.int64))
         rows = np.empty((len(wanted), self._width))
@@ -221,13 +222,13 @@ class NumberedNoise:
             rows[begin:end] = self._block(int(blocks[begin]))[places[begin:end]]
         return rows
 
-    def of(self, number: int) -> npt.NDArray[np.float64]:
+    def of(self, number: int) -> Floats:
         """Return the noise of one number, as `at` does of several."""
         block, place = divmod(number, _BLOCK)
-        noise: npt.NDArray[np.float64] = self._block(block)[place]
+        noise: Floats = self._block(block)[place]
         return noise
 
-    def _block(self, number: int) -> npt.NDArray[np.float64]:
+    def _block(self, number: int) -> Floats:
         if number not in self._blocks:
             if len(self._blocks) > 1:  # time goes on: the last block may be asked for again, those before are done with
                 self._blocks.pop(min(self._blocks))

@@ -1,8 +1,9 @@
-"""Commands zero, from a process of its own, where a program that goes on through all runs has driven a robot.
+"""The robot that software under test commands: it is stopped where that was done once the software is gone.
 
-In a run, its link does so. Nobody would between two runs, after the last one, and once the orchestrator, which opens no
-link, has been killed: the process waits for the end of the program, however that comes. It joins the robot's graph only
-then, so that it is no part of what is measured, or just before, where the program is about to be ended.
+In a run, its link does so (`CommandedRobot`); where a program goes on through all runs, a process of its own.
+Nobody else would between two runs, after the last one, and once the orchestrator, which opens no link, has been killed:
+the process waits for the end of the program, however that comes. It joins the robot's graph only then, so that it is no
+part of what is measured, or just before, where the program is about to be ended.
 
     in    a line, or the end of the input: the program is about to be ended, so join now
     out   a line once that is done
@@ -14,14 +15,23 @@ import json
 import select
 import subprocess
 import sys
-from contextlib import closing, suppress
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 
 from robot_runner.core.errors import LinkError, PluginError, RobotRunnerError
-from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND, keep_commanding_zero
-from robot_runner.core.links.connect import resolved_robot
+from robot_runner.core.links.connect import (
+    connect_robot,
+    is_simulated,
+    is_slow_to_join,
+    resolved_robot,
+    robot_namespace,
+)
 from robot_runner.core.links.robot import Advertiser, RobotLink
 from robot_runner.subjects.supervised_program import Start
 
@@ -174,29 +184,32 @@ class _CommandedRobots:
     def command_zero(self) -> None:
         """Command it once, wherever that is possible."""
         for robot, topics in self._commanded.by_robot().items():
-            with suppress(RobotRunnerError):
-                link = self._link(robot)
-                for topic, message_type in topics:
-                    link.publish(topic, message_type, {})
+            for topic, message_type in topics:
+                with suppress(Exception):  # `stop` tells what fails
+                    self._link(robot).publish(topic, message_type, {})
 
     def stop(self) -> None:
-        """Command zero until every robot is reached.
+        """Command zero until every robot is reached, whatever fails at another.
 
         Raises:
             RobotRunnerError: one is not reached, and its graph is there.
         """
-        for robot, topics in self._commanded.by_robot().items():
-            had_joined = robot in self._links
-            link = self._link(robot)
-            try:
-                empty = keep_commanding_zero(link, topics)
-            except LinkError:
-                # A program that brought the graph takes it along; what was connected by then has been told.
-                if not had_joined or _is_there(link):
-                    raise
-            else:
-                if empty and not had_joined:
-                    raise LinkError("nobody subscribes it any more", where=empty[0], fix="See that it stands still.")
+        with ExitStack() as each_of_them:
+            for robot, topics in self._commanded.by_robot().items():
+                each_of_them.callback(self._stop, robot, topics)
+
+    def _stop(self, robot: str, topics: Sequence[tuple[str, str]]) -> None:
+        had_joined = robot in self._links
+        link = self._link(robot)
+        try:
+            empty = keep_commanding_zero(link, topics)
+        except LinkError:
+            # A program that brought the graph takes it along; what was connected by then has been told.
+            if not had_joined or _is_there(link):
+                raise
+        else:
+            if empty and not had_joined:
+                raise LinkError("nobody subscribes it any more", where=empty[0], fix="See that it stands still.")
 
     def _link(self, robot: str) -> RobotLink:
         if robot not in self._links:
@@ -244,3 +257,79 @@ def _halt_after(start: Start) -> None:
 
 if __name__ == "__main__":
     _halt_after(Start(Path(sys.argv[1])))
+
+
+#: A message of these types without any field stops a robot.
+_VELOCITIES = frozenset({"geometry_msgs/Twist", "geometry_msgs/TwistStamped"})
+#: After how long a graph is known that has to be discovered, s: on Fast DDS, that has taken up to 3.2 s.
+_DISCOVERY = 4.0
+
+
+class CommandedRobot:
+    """The run's robot, as far as velocities are published for it.
+
+    A planner that has ended, or has died, takes nothing back: a robot without a watchdog carries out its last command.
+    On each topic of a velocity that somebody else publishes and the robot subscribes, the run's link is a publisher as
+    well. So it commands zero there when it is closed, which is after the software has ended; and where the run is
+    killed, the process that stands by for it does.
+
+    Args:
+        context: of the run; where it has no robot, or the embedded one, which other programs cannot reach, nothing is
+            done.
+
+    Attributes:
+        tell: told each topic on which velocities are published, and its type.
+    """
+
+    def __init__(self, context: RobotRunnerContext) -> None:
+        self._context = context
+        self.tell: Callable[[str, str], object] = lambda *_: None
+        self._link: RobotLink | None = None
+        self._known_at = 0.0
+        self._topics: dict[str, str] = {}
+        self._lock = threading.Lock()
+
+    def connect(self) -> None:
+        """Join the robot's graph, if it is there already; to be called by the thread that executes callbacks."""
+        robot = self._context.robot
+        if self._link is None and robot is not None and not is_simulated(robot):
+            with suppress(LinkError):  # who cannot do without the robot says so
+                self._link = connect_robot(self._context)
+                self._known_at = time.monotonic() + (_DISCOVERY if is_slow_to_join(robot) else 0.0)
+
+    def look(self) -> None:
+        """Look where velocities are published by now."""
+        link = self._link
+        if link is None or not isinstance(link, Advertiser):
+            return
+        with suppress(LinkError), self._lock:
+            for topic, message_type in self._commanded_topics(link):
+                with suppress(LinkError):  # whatever fails at one robot, the others are looked after
+                    link.advertise(topic, message_type)
+                    self._topics[topic] = message_type
+                    self.tell(topic, message_type)
+
+    def look_at_last(self) -> None:
+        """Look before the software is ended: a run may be so short that its graph is not known yet."""
+        if not self._topics:
+            time.sleep(max(0.0, self._known_at - time.monotonic()))
+        self.look()
+
+    def halt(self) -> None:
+        """Command zero wherever velocities were published."""
+        for topic, message_type in list(self._topics.items()):
+            with suppress(LinkError):
+                if self._link is not None:
+                    self._link.publish(topic, message_type, {})
+
+    def _commanded_topics(self, link: RobotLink) -> list[tuple[str, str]]:
+        below = f"{robot_namespace(self._context).rstrip('/')}/"
+        return [
+            (topic, message_type)
+            for topic, message_type in link.topics().items()
+            if message_type in _VELOCITIES
+            and topic.startswith(below)
+            and topic not in self._topics
+            and any(not each.is_own for each in link.publishers(topic))
+            and any(not each.is_own for each in link.subscribers(topic))
+        ]

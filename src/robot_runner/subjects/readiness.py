@@ -6,15 +6,12 @@ import re
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.condition import Condition, Look, LookAgain
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.words import one_line
-
-if TYPE_CHECKING:
-    from robot_runner.subjects.supervised_program import Ended, Start
+from robot_runner.subjects.supervised_program import Ended, Start
 
 _SHOWN = 80
 

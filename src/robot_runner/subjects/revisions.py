@@ -7,18 +7,15 @@ import re
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.config.treatment_makers import Workshop
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import ExecutionError, Finding, did_you_mean
 from robot_runner.core.storage.git_repository import git, repository_state, without_login
 from robot_runner.core.words import one_line
-from robot_runner.subjects.kept_repository import is_kept, kept_name
-from robot_runner.subjects.work_tree import WorkTree
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.treatment_makers import Workshop
+from robot_runner.subjects.work_tree import WorkTree, is_kept, kept_name
 
 _INSTALL = "Install git (Debian, Ubuntu: sudo apt install git)."
 _URL = re.compile(r"[a-z][a-z0-9+.-]*://|[\w.-]+@[\w.-]+:")

@@ -8,16 +8,14 @@ import signal
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.words import one_line
 from robot_runner.subjects.subject import Subject
+from robot_runner.subjects.supervised_program import Start
 from robot_runner.subjects.surroundings import Answer, is_known, word
-
-if TYPE_CHECKING:
-    from robot_runner.subjects.supervised_program import Start
 
 #: What starts the software of each generation.
 PROGRAMS = {1: "roslaunch", 2: "ros2"}

@@ -26,19 +26,10 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.treatments import factors_of
 from robot_runner.measuring.host import SUBJECT_VARIABLE
 from robot_runner.measuring.measured_machine import machine_clock
-from robot_runner.subjects.commanded_robot import CommandedRobot
-from robot_runner.subjects.halting import CommandedTopics, Halting, ended_late
+from robot_runner.subjects import supervised_program
+from robot_runner.subjects.halting import CommandedRobot, CommandedTopics, Halting, ended_late
 from robot_runner.subjects.read_files import inputs_in, is_own_setup
 from robot_runner.subjects.readiness import Ready, checked_ready
-from robot_runner.subjects.supervised_program import (
-    Ended,
-    Start,
-    SupervisedProgram,
-    Task,
-    last_start,
-    named_signal,
-    user_cache,
-)
 from robot_runner.subjects.surroundings import Surroundings, is_known, word
 
 if TYPE_CHECKING:
@@ -113,12 +104,12 @@ class Subject(System):
         self.reads = tuple(word(self.name, each) for each in reads)
         self.ready = checked_ready(self.name, ready)
         self.ready_timeout_s = ready_timeout_s
-        self.stop_signal = named_signal(self.name, stop_signal)
+        self.stop_signal = supervised_program.named_signal(self.name, stop_signal)
         self.grace_s = grace_s
         self.measures = type(self).measures if self._is_of_run else ()
-        self._program: SupervisedProgram | None = None
+        self._program: supervised_program.SupervisedProgram | None = None
         self._startup_time: float | None = None
-        self._ended: Ended | None = None
+        self._ended: supervised_program.Ended | None = None
         self._watch: threading.Thread | None = None
         self._robot: CommandedRobot | None = None
         self._halting: Halting | None = None
@@ -139,7 +130,7 @@ class Subject(System):
         """Return a command for when everything has ended; None where there is nothing to do."""
         return None
 
-    def variables(self, start: Start) -> Mapping[str, str]:
+    def variables(self, start: supervised_program.Start) -> Mapping[str, str]:
         """Return variables of its environment beside those that the user names."""
         del start
         return {}
@@ -152,7 +143,7 @@ class Subject(System):
         """Yield files that it is known to read, as seen from here (`surroundings.own_path`)."""
         return ()
 
-    def may_end(self, ended: Ended) -> bool:
+    def may_end(self, ended: supervised_program.Ended) -> bool:
         """Whether this is an end that it may have by itself, before it is stopped."""
         del ended
         return False
@@ -189,7 +180,7 @@ class Subject(System):
                 commanded cannot be stopped now either.
         """
         if self.per == "experiment":
-            self._remark = ended_late(last_start(self._shared_folder(context)), self.name)
+            self._remark = ended_late(supervised_program.last_start(self._shared_folder(context)), self.name)
             self._begin_for_all_runs(context)
 
     def before_run(self, context: RobotRunnerContext) -> None:
@@ -241,7 +232,7 @@ class Subject(System):
             self._start(context)
 
     def _start(self, context: RobotRunnerContext) -> None:
-        start: Start
+        start: supervised_program.Start
         if self._is_of_run:
             # Should the run be killed, its supervisor is to clean up.
             begun = context.outlives if self.last_words() is not None else lambda _: None
@@ -313,17 +304,17 @@ class Subject(System):
 
     def _begin_for_all_runs(self, context: ExperimentContext) -> None:
         folder = self._shared_folder(context)
-        last = last_start(folder)
+        last = supervised_program.last_start(folder)
         start = self._begin(context, folder / str(1 if last is None else int(last.folder.name) + 1))
         if context.robot is not None and not is_simulated(context.robot):
             self._halting = Halting(start, self.name)
 
     def _begin(
         self, context: ExperimentContext, folder: Path, begun: Callable[[int], object] = lambda _: None
-    ) -> SupervisedProgram:
-        start = Start(folder)
+    ) -> supervised_program.SupervisedProgram:
+        start = supervised_program.Start(folder)
         around = self.surroundings
-        task = Task(
+        task = supervised_program.Task(
             command=around.wrapped(self.words()),
             environment={**self.variables(start), **around.variables, SUBJECT_VARIABLE: self.name},
             folder=around.path,
@@ -334,18 +325,18 @@ class Subject(System):
             ssh_config=around.ssh_config,
             lock=self._lock(context),
         )
-        self._program = SupervisedProgram(folder, task, name=self.name, begun=begun)
+        self._program = supervised_program.SupervisedProgram(folder, task, name=self.name, begun=begun)
         return self._program
 
     def _lock(self, context: ExperimentContext) -> Path:
         """Return the file that is locked from each start of this subject until all of it has ended."""
         told = os.fsencode(f"{context.experiment_folder.absolute()}\0{self.name}")
         key = hashlib.sha256(told).hexdigest()[:16]
-        return user_cache() / "subjects" / f"{key}.lock"
+        return supervised_program.user_cache() / "subjects" / f"{key}.lock"
 
-    def _attached(self, context: RobotRunnerContext) -> Start:
+    def _attached(self, context: RobotRunnerContext) -> supervised_program.Start:
         """Return the start of a subject that goes on through all runs; another process has started it."""
-        start = last_start(self._shared_folder(context))
+        start = supervised_program.last_start(self._shared_folder(context))
         if start is None:
             raise PluginError("the subject was not started", where=self.name, fix="Start the experiment again.")
         if self._robot is not None and context.robot is not None:
@@ -355,13 +346,15 @@ class Subject(System):
     def _shared_folder(self, context: ExperimentContext) -> Path:
         return ExperimentFolder(context.experiment_folder).subjects / self.name
 
-    def _await_ready(self, context: RobotRunnerContext, start: Start) -> None:
+    def _await_ready(self, context: RobotRunnerContext, start: supervised_program.Start) -> None:
         """Wait until it is ready, in real time, as it knows nothing of a simulation's clock."""
         real = replace(context, clock=machine_clock(context))
         ready = Ready(self.name, start, self.ready, may_end=self.may_end)
         ready.wait(real, timeout_s=self.ready_timeout_s)
 
-    def _watch_over(self, context: RobotRunnerContext, start: Start, is_ending: threading.Event) -> None:
+    def _watch_over(
+        self, context: RobotRunnerContext, start: supervised_program.Start, is_ending: threading.Event
+    ) -> None:
         """Fail the run as soon as the subject has died, and see meanwhile whether it commands the robot."""
         robot, next_look = self._robot, time.monotonic() + _ROBOT_LOOK
         while not is_ending.wait(_LOOK):
@@ -385,7 +378,7 @@ class Subject(System):
             if self._robot is not None:
                 self._robot.halt()
 
-    def _facts(self, context: RobotRunnerContext, start: Start) -> dict[str, Any]:
+    def _facts(self, context: RobotRunnerContext, start: supervised_program.Start) -> dict[str, Any]:
         """Return what the journal keeps of it in a run."""
         folder = start.folder
         if folder.is_relative_to(context.experiment_folder):

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from robot_runner.testing.fake_actions import FakeAction as FakeAction
     from robot_runner.testing.fake_devices import FakeHostLink as FakeHostLink
     from robot_runner.testing.fake_devices import FakeSerialLine as FakeSerialLine
+    from robot_runner.testing.fake_devices import FakeTurtlebot3Link as FakeTurtlebot3Link
     from robot_runner.testing.fake_robot import FakeRobotLink as FakeRobotLink
     from robot_runner.testing.fake_robot import Publication as Publication
     from robot_runner.testing.fake_robot import ServiceCall as ServiceCall
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from robot_runner.testing.fake_run import context_for as context_for
     from robot_runner.testing.fake_run import make_context as make_context
     from robot_runner.testing.fake_run import rehearse as rehearse
-    from robot_runner.testing.fake_turtlebot3 import FakeTurtlebot3Link as FakeTurtlebot3Link
     from robot_runner.testing.graph_link_contract import GraphLinkContract as GraphLinkContract
     from robot_runner.testing.link_contract import RobotLinkContract as RobotLinkContract
     from robot_runner.testing.parameter_node import LifecycleNode as LifecycleNode

@@ -10,7 +10,7 @@ from functools import partial
 from itertools import count
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from robot_runner.core.design.watched_combination import WatchedCombination, unread
 from robot_runner.core.errors import did_you_mean
@@ -28,11 +28,9 @@ from robot_runner.core.links.host_commands import DeclaredHosts
 from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.plugin import Plugin, System, refused_name, usual_origin
 from robot_runner.core.treatments import bind, factors_of
+from robot_runner.measuring.host import HostLink
+from robot_runner.measuring.serial_line import SerialLine
 from robot_runner.ros.missions.joint_missions import sleep_with_others
-
-if TYPE_CHECKING:
-    from robot_runner.measuring.host import HostLink
-    from robot_runner.measuring.serial_line import SerialLine
 
 # A clock that tests move.
 

@@ -7,18 +7,16 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from robot_runner.core.config.plugin_checks import misspelt_callbacks
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents
+from robot_runner.core.events.measure import MeasureValue
 from robot_runner.core.links.connect import SIMULATED
 from robot_runner.core.plugin import Circumstances, Plugin, Profiler
 from robot_runner.testing.fake_run import FakeClock, FakeLinks, RecordingBroker, Rehearsal, make_context
-
-if TYPE_CHECKING:
-    from robot_runner.core.events.measure import MeasureValue
 
 #: Time between two closings of the same, s, so that a plugin that closes anew would notice.
 _BETWEEN_CLOSINGS = 0.2

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pyte
 import pytest
 
-from robot_runner.cli.screens import live
+from robot_runner.cli.screens import plain
 from robot_runner.cli.screens.live import LiveScreen
 from robot_runner.core.execution.durations import TimeLeft
 from robot_runner.core.execution.notices import GatePassed, GateWaiting, NextDecided, RunRecord, WaitingForUser
@@ -42,7 +42,7 @@ class Shown:
 
 @pytest.fixture
 def shown(experiment: Experiment, clock: Any, screenful: Any, monkeypatch: pytest.MonkeyPatch) -> Shown:
-    monkeypatch.setattr(live, "terminal_input", lambda: None)
+    monkeypatch.setattr(plain, "terminal_input", lambda: None)
     return Shown(screenful, experiment, clock)
 
 

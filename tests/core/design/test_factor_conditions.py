@@ -11,8 +11,8 @@ import pytest
 from robot_runner.core.design.factor import Factor, full_size
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import DesignError, PluginError
-from robot_runner.core.inactive import INACTIVE
 from robot_runner.core.treatments import bind, treatment
+from robot_runner.core.words import INACTIVE
 from robot_runner.plugins import Profiler
 
 SENSOR = Factor("Sensor", ["camera", "lidar", "sonar"])

@@ -188,3 +188,12 @@ def test_what_is_advised_of_a_missing_value_can_be_done(execute: Execute) -> Non
     advised = {each.where: each.fix for each in executed.finished.findings if each.problem == "Power has no value"}
     assert advised["r_1, Meter"] == "Look at the log of the run."
     assert advised["r_2, Meter"].startswith("Publish it in populate_run_data"), "it has no log"
+
+
+def test_whose_value_is_missing_for_a_reason_is_not_told_to_give_one(execute: Execute) -> None:
+    doubting = "context.doubt('no sensor')\n    def populate_run_data(self, context): context.publish('Power', None)"
+    head = SILENT.replace('if context.run_number == 1: print("no sensor")', doubting)
+    body = "probe = False\nplugins = [Meter()]\ndef populate_run_data(self): return {'Energy': 1.0}"
+    executed = execute(body, head=head, table=LIMITED.replace("data_columns=[", 'data_columns=["Power", '))
+    advised = [each.fix for each in executed.finished.findings if each.problem == "Power has no value"]
+    assert advised == ["`robot-runner explain` gives the reasons."] * 2

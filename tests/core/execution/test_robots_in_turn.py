@@ -33,7 +33,7 @@ class RobotRunnerConfig(ExperimentConfig):
         print(context.robot)
         time.sleep(0.3 if context.robot.endswith("alice") else 0.05)
         if context.robot.endswith(self.broken or "nobody"):
-            raise RuntimeError("the wheel is gone")
+            raise RuntimeError("the wheel is gone.")
 """
 TABLE = """
     def create_run_table(self):
@@ -105,6 +105,7 @@ def test_a_robot_that_fails_again_and_again_is_set_aside_and_its_runs_go_to_the_
     assert {row["Robot"] for row in executed.table} == {"alice"}
     (told,) = [str(finding) for finding in executed.finished.findings if finding.where == "robot bob"]
     assert "3 runs in a row failed on it" in told
+    assert ".. It takes part" not in told
     assert "the wheel is gone" in told
     assert [record["place"] for record in executed.journal("set_aside")] == ["bob"]
 

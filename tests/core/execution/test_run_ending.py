@@ -21,11 +21,11 @@ from robot_runner.core.errors import PluginError, StorageError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.early_end import MissionStopped, RunFailed
 from robot_runner.core.events.window import MissionTimes
-from robot_runner.core.execution.failures import failure_fields
 from robot_runner.core.execution.interruption import InterruptGate, stop_signals_handled
 from robot_runner.core.execution.notices import AttemptFinished, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.processes import forked, leave_after
+from robot_runner.core.execution.run_records import failure_fields
 from robot_runner.core.storage.journal import Journal, read_journal
 from robot_runner.replication.explanation import explain_run
 from robot_runner.testing import make_context

@@ -9,7 +9,7 @@ import pytest
 
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.run_table_model import RunTableModel
-from robot_runner.core.storage.edited_cells import edited_findings
+from robot_runner.core.storage.executed_runs import edited_findings
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout

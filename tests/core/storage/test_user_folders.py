@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.storage.user_folders import home_folder, user_folder
+from robot_runner.core.storage.layout import home_folder, user_folder
 
 
 @pytest.mark.parametrize(

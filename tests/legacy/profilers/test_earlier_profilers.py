@@ -26,9 +26,8 @@ from robot_runner.legacy.profilers.command_line import EnergiBridge, PowerJoular
 from robot_runner.legacy.profilers.data_source import DeviceSource, ParameterDict
 from robot_runner.legacy.profilers.nvidia import NvidiaML, NVML_Dynamic_Query, NVML_Field, NVML_IDs, NVML_Sample
 from robot_runner.legacy.profilers.profiler_catalogue import PLUGINS, plugin_of
-from robot_runner.legacy.profilers.programs import Program, read_table
+from robot_runner.legacy.profilers.programs import Program, SelfMeasure, read_table
 from robot_runner.legacy.profilers.robot_plugins import BasicTurtleBot3, INA219Profiler, NetworkProfiler
-from robot_runner.legacy.profilers.self_measure import SelfMeasure
 
 if TYPE_CHECKING:
     from collections.abc import Callable

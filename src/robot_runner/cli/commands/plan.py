@@ -13,6 +13,7 @@ from typing import Any
 
 from rich.cells import cell_len
 
+from robot_runner.cli import design_words
 from robot_runner.cli.console import (
     Column,
     UserConsole,
@@ -22,16 +23,6 @@ from robot_runner.cli.console import (
     print_json,
     quiet_loading,
     width_of,
-)
-from robot_runner.cli.design_words import (
-    columns_as_json,
-    design_as_json,
-    design_in_words,
-    in_words,
-    measures_in_words,
-    print_runs,
-    run_as_json,
-    warm_ups_in_words,
 )
 from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.parser import Parser, add_config, add_json, add_set
@@ -57,18 +48,18 @@ def execute(arguments: Namespace) -> int:
         return 0
     show_findings(plan.findings)
     console = output()
-    print_runs(console, plan.model, plan.runs, shows_all=arguments.all)
+    design_words.print_runs(console, plan.model, plan.runs, shows_all=arguments.all)
     _print_layouts(console, plan.model.design_facts, shows_all=arguments.all)
     console.print()
     print_facts(
         console,
         [
-            ("Runs", in_words(plan.model) if plan.source is None else counted(len(plan.runs), "run")),
-            *design_in_words(plan.model),
+            ("Runs", design_words.in_words(plan.model) if plan.source is None else counted(len(plan.runs), "run")),
+            *design_words.design_in_words(plan.model),
             ("Repeated", plan.repeated),
             ("Decided", str(plan.model.design_facts.get("decides", ""))),
-            ("Warm-up", warm_ups_in_words(plan.model, plan.runs)),
-            ("Measures", measures_in_words(plan.columns)),
+            ("Warm-up", design_words.warm_ups_in_words(plan.model, plan.runs)),
+            ("Measures", design_words.measures_in_words(plan.columns)),
             ("Order", plan.order),
             ("Excluded", listed(f"{run}: {reason}" for run, reason in plan.excluded.items())),
             ("To repeat", plan.how_to_repeat),
@@ -79,7 +70,7 @@ def execute(arguments: Namespace) -> int:
 
 
 def _as_json(plan: Plan) -> dict[str, object]:
-    design = design_as_json(plan.model)
+    design = design_words.design_as_json(plan.model)
     design["order"]["seed"] = plan.seed
     return {
         **design,
@@ -91,9 +82,9 @@ def _as_json(plan: Plan) -> dict[str, object]:
         "repeat_until": plan.repeated or None,
         "decides": plan.model.design_facts.get("decides"),
         "run_table": str(plan.source) if plan.source else None,
-        "measures": columns_as_json(plan.columns),
+        "measures": design_words.columns_as_json(plan.columns),
         "duration": asdict(plan.duration),
-        "runs": list(map(run_as_json, plan.runs)),
+        "runs": list(map(design_words.run_as_json, plan.runs)),
         "findings": as_json(plan.findings),
     }
 

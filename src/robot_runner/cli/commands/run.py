@@ -16,10 +16,9 @@ from typing import Any
 
 from robot_runner.cli.byte_code import no_byte_code
 from robot_runner.cli.console import command_line, output, print_json
-from robot_runner.cli.executing import Execution, execute_on_screen, read_or_not
+from robot_runner.cli.executing import Execution, execute_on_screen, page_beside, read_or_not
 from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.guard import REFUSED
-from robot_runner.cli.page_beside import page_beside
 from robot_runner.cli.parser import RUNS_HELP, Parser, add_config, add_json, add_set
 from robot_runner.cli.screens.ending import print_outcome
 from robot_runner.cli.screens.plain import terminal_input

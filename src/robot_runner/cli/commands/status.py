@@ -9,7 +9,7 @@ from argparse import Namespace
 from collections.abc import Iterator
 from dataclasses import asdict
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.text import Text
 
@@ -18,11 +18,9 @@ from robot_runner.cli.findings import as_json, print_odd, quality_in_words
 from robot_runner.cli.parser import Parser, add_json, add_set, add_target
 from robot_runner.cli.screens.plain import continue_command
 from robot_runner.cli.target import folder_of_target, only_experiment
+from robot_runner.core.execution.experiment_history import Session
 from robot_runner.core.execution.experiment_status import ExperimentStatus, questions_of, read_status
 from robot_runner.core.words import counted, enumerated, one_line, shown_duration
-
-if TYPE_CHECKING:
-    from robot_runner.core.execution.experiment_history import Session
 
 _BAR = 30
 

@@ -16,12 +16,11 @@ from typing import Any
 
 from rich.text import Text
 
-from robot_runner.cli.chosen_plugin import make_plugin, parsed_value
 from robot_runner.cli.console import UserConsole, output, print_facts, print_folded, print_json, quiet_loading
 from robot_runner.cli.findings import as_json, print_findings, show_findings
 from robot_runner.cli.guard import REFUSED, SOME_FAILED
 from robot_runner.cli.parser import Parser, add_json
-from robot_runner.cli.trial import CalledEvent, RawFile, Trial, has_mission, try_plugin
+from robot_runner.cli.trial import CalledEvent, RawFile, Trial, has_mission, make_plugin, parsed_value, try_plugin
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.execution.task import AttemptStatus

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import UserConsole, print_facts, shown_path
 from robot_runner.cli.findings import print_odd, quality_in_words
+from robot_runner.cli.screens.progress import Progress
+from robot_runner.core.execution.notices import ExperimentFinished
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import counted, listed, shown_duration
-
-if TYPE_CHECKING:
-    from robot_runner.cli.screens.progress import Progress
-    from robot_runner.core.execution.notices import ExperimentFinished
 
 _UNMEASURED = {
     "simulated": "simulated, not measured",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from typing import TYPE_CHECKING, Any, Self, TextIO
+from typing import Any, Self, TextIO
 
 from rich.cells import cell_len
 from rich.console import Group, RenderableType
@@ -14,49 +14,14 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from robot_runner.cli.console import UserConsole
 from robot_runner.cli.findings import print_findings
-from robot_runner.cli.screens.plain import (
-    announced,
-    closing,
-    forget_typed,
-    gate_passed,
-    opening,
-    pausing,
-    question_asked,
-    refusals,
-    request,
-    run_to_come,
-    terminal_input,
-    waited_so_far,
-    waiting_at_gate,
-)
-from robot_runner.cli.screens.progress import CurrentRun, Progress
-from robot_runner.cli.screens.run_rows import RunRows, treatments_in_words
-from robot_runner.core.execution.notices import (
-    AnswersRefused,
-    AttemptFinished,
-    AttemptStarted,
-    ExperimentStarted,
-    FindingsNoticed,
-    GatePassed,
-    GateWaiting,
-    HostRestarts,
-    InterruptionNoticed,
-    NextDecided,
-    Notice,
-    Paused,
-    PreparationStarted,
-    ProbeStarted,
-    QuestionAsked,
-    UserHasContinued,
-    WaitingForUser,
-)
+from robot_runner.cli.screens import plain
+from robot_runner.cli.screens.progress import CurrentRun, Progress, RunRows, treatments_in_words
+from robot_runner.core.config.experiment import Experiment
+from robot_runner.core.execution import notices
 from robot_runner.core.storage.lock import is_requested
 from robot_runner.core.words import counted, one_line, shown_duration
-
-if TYPE_CHECKING:
-    from robot_runner.cli.console import UserConsole
-    from robot_runner.core.config.experiment import Experiment
 
 _BAR = 40
 #: The arrow and the id of a run.
@@ -120,7 +85,7 @@ class LiveScreen:
 
     def __init__(self, console: UserConsole, experiment: Experiment, clock: Callable[[], float]) -> None:
         self.progress = Progress(clock)
-        self.user_input = terminal_input()
+        self.user_input = plain.terminal_input()
         self._console = console
         self._experiment = experiment
         self._clock = clock
@@ -130,9 +95,9 @@ class LiveScreen:
         self._rows: RunRows | None = None
         self._headed = 0
         self._keyboard = ExitStack()
-        self._finished: list[AttemptFinished] = []
+        self._finished: list[notices.AttemptFinished] = []
         self._hidden = 0
-        self._last: AttemptFinished | None = None
+        self._last: notices.AttemptFinished | None = None
 
     def __enter__(self) -> Self:
         """Draw from here on; what a callback reads of the keyboard is typed beneath the table."""
@@ -147,50 +112,50 @@ class LiveScreen:
             self._print_hidden()
             self._take_live_part_away()
 
-    def notice(self, notice: Notice) -> None:
+    def notice(self, notice: notices.Notice) -> None:
         """Take a notice; what is permanent is printed above the live part, the rest is shown at the next refresh."""
         self.progress.take(notice)
         match notice:
-            case PreparationStarted() | ProbeStarted() | HostRestarts():
+            case notices.PreparationStarted() | notices.ProbeStarted() | notices.HostRestarts():
                 self._print_finished()
-                self._console.tell(announced(notice), style="dim")
-            case ExperimentStarted():
+                self._console.tell(plain.announced(notice), style="dim")
+            case notices.ExperimentStarted():
                 self._begin(notice)
-            case AttemptStarted():
+            case notices.AttemptStarted():
                 self._show_live_part()
                 self.refresh()
-            case AttemptFinished():
+            case notices.AttemptFinished():
                 self._take_end(notice)
-            case NextDecided():
+            case notices.NextDecided():
                 self._print_finished()
                 self._print_lines([Text(f"  {notice.told}")])
-            case FindingsNoticed(findings):
+            case notices.FindingsNoticed(findings):
                 self._print_finished()
                 print_findings(self._console, findings)
-            case InterruptionNoticed(run_id):
+            case notices.InterruptionNoticed(run_id):
                 self._print_finished()
-                self._print_lines([Text(closing(run_id), style="bold yellow")])
+                self._print_lines([Text(plain.closing(run_id), style="bold yellow")])
             case _:
                 self._take_part(notice)
 
-    def _take_part(self, notice: Notice) -> None:
+    def _take_part(self, notice: notices.Notice) -> None:
         by_key = self.user_input is not None
         match notice:
-            case WaitingForUser():
-                self._ask(*run_to_come(notice, self._experiment.model), request(notice, by_key=by_key))
-            case Paused():
-                self._ask(pausing(notice, by_key=by_key))
-            case QuestionAsked(question):
-                self._console.print(Text(question_asked(question), style="bold cyan"), end="", soft_wrap=True)
-            case AnswersRefused():
-                for line in refusals(notice):
+            case notices.WaitingForUser():
+                self._ask(*plain.run_to_come(notice, self._experiment.model), plain.request(notice, by_key=by_key))
+            case notices.Paused():
+                self._ask(plain.pausing(notice, by_key=by_key))
+            case notices.QuestionAsked(question):
+                self._console.print(Text(plain.question_asked(question), style="bold cyan"), end="", soft_wrap=True)
+            case notices.AnswersRefused():
+                for line in plain.refusals(notice):
                     self._console.tell(line, style="bold yellow")
-            case UserHasContinued():
+            case notices.UserHasContinued():
                 self._show_live_part()
                 self.refresh()
-            case GatePassed(problem=problem) if problem:
+            case notices.GatePassed(problem=problem) if problem:
                 self._print_finished()
-                self._print_lines([Text(f"  {gate_passed(notice)}", style="yellow")])
+                self._print_lines([Text(f"  {plain.gate_passed(notice)}", style="yellow")])
 
     def refresh(self) -> None:
         """Draw what is new, unless it was drawn a moment ago: records come faster than anybody reads."""
@@ -202,14 +167,14 @@ class LiveScreen:
         if self._live is not None:
             self._live.update(self._now(), refresh=True)
 
-    def _take_end(self, ended: AttemptFinished) -> None:
+    def _take_end(self, ended: notices.AttemptFinished) -> None:
         self._finished.append(ended)
         if self._clock() - self._printed >= (self.refresh_interval or 0):
             self._print_finished()
 
-    def _begin(self, started: ExperimentStarted) -> None:
+    def _begin(self, started: notices.ExperimentStarted) -> None:
         self._rows = RunRows(self._experiment, started.columns, started.run_count)
-        first, *more = opening(started)
+        first, *more = plain.opening(started)
         self._console.tell(first, style="bold")
         for line in more:
             self._console.tell(line)
@@ -242,7 +207,7 @@ class LiveScreen:
 
     def _ask(self, *asked: str) -> None:
         self._give_way()
-        forget_typed(self.user_input)
+        plain.forget_typed(self.user_input)
         for line in asked:
             self._console.tell(line, style="bold cyan")
 
@@ -305,7 +270,10 @@ class LiveScreen:
             return [self._run(runs[0], with_count=True), self._event(runs[0], self._pause())]
         width = max((cell_len(each.task.place) for each in runs), default=0)
         places = [self._at_place(each, width) for each in sorted(runs, key=lambda each: each.task.slot)]
-        return [*places, *(self._at_gate(each).append(f"   {waited_so_far(each)}", style="default") for each in waits)]
+        return [
+            *places,
+            *(self._at_gate(each).append(f"   {plain.waited_so_far(each)}", style="default") for each in waits),
+        ]
 
     def _at_place(self, current: CurrentRun, width: int) -> Text:
         line = Text(f"  {current.task.place.ljust(width)}", style="dim", no_wrap=True, overflow="ellipsis")
@@ -327,13 +295,16 @@ class LiveScreen:
     def _pause(self) -> str:
         return ", pauses after this run" if is_requested(self._experiment.folder.pause) else ""
 
-    def _between_runs(self, waits: Sequence[GateWaiting]) -> list[Text]:
+    def _between_runs(self, waits: Sequence[notices.GateWaiting]) -> list[Text]:
         if not waits:
             return [Text(f"  between two runs{self._pause()}", style="dim"), Text("")]
-        return [self._at_gate(waits[0]), Text(f"    {waited_so_far(waits[0])}", no_wrap=True, overflow="ellipsis")]
+        return [
+            self._at_gate(waits[0]),
+            Text(f"    {plain.waited_so_far(waits[0])}", no_wrap=True, overflow="ellipsis"),
+        ]
 
-    def _at_gate(self, waiting: GateWaiting) -> Text:
-        return Text(f"  ▷ {waiting_at_gate(waiting)}", style="cyan", no_wrap=True, overflow="ellipsis")
+    def _at_gate(self, waiting: notices.GateWaiting) -> Text:
+        return Text(f"  ▷ {plain.waiting_at_gate(waiting)}", style="cyan", no_wrap=True, overflow="ellipsis")
 
     def _event(self, current: CurrentRun, pause: str) -> Text:
         line = Text("    ", no_wrap=True, overflow="ellipsis")

@@ -8,40 +8,19 @@ import termios
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from robot_runner.cli.console import UserConsole, command_line, folded, shown_path
 from robot_runner.cli.findings import print_findings
 from robot_runner.cli.harmless_stream import let_go_of
-from robot_runner.cli.screens.progress import Progress
-from robot_runner.cli.screens.run_rows import shown_measure, treatments_in_words
-from robot_runner.core.execution.notices import (
-    AnswersRefused,
-    AttemptFinished,
-    AttemptStarted,
-    ExperimentStarted,
-    FindingsNoticed,
-    GatePassed,
-    GateWaiting,
-    HostRestarts,
-    InterruptionNoticed,
-    NextDecided,
-    Notice,
-    Paused,
-    PreparationStarted,
-    ProbeStarted,
-    QuestionAsked,
-    RunRecord,
-    WaitingForUser,
-)
+from robot_runner.cli.screens.progress import Progress, shown_measure, treatments_in_words
+from robot_runner.core.config.experiment import Experiment
+from robot_runner.core.config.operator_steps import Question
+from robot_runner.core.design.run_table_model import RunTableModel
+from robot_runner.core.execution import notices
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome, RunTask
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.words import counted, enumerated, one_line, shown_duration
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.config.operator_steps import Question
-    from robot_runner.core.design.run_table_model import RunTableModel
 
 #: A shorter experiment is over before its duration is read, s.
 _WORTH_TELLING = 60.0
@@ -66,7 +45,7 @@ def forget_typed(descriptor: int | None) -> None:
             termios.tcflush(descriptor, termios.TCIFLUSH)
 
 
-def opening(started: ExperimentStarted) -> list[str]:
+def opening(started: notices.ExperimentStarted) -> list[str]:
     """Return what is said when an experiment starts."""
     before = f", {started.done_count:,} of them done before" if started.done_count else ""
     runs = f"{counted(started.run_count, 'run')}{before}, seed {started.seed}"
@@ -79,11 +58,11 @@ def opening(started: ExperimentStarted) -> list[str]:
     return lines
 
 
-def announced(notice: PreparationStarted | ProbeStarted | HostRestarts) -> str:
+def announced(notice: notices.PreparationStarted | notices.ProbeStarted | notices.HostRestarts) -> str:
     """Return what is said of something that takes a while and shows nothing meanwhile."""
-    if isinstance(notice, PreparationStarted):
+    if isinstance(notice, notices.PreparationStarted):
         return f"{notice.what} ..."
-    if isinstance(notice, ProbeStarted):
+    if isinstance(notice, notices.ProbeStarted):
         return f"Trying {enumerated(notice.plugins)} for a moment, before anything moves ..."
     return f"Starting {notice.host} anew before {notice.next_run}, and waiting until it is ready ..."
 
@@ -93,7 +72,7 @@ def closing(run_id: str) -> str:
     return f"Interrupted: closing {run_id} (its robot is stopped, its profilers too). Ctrl-C again kills it at once."
 
 
-def request(waiting: WaitingForUser, *, by_key: bool) -> str:
+def request(waiting: notices.WaitingForUser, *, by_key: bool) -> str:
     """Return what the user is asked for before a run."""
     command = continue_command(waiting.folder, waiting.questions)
     run = f"run {waiting.next_run_number} of {waiting.run_count}"
@@ -111,7 +90,7 @@ def continue_command(folder: Path, questions: Sequence[Question] = ()) -> str:
     return " ".join([command_line("continue", shown_path(folder)), *answers])
 
 
-def run_to_come(waiting: WaitingForUser, model: RunTableModel) -> list[str]:
+def run_to_come(waiting: notices.WaitingForUser, model: RunTableModel) -> list[str]:
     """Return what is said of the run that the user is asked about: its treatments, and how much is left."""
     if not waiting.run_id:
         return []
@@ -132,33 +111,33 @@ def question_asked(question: Question) -> str:
     return f"  {question.asked}: "
 
 
-def refusals(refused: AnswersRefused) -> list[str]:
+def refusals(refused: notices.AnswersRefused) -> list[str]:
     """Return why answers are not taken, a line each."""
     return [one_line(f"  {found.where}: {found.problem}. {found.fix}".rstrip()) for found in refused.findings]
 
 
-def pausing(paused: Paused, *, by_key: bool) -> str:
+def pausing(paused: notices.Paused, *, by_key: bool) -> str:
     """Return what is said while the experiment is paused."""
     key = "press ENTER, or in another terminal: " if by_key else ""
     run = f"run {paused.next_run_number} of {paused.run_count}"
     return f"Paused before {run}. To go on: {key}{continue_command(paused.folder)}"
 
 
-def waiting_at_gate(waiting: GateWaiting) -> str:
+def waiting_at_gate(waiting: notices.GateWaiting) -> str:
     """Return what is said once a run has to wait for a gate."""
     return (
         f"run {waiting.run_number} of {waiting.run_count} ({waiting.run_id}) waits until {one_line(waiting.condition)}"
     )
 
 
-def waited_so_far(waiting: GateWaiting) -> str:
+def waited_so_far(waiting: notices.GateWaiting) -> str:
     """Return what was seen last while a gate is awaited, and for how long it has been."""
     most = f" of {shown_duration(waiting.timeout_s)}" if waiting.timeout_s is not None else ""
     seen = f"{one_line(waiting.seen)}   " if waiting.seen else ""
     return f"{seen}{shown_duration(waiting.seconds)}{most}"
 
 
-def gate_passed(passed: GatePassed) -> str:
+def gate_passed(passed: notices.GatePassed) -> str:
     """Return what is said once the wait for a gate is over."""
     waited = f"{passed.run_id} waited {shown_duration(passed.seconds)} until {one_line(passed.condition)}"
     if passed.state == "open":
@@ -194,7 +173,7 @@ class PlainScreen:
     def __exit__(self, *raised: object) -> None:
         """Leave what was printed."""
 
-    def notice(self, notice: Notice) -> None:
+    def notice(self, notice: notices.Notice) -> None:
         """Print what is worth a line; where nobody reads on (`| head`), the experiment goes on unseen."""
         self.progress.take(notice)
         try:
@@ -202,48 +181,48 @@ class PlainScreen:
         except BrokenPipeError:
             let_go_of(sys.stdout)
 
-    def _show(self, notice: Notice) -> None:
+    def _show(self, notice: notices.Notice) -> None:
         match notice:
-            case PreparationStarted() | ProbeStarted() | HostRestarts():
+            case notices.PreparationStarted() | notices.ProbeStarted() | notices.HostRestarts():
                 self._print(announced(notice))
-            case ExperimentStarted():
+            case notices.ExperimentStarted():
                 self._units = notice.columns
                 self._print(*opening(notice))
                 print_findings(self._console, notice.findings)
-            case AttemptStarted(task):
+            case notices.AttemptStarted(task):
                 treatments = treatments_in_words(task, self._model)
                 self._print(f"{_named(task)} starts{f': {treatments}' if treatments else ''}")
-            case AttemptFinished(task, outcome, is_last):
+            case notices.AttemptFinished(task, outcome, is_last):
                 self._print(f"{_named(task)} {self._ended(outcome, is_last=is_last)}")
-            case NextDecided():
+            case notices.NextDecided():
                 self._print(notice.told)
-            case FindingsNoticed(findings):
+            case notices.FindingsNoticed(findings):
                 print_findings(self._console, findings)
-            case InterruptionNoticed(run_id):
+            case notices.InterruptionNoticed(run_id):
                 self._print(closing(run_id))
             case _:
                 self._take_part(notice)
 
-    def _take_part(self, notice: Notice) -> None:
+    def _take_part(self, notice: notices.Notice) -> None:
         match notice:
-            case WaitingForUser():
+            case notices.WaitingForUser():
                 forget_typed(self.user_input)
                 self._print(*run_to_come(notice, self._model), request(notice, by_key=self.user_input is not None))
-            case Paused():
+            case notices.Paused():
                 forget_typed(self.user_input)
                 self._print(pausing(notice, by_key=self.user_input is not None))
-            case QuestionAsked(question):
+            case notices.QuestionAsked(question):
                 self._console.lines.write(question_asked(question))
                 self._console.lines.flush()
-            case AnswersRefused():
+            case notices.AnswersRefused():
                 self._print(*refusals(notice))
-            case RunRecord(run_id, "asked", fields):
+            case notices.RunRecord(run_id, "asked", fields):
                 self._print(f"{run_id} waits until a person says that {fields['step']}: {fields['command']}")
-            case GateWaiting() | GatePassed():
+            case notices.GateWaiting() | notices.GatePassed():
                 self._tell_of_gate(notice)
 
-    def _tell_of_gate(self, notice: GateWaiting | GatePassed) -> None:
-        if isinstance(notice, GatePassed):
+    def _tell_of_gate(self, notice: notices.GateWaiting | notices.GatePassed) -> None:
+        if isinstance(notice, notices.GatePassed):
             if self._gates_told.pop(notice.run_id, None) is not None or notice.problem:
                 self._print(gate_passed(notice))
             return

@@ -1,30 +1,22 @@
-"""How far an experiment is, gathered from the notices: what a screen shows, without the screen."""
+"""How far an experiment is, gathered from the notices, and its finished runs as rows of a table that grows."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from rich.text import Text
+
+from robot_runner.cli.console import Column, aligned, fitting, shortened, width_of
+from robot_runner.cli.design_words import heading_of, run_cells, run_columns
+from robot_runner.core.config.experiment import Experiment
+from robot_runner.core.design.columns import REPETITION, numbered_run_id
+from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.events.measure import PublishedMeasure, Quality
-from robot_runner.core.execution.notices import (
-    AttemptFinished,
-    AttemptStarted,
-    ExperimentFinished,
-    ExperimentStarted,
-    GatePassed,
-    GateWaiting,
-    NextDecided,
-    Notice,
-    Paused,
-    RunRecord,
-    UserHasContinued,
-    WaitingForUser,
-)
+from robot_runner.core.execution import notices
+from robot_runner.core.execution.durations import TimeLeft
 from robot_runner.core.execution.task import AttemptStatus, RunTask
-
-if TYPE_CHECKING:
-    from robot_runner.core.execution.durations import TimeLeft
+from robot_runner.core.words import enumerated, one_line, shown_duration, shown_treatment, shown_value
 
 
 @dataclass(slots=True)
@@ -80,7 +72,7 @@ class Progress:
         self.origins: dict[str, dict[str, None]] = {}
         self.bad_values: dict[str, dict[str, list[str]]] = {}
         self.is_waiting = False
-        self.gates: dict[str, GateWaiting] = {}
+        self.gates: dict[str, notices.GateWaiting] = {}
         self.gate_seconds = 0.0
         self.has_begun = False
 
@@ -108,40 +100,40 @@ class Progress:
         """The same in words; nothing where it is not known."""
         return self._left.in_words(self._clock() - self._left_since) if self._left is not None else ""
 
-    def take(self, notice: Notice) -> None:
+    def take(self, notice: notices.Notice) -> None:
         """Take a notice into account."""
         match notice:
-            case ExperimentStarted():
+            case notices.ExperimentStarted():
                 self._began = self._clock()
                 self._take_left(notice.left)
                 self.run_count, self.done = notice.run_count, notice.done_count
                 self._columns, self._asked_for = tuple(notice.columns), frozenset(notice.asked_for)
-            case AttemptStarted():
+            case notices.AttemptStarted():
                 self.is_waiting = False
                 self._take_left(notice.left)
                 self.has_begun = True
                 self.in_flight[notice.task.run_id] = CurrentRun(notice.task, self._clock())
-            case RunRecord():
+            case notices.RunRecord():
                 self._take_record(notice)
-            case AttemptFinished():
+            case notices.AttemptFinished():
                 self._take_end(notice)
                 self._take_left(notice.left)
-            case NextDecided():
+            case notices.NextDecided():
                 self.run_count = notice.run_count
-            case WaitingForUser() | Paused() | UserHasContinued():
-                self.is_waiting = not isinstance(notice, UserHasContinued)
-            case GateWaiting():
+            case notices.WaitingForUser() | notices.Paused() | notices.UserHasContinued():
+                self.is_waiting = not isinstance(notice, notices.UserHasContinued)
+            case notices.GateWaiting():
                 self.gates[notice.run_id] = notice
-            case GatePassed():
+            case notices.GatePassed():
                 self.gates.pop(notice.run_id, None)
                 self.gate_seconds += notice.seconds
-            case ExperimentFinished():
+            case notices.ExperimentFinished():
                 self.done, self.failed = notice.done_count, notice.failed_count
 
     def _take_left(self, left: TimeLeft | None) -> None:
         self._left, self._left_since = left, self._clock()
 
-    def _take_record(self, notice: RunRecord) -> None:
+    def _take_record(self, notice: notices.RunRecord) -> None:
         run, kind, fields = self.in_flight.get(notice.run_id), notice.kind, notice.fields
         if run is None:
             return
@@ -157,7 +149,7 @@ class Progress:
         elif kind == "failure" and not run.failure:
             run.failure = str(fields["problem"])
 
-    def _take_end(self, notice: AttemptFinished) -> None:
+    def _take_end(self, notice: notices.AttemptFinished) -> None:
         self.in_flight.pop(notice.task.run_id, None)
         status = notice.outcome.status
         if status is AttemptStatus.INTERRUPTED:
@@ -194,3 +186,73 @@ def _said(values: object) -> str:
     number, count = values.get("phase_number"), values.get("phase_count")
     place = f" ({number} of {count})" if number is not None and count is not None else ""
     return f"{values['phase']}{place}"
+
+
+#: A measure in four significant digits needs as much, with exponent and question mark.
+_MEASURE = 10
+_TOOK = 11
+_INDENT = "  "
+
+
+def shown_measure(published: PublishedMeasure | None) -> str:
+    """Return a value in four significant digits, with a question mark where it is doubtful; a missing one as a dash."""
+    if published is None:
+        return shown_value(None)
+    return shortened(shown_value(published.value)) + ("?" if published.quality is Quality.DOUBTFUL else "")
+
+
+def treatments_in_words(task: RunTask | notices.WaitingForUser, model: RunTableModel) -> str:
+    """Return what a run varies, as `Task=Video, Repetition=3`."""
+    parts = [f"{name}={shortened(shown_treatment(treatment))}" for name, treatment in task.combination.items()]
+    if task.repetition == 0:
+        parts.append("warm-up")
+    elif model.repetitions > 1:
+        parts.append(f"{REPETITION}={task.repetition}")
+    return ", ".join(parts)
+
+
+class RunRows:
+    """Makes the rows for the runs of one experiment.
+
+    Args:
+        experiment: whose runs they are.
+        measures: the units of the measure columns, by name.
+        run_count: how many runs there are, for the width of their ids.
+    """
+
+    def __init__(self, experiment: Experiment, measures: Mapping[str, str], run_count: int) -> None:
+        self._model = experiment.model
+        self._measures = tuple(measures)
+        self._what = run_columns(experiment.model, numbered_run_id(run_count))
+        headings = [heading_of(name, unit) for name, unit in measures.items()]
+        self._yields = [Column(heading, max(_MEASURE, width_of([heading])), is_number=True) for heading in headings]
+        self._yields.append(Column("took", _TOOK, is_number=True))
+
+    def header(self, width: int) -> Text:
+        """Return the headings."""
+        columns = self._fitting(width)
+        return Text(_INDENT + aligned(columns, [column.heading for column in columns]), style="bold")
+
+    def left_out(self, width: int) -> str:
+        """Return which columns do not fit, in words; nothing where all do."""
+        hidden = [column.heading for column in [*self._what, *self._yields][len(self._fitting(width)) :]]
+        return f"too narrow for {enumerated(hidden)}; run_table.csv has all measures" if hidden else ""
+
+    def row(self, finished: notices.AttemptFinished, width: int) -> Text:
+        """Return the row of an attempt that has ended."""
+        columns = self._fitting(width)
+        task, outcome = finished.task, finished.outcome
+        what = run_cells(self._model, task.run_id, task.combination, task.repetition)
+        if outcome.status is AttemptStatus.DONE:
+            published = (outcome.measures.get(name) for name in self._measures)
+            values = [shown_measure(each) for each in published]
+            return Text(_INDENT + aligned(columns, [*what, *values, shown_duration(outcome.seconds)]))
+        reason = one_line(str(outcome.failure)) if outcome.status is AttemptStatus.FAILED else "interrupted"
+        again = "" if finished.is_last else f"attempt {task.attempt}, tried again: "
+        head = aligned(columns[: len(what)], what)
+        style = "red" if finished.is_last else "yellow"
+        return Text(f"{_INDENT}{head}  ✗ {again}{reason}", style=style)
+
+    def _fitting(self, width: int) -> list[Column]:
+        columns = [*self._what, *self._yields]
+        return columns[: fitting(columns, width - len(_INDENT))]

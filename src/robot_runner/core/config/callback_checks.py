@@ -11,8 +11,9 @@ import time
 from collections.abc import Iterator, Mapping
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
+from robot_runner.core.config.loader import LoadedConfig
 from robot_runner.core.config.parameters import Parameters, RunProcess
 from robot_runner.core.config.source import tree_of
 from robot_runner.core.errors import Finding
@@ -26,9 +27,6 @@ from robot_runner.core.events.manager import (
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.words import listed
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.loader import LoadedConfig
 
 
 def check_callbacks(loaded: LoadedConfig, parameters: Parameters, events: EventManager) -> list[Finding]:
@@ -188,7 +186,7 @@ def _read_by(called_code: Iterator[_CalledCode]) -> Iterator[str]:
 
 
 # Generators of random numbers that are made once: a forked run inherits them as they are. Those that `random` and
-# `numpy.random` have for all are given a state of each run's own (core/execution/random_states.py).
+# `numpy.random` have for all are given a state of each run's own (core/execution/inherited.py).
 
 #: By module and class: `random.SystemRandom` draws from the system, and has no state.
 _GENERATORS = {

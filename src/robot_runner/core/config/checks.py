@@ -16,13 +16,7 @@ from typing import Any
 
 from robot_runner.core.config.experiment import experiment_folder
 from robot_runner.core.config.loader import LoadedConfig, raised_in
-from robot_runner.core.config.parameters import (
-    PARAMETERS,
-    REQUIRED,
-    Parameter,
-    Parameters,
-    RunProcess,
-)
+from robot_runner.core.config.parameters import PARAMETERS, REQUIRED, Parameter, Parameters, RunProcess
 from robot_runner.core.config.plugin_checks import announced_findings
 from robot_runner.core.config.registered_config import take_registered_seed
 from robot_runner.core.design.asking import AdaptiveDesign, decides_order

@@ -7,19 +7,14 @@ import difflib
 import inspect
 import re
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from types import CodeType
 
+from robot_runner.core.config.loader import LoadedConfig
 from robot_runner.core.config.parameters import PARAMETERS, ExperimentConfig
 from robot_runner.core.config.source import tree_of
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 from robot_runner.core.late_annotations import names_in
-
-if TYPE_CHECKING:
-    from types import CodeType
-
-    from robot_runner.core.config.loader import LoadedConfig
-
 
 #: What to use for a method: names that earlier tools have for it, or that people guess.
 _METHODS = {

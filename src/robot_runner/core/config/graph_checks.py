@@ -11,8 +11,7 @@ from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents
 from robot_runner.core.links.connect import begin_graph_look, link_findings
-from robot_runner.core.links.graph_names import namespace_prefix
-from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.core.links.graph_names import GraphNeed, namespace_prefix
 from robot_runner.core.plugin import Circumstances, Plugin
 from robot_runner.core.words import enumerated
 

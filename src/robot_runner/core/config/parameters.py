@@ -11,22 +11,20 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
+from typing import Any, ClassVar, NoReturn
 
 from robot_runner.core.config import parameter_kinds as kinds
+from robot_runner.core.config.authors import Author
 from robot_runner.core.config.gate_parameters import Gate, Guard
+from robot_runner.core.config.notify import Notify
+from robot_runner.core.config.operator_steps import OperatorStep
+from robot_runner.core.design.analysis_plan import AnalysisPlan
+from robot_runner.core.design.precision import Precision
+from robot_runner.core.design.run_table_model import RunTable, RunTableModel
 from robot_runner.core.errors import ConfigError
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.authors import Author
-    from robot_runner.core.config.notify import Notify
-    from robot_runner.core.config.operator_steps import OperatorStep
-    from robot_runner.core.design.analysis_plan import AnalysisPlan
-    from robot_runner.core.design.precision import Precision
-    from robot_runner.core.design.run_table_model import RunTable, RunTableModel
-    from robot_runner.core.links.declared_host import Host
-    from robot_runner.core.links.robot_name import Robots
-    from robot_runner.core.plugin import Plugin
+from robot_runner.core.links.declared_host import Host
+from robot_runner.core.links.robot_name import Robots
+from robot_runner.core.plugin import Plugin
 
 
 class OperationType(Enum):

@@ -8,20 +8,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from robot_runner.core.config import checks
 from robot_runner.core.config.callback_checks import check_callbacks
-from robot_runner.core.config.checks import (
-    announced_checks,
-    check_analysis,
-    check_columns,
-    check_disk_space,
-    check_names,
-    check_neighbours,
-    check_repeat_until,
-    check_results_path,
-    check_threads,
-    create_model,
-    read_parameters,
-)
 from robot_runner.core.config.claims import check_workers
 from robot_runner.core.config.dead_names import check_dead_names
 from robot_runner.core.config.dialects import load_config
@@ -86,7 +74,7 @@ def check_robot(loaded: LoadedConfig, parameters: Parameters, plugins: Sequence[
         return []  # nothing was found, which is a finding already
 
     def announced(link: str | None) -> list[Finding]:
-        return announced_checks(loaded.where, parameters.but(robot=link), plugins)
+        return checks.announced_checks(loaded.where, parameters.but(robot=link), plugins)
 
     found = _of_each(parameters.robots, announced) if parameters.robots else announced(parameters.robot)
     return [*_link_findings(parameters), *found]
@@ -148,8 +136,8 @@ def prepare(
     except ConfigError as error:
         return Preparation(None, error.findings)
     findings = [*loaded.findings, *_name_findings(loaded), *(choose_robot(loaded) if is_for_here else ())]
-    parameters, parameter_findings = read_parameters(loaded)
-    model, model_findings = create_model(loaded)
+    parameters, parameter_findings = checks.read_parameters(loaded)
+    model, model_findings = checks.create_model(loaded)
     model = _grown(loaded, parameters, model, model_findings)
     complete = _with_all_factors(model)
     plugins, plugin_findings = gather_plugins(loaded, complete)
@@ -160,10 +148,10 @@ def prepare(
     events = _subscribe(loaded, plugins, findings)
     columns = measure_columns(loaded, model, plugins, parameters, findings)
     if parameters is not None:
-        findings += [*check_analysis(parameters, complete, columns), *check_threads(loaded, parameters)]
+        findings += [*checks.check_analysis(parameters, complete, columns), *checks.check_threads(loaded, parameters)]
         findings += check_callbacks(loaded, parameters, events)
         findings += check_registration(loaded, model, parameters, columns) if is_for_here else ()
-        findings += check_repeat_until(loaded, parameters, model, columns)
+        findings += checks.check_repeat_until(loaded, parameters, model, columns)
         findings += check_workers(loaded.where, parameters, plugins, events, model)
     if is_for_here:
         findings += _check_machine(loaded, parameters, plugins, complete, events if looks_at_graph else None)
@@ -218,10 +206,10 @@ def _with_all_factors(model: RunTableModel | None) -> RunTableModel | None:
 
 def _name_findings(loaded: LoadedConfig) -> list[Finding]:
     """Return the names of a config that are misspelt, or that nothing uses."""
-    refused = check_names(loaded)
+    refused = checks.check_names(loaded)
     places = {finding.where for finding in refused}
     dead = [finding for finding in check_dead_names(loaded) if finding.where not in places]
-    return [*refused, *dead, *check_neighbours(loaded)]
+    return [*refused, *dead, *checks.check_neighbours(loaded)]
 
 
 def _check_machine(
@@ -246,8 +234,8 @@ def _check_machine(
         if model is not None:
             yield from maker_findings(model.factors, experiment_folder(parameters, loaded))
         yield from check_notify(f"{loaded.where}.notify", parameters.notify)
-        yield from check_results_path(loaded, parameters)
-        yield from check_disk_space(loaded, parameters, plugins, runs)
+        yield from checks.check_results_path(loaded, parameters)
+        yield from checks.check_disk_space(loaded, parameters, plugins, runs)
 
 
 def _robot_first(
@@ -342,7 +330,7 @@ def measure_columns(
     if parameters is not None and parameters.robots:
         measures[ROBOTS_OWNER] = (Measure(ROBOT, "", "The robot that executed the run."),)
     columns, column_findings = resolve_columns(model.data_columns if model else None, measures)
-    findings += [*step_findings, *column_findings, *check_columns(columns)]
+    findings += [*step_findings, *column_findings, *checks.check_columns(columns)]
     columns = columns.with_all_of(OPERATOR_OWNER).with_all_of(ROBOTS_OWNER)
     if parameters is not None and parameters.quality_columns:
         columns = columns.with_quality()

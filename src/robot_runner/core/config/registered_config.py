@@ -7,22 +7,19 @@ from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from itertools import filterfalse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.config.loader import LoadedConfig
+from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.design.batches import as_configured, described_design
 from robot_runner.core.design.factor import full_factorial
 from robot_runner.core.design.precision import rules_as_mapping
+from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import Finding, StorageError
+from robot_runner.core.events.measure import MeasureColumns
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.storage.registration import Registration, differences, read_registration
 from robot_runner.core.words import listed
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.loader import LoadedConfig
-    from robot_runner.core.config.parameters import Parameters
-    from robot_runner.core.design.run_table_model import RunTableModel
-    from robot_runner.core.events.measure import MeasureColumns
-
 
 #: What is put behind the stem of the config file.
 SUFFIX = ".registration.json"

@@ -14,7 +14,7 @@ from robot_runner.core.design.factor_conditions import identified, impossible_tr
 from robot_runner.core.design.numeric_range import Range
 from robot_runner.core.design.revision import Revision, is_revision_name
 from robot_runner.core.errors import DesignError, Finding, nearest
-from robot_runner.core.inactive import INACTIVE
+from robot_runner.core.words import INACTIVE
 
 # What keeps a value from being a treatment. In the run table each is written as its `str()`, which of a float is exact:
 # Python writes the shortest text that gives the same number back.

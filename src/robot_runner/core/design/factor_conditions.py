@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Protocol
 
 from robot_runner.core.errors import Finding, did_you_mean
-from robot_runner.core.inactive import INACTIVE
+from robot_runner.core.words import INACTIVE
 
 
 class _Factor(Protocol):

@@ -21,7 +21,7 @@ from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
-from robot_runner.core.inactive import INACTIVE
+from robot_runner.core.words import INACTIVE
 
 _WRITTEN_ONE_BY_ONE = "the runs were listed one by one, and no factorial says which are to be added"
 

@@ -7,15 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from robot_runner.core.errors import Finding, MeasureError, did_you_mean
-from robot_runner.core.events.measure import (
-    MeasureColumn,
-    MeasureColumns,
-    MeasureValue,
-    Origin,
-    PublishedMeasure,
-    as_measure_value,
-    shown,
-)
+from robot_runner.core.events import measure
 from robot_runner.core.secret_names import without_environment_secrets
 
 #: Takes what happens in a run as it happens: a kind and its plain fields.
@@ -35,7 +27,7 @@ class MeasureBroker:
     def __init__(
         self,
         run_id: str,
-        columns: MeasureColumns,
+        columns: measure.MeasureColumns,
         report: ReportRecord,
         told: dict[str, dict[str, Any]] | None = None,
         shared: dict[str, dict[str, object]] | None = None,
@@ -46,14 +38,14 @@ class MeasureBroker:
         self._lock = threading.Lock()
         self._told = {} if told is None else told
         self._measures = {
-            name: PublishedMeasure(name, each["value"], each["owner"], origin=Origin(each["origin"]))
+            name: measure.PublishedMeasure(name, each["value"], each["owner"], origin=measure.Origin(each["origin"]))
             for name, each in self._told.items()
         }
         self._shared = {} if shared is None else shared
         self._findings: list[Finding] = []
 
     @property
-    def measures(self) -> Mapping[str, PublishedMeasure]:
+    def measures(self) -> Mapping[str, measure.PublishedMeasure]:
         """What was published so far, by column of the run table."""
         return self._measures
 
@@ -67,7 +59,7 @@ class MeasureBroker:
         """The warnings recorded so far."""
         return tuple(self._findings)
 
-    def publish(self, owner: str, name: str, value: object, origin: Origin) -> None:
+    def publish(self, owner: str, name: str, value: object, origin: measure.Origin) -> None:
         """Take one measure; a later value of the same measure replaces the earlier.
 
         Raises:
@@ -75,18 +67,18 @@ class MeasureBroker:
                 the value of a measure with a unit. What was refused is reported all the same, so that it is kept with
                 the run.
         """
-        if not isinstance(origin, Origin):
-            fix = did_you_mean(str(origin), map(str, Origin))
+        if not isinstance(origin, measure.Origin):
+            fix = did_you_mean(str(origin), map(str, measure.Origin))
             raise MeasureError(f"{origin!r} is no origin", where=f"{owner}, run {self._run_id}", fix=fix)
         try:
             column = self._columns.column_for(owner, name)
-            plain = as_measure_value(column.name, value, where=f"{owner}, run {self._run_id}")
+            plain = measure.as_measure_value(column.name, value, where=f"{owner}, run {self._run_id}")
             _refuse_text_with_unit(column, plain, where=f"{owner}, run {self._run_id}")
         except MeasureError:
-            refused = without_environment_secrets(shown(value))
+            refused = without_environment_secrets(measure.shown(value))
             self._report("refused", {"owner": owner, "name": str(name), "value": refused})
             raise
-        published = PublishedMeasure(column.name, plain, owner, column.measure.unit, origin)
+        published = measure.PublishedMeasure(column.name, plain, owner, column.measure.unit, origin)
         with self._lock:
             self._measures[column.name] = published
             fields = {"name": column.name, "value": plain, "owner": owner, "origin": origin.value}
@@ -130,7 +122,7 @@ class MeasureBroker:
             self._report(kind, {"owner": owner, **facts})
 
 
-def _refuse_text_with_unit(column: MeasureColumn, value: MeasureValue, *, where: str) -> None:
+def _refuse_text_with_unit(column: measure.MeasureColumn, value: measure.MeasureValue, *, where: str) -> None:
     """Refuse a text for what has a unit: statistics and plausible limits would pass over it without a word.
 
     Raises:

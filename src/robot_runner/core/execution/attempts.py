@@ -6,16 +6,16 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from contextlib import closing
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.config.gate_parameters import GuardAction
 from robot_runner.core.config.parameters import FailurePolicy
+from robot_runner.core.design.design import HeldOrder
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.events.measure import ROBOT, ROBOTS_OWNER, Origin
 from robot_runner.core.execution.between_runs import BetweenRuns
 from robot_runner.core.execution.clock_jumps import NotedSettings
-from robot_runner.core.execution.failures import failure_fields
 from robot_runner.core.execution.gates import Gates, Passage
 from robot_runner.core.execution.notices import (
     AttemptFinished,
@@ -25,16 +25,14 @@ from robot_runner.core.execution.notices import (
     RunRecord,
 )
 from robot_runner.core.execution.operator import Operator
+from robot_runner.core.execution.orchestrator_events import OngoingExperiment
+from robot_runner.core.execution.patience import Steps
 from robot_runner.core.execution.places import Place, Watch
+from robot_runner.core.execution.run_records import failure_fields
 from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder, PendingRun, Report, RunOutcome, RunTask
 from robot_runner.core.links.commanded_topics import MAY_BE_MOVING
 from robot_runner.core.treatments import bind, factors_of, values_of
 from robot_runner.core.words import plain
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.design import HeldOrder
-    from robot_runner.core.execution.orchestrator_events import OngoingExperiment
-    from robot_runner.core.execution.patience import Steps
 
 
 class Attempts:

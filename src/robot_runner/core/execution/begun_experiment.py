@@ -5,14 +5,16 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.plugin_checks import check_plugins, check_treatments
 from robot_runner.core.config.treatment_makers import Workshop, made_treatments
 from robot_runner.core.design.asking import AdaptiveDesign
 from robot_runner.core.design.batches import GrownRunTableModel, as_configured, described_design
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.revision import Revision
+from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.circumstances import (
     change_findings,
@@ -21,18 +23,14 @@ from robot_runner.core.execution.circumstances import (
     restored_manifest,
     resumed_manifest,
 )
+from robot_runner.core.execution.interruption import Interruption
+from robot_runner.core.execution.recovered_table import RecoveredTable
 from robot_runner.core.execution.recovery import ACCEPT, config_changes
 from robot_runner.core.storage.guarded_files import make_experiment_folder, make_folder
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.system_refusals import fsync_folder, storage_errors
 from robot_runner.core.treatments import factors_of
 from robot_runner.core.words import counted, enumerated, listed
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.design.run_table_model import RunTableModel
-    from robot_runner.core.execution.interruption import Interruption
-    from robot_runner.core.execution.recovered_table import RecoveredTable
-    from robot_runner.core.storage.layout import ExperimentFolder
 
 
 def made_folder(folder: ExperimentFolder) -> set[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.config.parameters import OperationType
 from robot_runner.core.design.columns import REPETITION
@@ -15,6 +15,8 @@ from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.execution.aside import executed_aside
 from robot_runner.core.execution.notices import FindingsNoticed, HostRestarts, Paused
+from robot_runner.core.execution.operator import Operator
+from robot_runner.core.execution.orchestrator_events import OngoingExperiment
 from robot_runner.core.execution.patience import Pause, Steps
 from robot_runner.core.execution.places import Place, Watch
 from robot_runner.core.execution.task import AttemptStatus, PendingRun, RunTask
@@ -22,11 +24,6 @@ from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.links.declared_host import Host, Reboot
 from robot_runner.core.links.host_commands import DeclaredHosts, HostCommands, Shell
 from robot_runner.core.storage.lock import forget_requests, is_requested
-
-if TYPE_CHECKING:
-    from robot_runner.core.execution.operator import Operator
-    from robot_runner.core.execution.orchestrator_events import OngoingExperiment
-
 
 _log = logging.getLogger(__name__)
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.design.asking import AdaptiveDesign, Asking, Decision, Told
 from robot_runner.core.design.batches import (
     EXTENDED,
@@ -28,18 +29,15 @@ from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder
 from robot_runner.core.design.precise_estimates import UntilPrecise
 from robot_runner.core.design.precision import LEAST_REPETITIONS, Precision
+from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import Finding
 from robot_runner.core.execution.notices import NextDecided
+from robot_runner.core.execution.recovered_table import RecoveredTable
 from robot_runner.core.execution.task import seed_of_run
-from robot_runner.core.inactive import INACTIVE
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import utc_now
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.design.run_table_model import RunTableModel
-    from robot_runner.core.execution.recovered_table import RecoveredTable
-    from robot_runner.core.storage.run_table_rows import RunTableRows
+from robot_runner.core.storage.run_table_rows import RunTableRows
+from robot_runner.core.words import INACTIVE
 
 
 @dataclass(frozen=True, slots=True)

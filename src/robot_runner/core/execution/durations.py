@@ -9,9 +9,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.config.parameters import OperationType, Parameters
+from robot_runner.core.events.manager import EventManager
 from robot_runner.core.execution.mission_knowledge import (
     CombinationKey,
     MissionKnowledge,
@@ -22,13 +23,9 @@ from robot_runner.core.execution.mission_knowledge import (
 )
 from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.links.declared_host import Reboot
+from robot_runner.core.plugin import Plugin
 from robot_runner.core.storage.journal import last_records
 from robot_runner.core.words import counted, enumerated, shown_duration
-
-if TYPE_CHECKING:
-    from robot_runner.core.events.manager import EventManager
-    from robot_runner.core.plugin import Plugin
-
 
 #: The records that tell of durations.
 _TELLING = ("experiment_started", "attempt_started", "attempt_finished", "clock_set")

@@ -15,9 +15,9 @@ from robot_runner.core.config.parameters import Parameters, RunProcess
 from robot_runner.core.entry_points import named_entry_point
 from robot_runner.core.errors import PluginError, RobotRunnerError
 from robot_runner.core.events.early_end import RunInterrupted
+from robot_runner.core.execution.inherited import write_inherited
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.keeper import Keeper, reap_keepers
-from robot_runner.core.execution.open_files import write_inherited
 from robot_runner.core.execution.places import Place, Places, RunInFlight, Watch
 from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.run_records import FINISHED, RecordReader, RecordWriter

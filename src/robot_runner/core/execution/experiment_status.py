@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.config.operator_steps import Question
 from robot_runner.core.design.precision import rule_in_words, rules_of_mapping
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.durations import Durations, TimeLeft
 from robot_runner.core.execution.experiment_history import ExperimentHistory, Session
+from robot_runner.core.execution.places import InFlight
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import moved_in_words, moved_runs, unrecorded_findings
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -21,9 +22,6 @@ from robot_runner.core.storage.lock import Holder, holder_of, is_requested, send
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
-
-if TYPE_CHECKING:
-    from robot_runner.core.execution.places import InFlight
 
 
 @dataclass(frozen=True, slots=True)

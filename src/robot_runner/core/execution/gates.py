@@ -9,23 +9,20 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.gate_parameters import Gate, GatePolicy
 from robot_runner.core.errors import ConditionTimeout, Finding, RobotRunnerError
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.execution.aside import executed_aside
 from robot_runner.core.execution.notices import FindingsNoticed, GatePassed, GateWaiting
+from robot_runner.core.execution.orchestrator_events import OngoingExperiment
 from robot_runner.core.execution.patience import Pause, Steps
 from robot_runner.core.execution.places import Watch
+from robot_runner.core.execution.task import PendingRun, Report, RunOutcome, RunTask
 from robot_runner.core.words import shown_duration
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.orchestrator_events import OngoingExperiment
-    from robot_runner.core.execution.task import PendingRun, Report, RunOutcome, RunTask
-
 
 #: How long the process may take beyond the gate's own time, s: to connect, or to begin a simulation.
 _MARGIN = 60.0

@@ -31,7 +31,7 @@ from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.events.condition import Condition
 from robot_runner.core.secret_names import REDACTED, is_secret_name, without_environment_secrets
-from robot_runner.core.storage.user_folders import home_folder
+from robot_runner.core.storage.layout import home_folder
 from robot_runner.core.treatments import Bindable, Treatment, given_to
 from robot_runner.core.vain_parameters import CONFIG_MODULE
 

@@ -6,17 +6,14 @@ import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
+from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.declared_host import Host, host_findings
 from robot_runner.core.plugin import Circumstances, Plugin, System
 from robot_runner.core.words import shown_duration
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.parameters import Parameters
-
 
 _NAME = "host_files"
 #: The share of the grace that fetching may take after a failure: the rest is for the robot and the other plugins.

@@ -14,19 +14,15 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Self
+from types import FrameType
+from typing import Self
 from weakref import WeakSet
 
 from robot_runner.core.events.early_end import MissionStopped, RunFailed, RunInterrupted, fails_run
-from robot_runner.core.execution.failures import failure_fields, text_of
+from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.execution.processes import begin_run_of_its_own, is_part
-
-if TYPE_CHECKING:
-    from types import FrameType
-
-    from robot_runner.core.events.manager import RobotRunnerEvents
-    from robot_runner.core.execution.task import Report
-
+from robot_runner.core.execution.run_records import failure_fields, text_of
+from robot_runner.core.execution.task import Report
 
 #: The signals that ask the orchestrator, or a run, to stop.
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

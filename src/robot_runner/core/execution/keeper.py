@@ -26,30 +26,15 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
+from robot_runner.core.execution import processes
 from robot_runner.core.execution.interruption import ASK_AGAIN, STOP_SIGNALS
 from robot_runner.core.execution.left_over import RunMark, left_over_ended
-from robot_runner.core.execution.processes import (
-    adopt_orphans,
-    children,
-    flush_streams,
-    forked,
-    group_ended,
-    has_children,
-    is_killed,
-    kill_group,
-    leave_after,
-    no_process,
-    stop_with_parent,
-    use_no_streams,
-)
 from robot_runner.core.execution.run_records import RecordWriter
+from robot_runner.core.execution.standby import Standby
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.outliving import is_spared, outliving
-
-if TYPE_CHECKING:
-    from robot_runner.core.execution.standby import Standby
-    from robot_runner.core.storage.layout import ExperimentFolder
 
 _STOP, _KILL = b"s", b"k"
 _NUMBER_BYTES = 8
@@ -124,7 +109,7 @@ class Keeper:
         self.was_killed = False
 
     def __enter__(self) -> Self:
-        flush_streams()  # or the run would print it once more
+        processes.flush_streams()  # or the run would print it once more
         mark = RunMark(self._folder)
         opened = [mark.descriptor]
         try:
@@ -135,7 +120,7 @@ class Keeper:
             # Made here and not in the keeper: each page that a forked process is the first to touch is copied.
             report = RecordWriter(records)
             process = _KeeperProcess(self, requests, tell, report, mark)
-            self._pid = forked()
+            self._pid = processes.forked()
         except BaseException:  # where no process is to be had, nothing stays open
             for descriptor in opened:
                 os.close(descriptor)
@@ -143,7 +128,7 @@ class Keeper:
         if self._pid == 0:
             for descriptor in (self._requests, self.told, self.records):
                 os.close(descriptor)
-            leave_after(process.keep, report)
+            processes.leave_after(process.keep, report)
         for descriptor in (requests, tell, records):
             os.close(descriptor)
         mark.close()
@@ -198,7 +183,7 @@ class Keeper:
             grace: how long the run may take to close what it opened, s.
         """
         if self.run is not None:  # else the run had not begun, and does not begin without a keeper
-            yield from group_ended(self.run, grace, self.spared)
+            yield from processes.group_ended(self.run, grace, self.spared)
         yield from left_over_ended(self._folder, [])
 
     def spared(self) -> frozenset[int]:
@@ -266,8 +251,8 @@ class _KeeperProcess:
         """Start the run, watch over it until it has ended, end what it left behind, and tell how it ended."""
         os.setsid()  # what happens to the orchestrator's terminal does not reach us
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # where it is ignored, the system says of no child how it ended
-        use_no_streams()
-        adopt_orphans()
+        processes.use_no_streams()
+        processes.adopt_orphans()
         self._fork_run()
         if self._standby is not None:
             ours = [self._requests, self._tell, self._report.descriptor]
@@ -275,7 +260,7 @@ class _KeeperProcess:
             self._standby.begin(self._run, let_go=[*ours, self._mark.descriptor])
         self._report.close()  # the run's alone from here on
         status = self._watch()
-        kill_group(self._run, self._spared)
+        processes.kill_group(self._run, self._spared)
         if self._standby is not None:
             self._standby.wait()
             self._standby.look_after(self._run)  # it may have been killed, and the orchestrator as well
@@ -288,16 +273,16 @@ class _KeeperProcess:
         # The run takes them once it can: a forked process forgets signals that come while it begins. The keeper itself
         # keeps them blocked: to stop is the run's business.
         signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
-        self._run = forked()
+        self._run = processes.forked()
         if self._run == 0:
-            leave_after(lambda: self._become_run(keeper), self._report)
+            processes.leave_after(lambda: self._become_run(keeper), self._report)
         with suppress(PermissionError, ProcessLookupError):  # whichever of the two comes first
             os.setpgid(self._run, self._run)
 
     def _become_run(self, keeper: int) -> None:
         os.setpgid(0, 0)
         signal.set_wakeup_fd(-1)  # inherited: it would wake the orchestrator
-        stop_with_parent()
+        processes.stop_with_parent()
         os.write(self._tell, _bytes(os.getpid()))
         # Not before: as long as we hold it, the orchestrator does not take the keeper for dead.
         os.close(self._tell)
@@ -320,7 +305,7 @@ class _KeeperProcess:
                 self._ask_again_at = None
                 os.kill(self._run, signal.SIGTERM)
             if self._kill_at is not None and time.monotonic() >= self._kill_at:
-                kill_group(self._run, self._spared)
+                processes.kill_group(self._run, self._spared)
                 self._kill_at = time.monotonic() + self._grace
         return status
 
@@ -354,9 +339,13 @@ class _KeeperProcess:
     def _end_orphans(self) -> None:
         """Kill what the run left behind, also what has a session or a process group of its own, and reap it."""
         deadline = time.monotonic() + _REAPING
-        while has_children() and time.monotonic() < deadline:
+        while processes.has_children() and time.monotonic() < deadline:
             spared = self._spared()
-            orphans = [orphan for orphan in children() if not is_spared(orphan, spared) and is_killed(orphan)]
+            orphans = [
+                orphan
+                for orphan in processes.children()
+                if not is_spared(orphan, spared) and processes.is_killed(orphan)
+            ]
             if not orphans:
                 return
             time.sleep(_LOOK)
@@ -374,7 +363,7 @@ def _pipe(opened: list[int]) -> tuple[int, int]:
     try:
         ends = os.pipe()
     except OSError as error:
-        raise no_process(error) from error
+        raise processes.no_process(error) from error
     opened += ends
     return ends
 

@@ -28,22 +28,10 @@ from functools import lru_cache
 from pathlib import Path
 
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
-from robot_runner.core.storage.guarded_files import (
-    MissingFileError,
-    open_descriptor,
-    read_bytes,
-    read_text,
-    remove,
-)
+from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, read_bytes, read_text, remove
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock_files import open_to_lock, was_open_to_strangers
-from robot_runner.core.storage.outliving import (
-    ancestors,
-    has_in_environment,
-    is_spared,
-    outliving,
-    processes,
-)
+from robot_runner.core.storage.outliving import ancestors, has_in_environment, is_spared, outliving, processes
 
 _VARIABLE = "ROBOT_RUNNER_RUN_OF"
 #: How often we look whether a process has ended, and how long those that were killed may take, s.

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
-if TYPE_CHECKING:
-    from robot_runner.core.config.operator_steps import Question
-    from robot_runner.core.errors import Finding
-    from robot_runner.core.execution.durations import TimeLeft
-    from robot_runner.core.execution.task import RunOutcome, RunTask
+from robot_runner.core.config.operator_steps import Question
+from robot_runner.core.errors import Finding
+from robot_runner.core.execution.durations import TimeLeft
+from robot_runner.core.execution.task import RunOutcome, RunTask
 
 
 @dataclass(frozen=True, slots=True)

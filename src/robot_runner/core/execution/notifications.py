@@ -16,26 +16,14 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.notify import addresses_from
 from robot_runner.core.errors import Finding, StorageError
-from robot_runner.core.execution.notices import (
-    AttemptFinished,
-    ExperimentFinished,
-    ExperimentStarted,
-    GateWaiting,
-    NextDecided,
-    Notice,
-    WaitingForUser,
-)
+from robot_runner.core.execution import notices
+from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.words import counted, one_line, shown_duration, shown_treatment
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.interruption import Interruption
-
 
 _MODULE = "robot_runner.core.execution.notification_sender"
 #: How long the sending of one notification may take, s: mail servers think for a while.
@@ -69,7 +57,7 @@ class Notifications:
         self._told_gate = ("", "")
         self._ended = self._done = self._failures = self._run_count = 0
 
-    def take(self, notice: Notice) -> None:
+    def take(self, notice: notices.Notice) -> None:
         """Send what a notice is worth."""
         if self._notify is None or not self._addresses:
             return
@@ -97,20 +85,22 @@ class Notifications:
         self._reap()
         return tuple(self._failed.values())
 
-    def _messages(self, notice: Notice) -> Iterator[_Message]:
+    def _messages(self, notice: notices.Notice) -> Iterator[_Message]:
         wanted = self._notify.on if self._notify else ()
         match notice:
-            case ExperimentStarted():
+            case notices.ExperimentStarted():
                 self._run_count, self._done = notice.run_count, notice.done_count
-            case NextDecided():
+            case notices.NextDecided():
                 self._run_count = notice.run_count
-            case AttemptFinished(task, outcome, is_last=True) if outcome.status is not AttemptStatus.INTERRUPTED:
+            case notices.AttemptFinished(task, outcome, is_last=True) if (
+                outcome.status is not AttemptStatus.INTERRUPTED
+            ):
                 has_failed = outcome.status is AttemptStatus.FAILED
                 self._done, self._failures = self._done + (not has_failed), self._failures + has_failed
                 if has_failed and "failure" in wanted:
                     yield _Message(f"{self._name}: {task.run_id} failed", one_line(str(outcome.failure)), "warning")
                 yield from self._progress()
-            case WaitingForUser() if "waiting" in wanted:
+            case notices.WaitingForUser() if "waiting" in wanted:
                 what = notice.step or "may the next run start?"
                 treatments = ", ".join(f"{name}={shown_treatment(each)}" for name, each in notice.combination.items())
                 place = f", {notice.place}" if notice.place else ""
@@ -118,12 +108,12 @@ class Notifications:
                     f"Before {notice.run_id}, run {notice.next_run_number} of {notice.run_count}{place}: {treatments}"
                 )
                 yield _Message(f"{self._name} waits for you: {what}", body, "warning")
-            case GateWaiting() if "waiting" in wanted and notice.seconds >= _GATE_PATIENCE:
+            case notices.GateWaiting() if "waiting" in wanted and notice.seconds >= _GATE_PATIENCE:
                 yield from self._gate(notice)
-            case ExperimentFinished() if "end" in wanted:
+            case notices.ExperimentFinished() if "end" in wanted:
                 yield self._end(notice)
 
-    def _gate(self, waiting: GateWaiting) -> Iterator[_Message]:
+    def _gate(self, waiting: notices.GateWaiting) -> Iterator[_Message]:
         gate = (waiting.run_id, waiting.condition)
         if gate != self._told_gate:
             self._told_gate = gate
@@ -139,7 +129,7 @@ class Notifications:
     def _counts(done: int, run_count: int, failed: int) -> str:
         return f"{done:,} of {counted(run_count, 'run')} done" + (f", {failed:,} failed" if failed else "")
 
-    def _end(self, finished: ExperimentFinished) -> _Message:
+    def _end(self, finished: notices.ExperimentFinished) -> _Message:
         run_count = finished.done_count + finished.failed_count + finished.todo_count
         counts = self._counts(finished.done_count, run_count, finished.failed_count)
         why = " was interrupted" if finished.interrupted else " was stopped" if finished.stopped_by_policy else " ended"

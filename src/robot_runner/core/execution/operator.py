@@ -10,21 +10,18 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.config.operator_steps import OperatorStep, Question, read_answers
 from robot_runner.core.design.watched_combination import WatchedCombination
 from robot_runner.core.errors import ExecutionError, MeasureError
 from robot_runner.core.events.measure import OPERATOR_OWNER, MeasureValue, Origin
 from robot_runner.core.execution.notices import AnswersRefused, QuestionAsked, UserHasContinued, WaitingForUser
+from robot_runner.core.execution.orchestrator_events import OngoingExperiment
 from robot_runner.core.execution.patience import Pause, Steps
+from robot_runner.core.execution.task import PendingRun, Report, RunTask
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.lock import Asked, take_request
-
-if TYPE_CHECKING:
-    from robot_runner.core.execution.orchestrator_events import OngoingExperiment
-    from robot_runner.core.execution.task import PendingRun, Report, RunTask
-
 
 #: How often a second terminal is listened to, in seconds.
 _LISTEN = 0.2

@@ -13,11 +13,12 @@ from typing import Any
 from robot_runner.core.config.claims import Claims, held_claims
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, StorageError
+from robot_runner.core.events.context import ExperimentEnd
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.events.measure import OPERATOR_OWNER
-from robot_runner.core.events.outlook import ExperimentEnd
 from robot_runner.core.execution.begun_experiment import prepared_treatments
 from robot_runner.core.execution.executor import places_of
+from robot_runner.core.execution.inherited import note_open_files
 from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.notices import (
     ExperimentFinished,
@@ -28,7 +29,6 @@ from robot_runner.core.execution.notices import (
     ProbeStarted,
 )
 from robot_runner.core.execution.notifications import Notifications
-from robot_runner.core.execution.open_files import note_open_files
 from robot_runner.core.execution.orchestrator_events import OngoingExperiment, OrchestratorEvents
 from robot_runner.core.execution.patience import Patience
 from robot_runner.core.execution.probe import Probe, probe_profilers, probed_profilers

@@ -9,33 +9,27 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Self
+from types import FrameType
+from typing import Any, Self
 
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.design.watched_combination import WatchedCombination
 from robot_runner.core.errors import ExecutionError, Finding
-from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext, SystemClock
+from robot_runner.core.events.context import ExperimentContext, ExperimentEnd, NextRun, RobotRunnerContext, SystemClock
 from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.events.manager import CallbackFailure, Emission, RobotRunnerEvents
-from robot_runner.core.events.outlook import ExperimentEnd, NextRun
 from robot_runner.core.events.resources import Resources
-from robot_runner.core.execution.failures import failure_fields
+from robot_runner.core.execution.inherited import note_fresh_files, seed_random_numbers
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.notices import FindingsNoticed, Notice, Observer
-from robot_runner.core.execution.open_files import note_fresh_files
+from robot_runner.core.execution.patience import Patience
 from robot_runner.core.execution.processes import forked
-from robot_runner.core.execution.random_states import seed_random_numbers
+from robot_runner.core.execution.progress_manager import ProgressManager
 from robot_runner.core.execution.run_events import run_contexts
+from robot_runner.core.execution.run_records import failure_fields
 from robot_runner.core.execution.task import OutcomeBuilder, PendingRun, Report, RunTask, seed_of_run
 from robot_runner.core.secret_names import sentences_without_secrets
 from robot_runner.core.storage.journal import utc_now
-
-if TYPE_CHECKING:
-    from types import FrameType
-
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.patience import Patience
-    from robot_runner.core.execution.progress_manager import ProgressManager
-
 
 #: How many times over `grace_in_s` a callback may take to end once its deadline has passed.
 _PATIENCE = 3

@@ -10,13 +10,10 @@ import os
 import select
 import time
 from collections.abc import Callable, Collection, Generator, Sequence
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
+from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.places import INTERRUPTED, Awaited, Places
-
-if TYPE_CHECKING:
-    from robot_runner.core.execution.interruption import Interruption
-
 
 _READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
 _Result = TypeVar("_Result")

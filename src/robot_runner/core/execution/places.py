@@ -16,13 +16,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.interruption import Interruption
-    from robot_runner.core.execution.task import OutcomeBuilder, Report, RunOutcome, RunTask
-
+from robot_runner.core.config.experiment import Experiment
+from robot_runner.core.execution.interruption import Interruption
+from robot_runner.core.execution.task import OutcomeBuilder, Report, RunOutcome, RunTask
 
 #: Why a run is ended that the user's interruption ends.
 INTERRUPTED = "the user interrupted the experiment"

@@ -12,17 +12,13 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from io import TextIOWrapper
-from typing import TYPE_CHECKING, NoReturn, TextIO
+from typing import NoReturn, TextIO
 
 from robot_runner.core.errors import ExecutionError
-from robot_runner.core.execution.failures import failure_fields
-from robot_runner.core.execution.run_records import FINISHED
+from robot_runner.core.execution.run_records import FINISHED, failure_fields
+from robot_runner.core.execution.task import Report
 from robot_runner.core.storage.masked_log import MaskedText
 from robot_runner.core.storage.outliving import is_spared, process_stat, processes
-
-if TYPE_CHECKING:
-    from robot_runner.core.execution.task import Report
-
 
 #: Where nothing wakes us, we look this often, in seconds.
 _LOOK = 0.02

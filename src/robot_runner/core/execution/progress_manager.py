@@ -7,16 +7,19 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.treatment_makers import PREPARED, known_treatments
 from robot_runner.core.design.batches import described_design
-from robot_runner.core.errors import StorageError
+from robot_runner.core.errors import Finding, StorageError
 from robot_runner.core.execution.begun_experiment import begun_manifest, made_folder, refuse_unfit_treatments
 from robot_runner.core.execution.circumstances import keep_config
 from robot_runner.core.execution.deciding import Deciding, Growth
 from robot_runner.core.execution.durations import Durations, TimeLeft, durations_of
 from robot_runner.core.execution.left_over import await_left_over
+from robot_runner.core.execution.notices import NextDecided
+from robot_runner.core.execution.probe import Probe
 from robot_runner.core.execution.recovered_table import RecoveredTable, TableOnDisk, texts_of
 from robot_runner.core.execution.recovery import Resumption, selected_places, with_session_warm_ups
 from robot_runner.core.execution.run_facts import CALLED, ReportedFacts, UnreadFactors, large_log, missing_measures
@@ -28,14 +31,7 @@ from robot_runner.core.storage.journal import Journal, utc_now
 from robot_runner.core.storage.layout import drop_empty_log, keep_log, put_earlier_attempt_away
 from robot_runner.core.storage.lock import ExperimentLock, forget_requests
 from robot_runner.core.storage.manifest import write_manifest
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.errors import Finding
-    from robot_runner.core.execution.notices import NextDecided
-    from robot_runner.core.execution.probe import Probe
-    from robot_runner.core.storage.run_table_rows import RunTableRows
-
+from robot_runner.core.storage.run_table_rows import RunTableRows
 
 #: What a run reports that is kept in the journal; measures are kept with the end of the attempt.
 _OF_RUN = ("event", "window", "phase", "shared", "finding", "refused", "failure", "clock", "bound", CALLED)

@@ -11,8 +11,10 @@ from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.config.experiment import Experiment
+from robot_runner.core.design.run_table_model import RunTable
 from robot_runner.core.errors import Finding, StorageError
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome
 from robot_runner.core.storage.cells import RunStatus
@@ -22,11 +24,6 @@ from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_tab
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 from robot_runner.core.storage.table_schema import describe_columns, write_schema
 from robot_runner.core.words import counted, enumerated
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.design.run_table_model import RunTable
-
 
 # As `Journal.append` writes them: run and status are read from the line, as parsing takes twenty times as long.
 _RUN = re.compile(rb'\{"kind":"[^"]*","at":"[^"\\]*","run":"([^"\\]*)"')

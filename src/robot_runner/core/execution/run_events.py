@@ -4,36 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import closing, contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.design.watched_combination import WatchedCombination
 from robot_runner.core.errors import MeasureError, did_you_mean
 from robot_runner.core.events.context import Clock, RobotRunnerContext
 from robot_runner.core.events.early_end import Ending, EndingInPlace, MissionStopped, RunInterrupted
-from robot_runner.core.events.manager import (
-    CLOSED_BY,
-    CallbackFailure,
-    Emission,
-    RobotRunnerEvents,
-    check_executed,
-)
+from robot_runner.core.events.manager import CLOSED_BY, CallbackFailure, Emission, RobotRunnerEvents, check_executed
 from robot_runner.core.events.measure import CONFIG_OWNER, Origin
 from robot_runner.core.events.measure_broker import MeasureBroker
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.clock_jumps import CLOCKS, ClockJumps, told_setting
+from robot_runner.core.execution.inherited import seed_random_numbers
 from robot_runner.core.execution.interruption import InterruptGate, RunEnding
-from robot_runner.core.execution.random_states import seed_random_numbers
 from robot_runner.core.execution.systems_state import Care, SystemsState
+from robot_runner.core.execution.task import Report, RunTask
 from robot_runner.core.links.commanded_topics import hear_commanded
 from robot_runner.core.links.connect import is_simulated, open_clock
 from robot_runner.core.links.host_commands import DeclaredHosts
 from robot_runner.core.plugin import System, usual_origin
 from robot_runner.core.storage.journal import utc_now
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.task import Report, RunTask
 
 
 def execute_run(

@@ -8,8 +8,11 @@ import shutil
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from types import FrameType
+from typing import Any
 
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.watched_combination import unread
 from robot_runner.core.errors import Finding
@@ -18,13 +21,6 @@ from robot_runner.core.events.measure import CONFIG_OWNER, OPERATOR_OWNER
 from robot_runner.core.execution.task import AttemptStatus, Report, RunOutcome, RunTask
 from robot_runner.core.storage.layout import ExperimentFolder, keep_refused
 from robot_runner.core.storage.manifest import described_programs
-
-if TYPE_CHECKING:
-    from pathlib import Path
-    from types import FrameType
-
-    from robot_runner.core.config.experiment import Experiment
-
 
 #: The kind of the record that says that a program was called, and which other one names a program.
 CALLED, _SUBJECT = "program", "subject"
@@ -196,11 +192,16 @@ def missing_measures(experiment: Experiment, task: RunTask, outcome: RunOutcome)
     if outcome.status is not AttemptStatus.DONE:
         return []
     has_log = experiment.folder.log(task.run_id).exists()
+    published = {column: outcome.measures.get(column.name) for column in experiment.columns.in_table}
     return [
-        Finding.warning(f"{task.run_id}, {column.owner}", f"{column.name} has no value", _fix(column.owner, has_log))
-        for column in experiment.columns.in_table
+        Finding.warning(
+            f"{task.run_id}, {column.owner}",
+            f"{column.name} has no value",
+            "`robot-runner explain` gives the reasons." if found and found.doubts else _fix(column.owner, has_log),
+        )
+        for column, found in published.items()
         if column.owner != OPERATOR_OWNER  # a person is asked before some runs only
-        if outcome.measures.get(column.name) is None or outcome.measures[column.name].value is None
+        if found is None or found.value is None
     ]
 
 

@@ -7,22 +7,19 @@ from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Se
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.events.measure import ROBOT
 from robot_runner.core.execution.attempts import Attempts
 from robot_runner.core.execution.left_over import forget_runs_elsewhere, runs_elsewhere
 from robot_runner.core.execution.mission_knowledge import combination_key
+from robot_runner.core.execution.orchestrator_events import OngoingExperiment
 from robot_runner.core.execution.patience import Pause, Steps
+from robot_runner.core.execution.places import Awaited, Place, Places
 from robot_runner.core.execution.task import AttemptStatus, PendingRun, RunOutcome, RunTask
 from robot_runner.core.storage.cells import RunStatus
-
-if TYPE_CHECKING:
-    from robot_runner.core.execution.orchestrator_events import OngoingExperiment
-    from robot_runner.core.execution.places import Awaited, Place, Places
-    from robot_runner.core.storage.run_table_rows import RunTableRows
-
+from robot_runner.core.storage.run_table_rows import RunTableRows
 
 #: As many runs that cannot begin yet are passed over to find one that can.
 _AHEAD = 64
@@ -296,7 +293,8 @@ class _Turns:
         if len(failed) < _MOST_FAILURES or count < 2:  # noqa: PLR2004 - the last robot is never set aside
             return [], None
         problem = f"{len(failed)} runs in a row failed on it, so that it takes no more; others execute these again"
-        fix = f"Look at the robot, the last failure was: {outcome.failure}. It takes part again in the next session."
+        last = str(outcome.failure).removesuffix(".")
+        fix = f"Look at the robot, the last failure was: {last}. It takes part again in the next session."
         return failed, Finding.warning(f"robot {place.name}", problem, fix)
 
     def _count(self, group: object, robot: str, more: int) -> None:

@@ -17,17 +17,19 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, suppress
 from copy import copy as shallow_copy
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
+from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.errors import ExecutionError, Finding, LinkError, StorageError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.events.resources import Resources
-from robot_runner.core.execution.failures import failure_fields
 from robot_runner.core.execution.left_over import has_locked
 from robot_runner.core.execution.processes import forked, settle_streams
 from robot_runner.core.execution.run_events import made_safe, run_contexts
+from robot_runner.core.execution.run_records import failure_fields
 from robot_runner.core.execution.systems_state import Care, SystemsState
+from robot_runner.core.execution.task import RunTask
 from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND, keep_commanding_zero
 from robot_runner.core.links.connect import connect_robot, is_simulated, join_beforehand, preload_robot
 from robot_runner.core.plugin import System
@@ -36,10 +38,6 @@ from robot_runner.core.storage.layout import ExperimentFolder, print_to_log
 from robot_runner.core.storage.lock_files import open_to_lock, was_open_to_strangers
 from robot_runner.core.treatments import factors_of
 from robot_runner.core.words import enumerated
-
-if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.task import RunTask
 
 #: How long the standby may take from the run's death on, s. Finding a robot's nodes takes tenths, or up to 8 s where
 #: one is switched off; telling the robot to stand still takes 4 to 12 s; and where something fails, all of it is done

@@ -6,20 +6,17 @@ import io
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID
+from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import Finding, Severity
 from robot_runner.core.execution.recovered_table import ENDS, Deviation, texts_of
 from robot_runner.core.storage.cells import RunStatus, csv_text, measure_text
+from robot_runner.core.storage.executed_runs import ExcludedRuns
 from robot_runner.core.storage.run_table_reading import run_table_in
+from robot_runner.core.storage.run_table_rows import RunTableRows
 from robot_runner.core.words import counted, enumerated, listed
-
-if TYPE_CHECKING:
-    from robot_runner.core.design.planned_runs import PlannedRun
-    from robot_runner.core.storage.executed_runs import ExcludedRuns
-    from robot_runner.core.storage.run_table_rows import RunTableRows
-
 
 #: In a deviation: what stands for a row that is not there any more, and for rows that changed places.
 ROW, ORDER = "row", "order"

@@ -22,9 +22,9 @@ from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import ConfigError
+from robot_runner.core.execution.inherited import begin_run, write_open_files
 from robot_runner.core.execution.interruption import STOP_SIGNALS, InterruptGate
 from robot_runner.core.execution.left_over import RunMark, end_left_over
-from robot_runner.core.execution.open_files import begin_run, write_open_files
 from robot_runner.core.execution.processes import leave_after, settle_streams
 from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.run_facts import notice_programs

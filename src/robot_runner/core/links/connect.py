@@ -6,31 +6,15 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean, nearest
 from robot_runner.core.events.context import Clock, RobotRunnerContext, SystemClock
 from robot_runner.core.events.resources import Resources
-from robot_runner.core.links.graph_names import full_name, namespace_prefix
-from robot_runner.core.links.kinds import (
-    FindsRobot,
-    FoundRobot,
-    JoinsGraph,
-    LooksAtGraph,
-    Preloads,
-    ReadsFiles,
-    RobotLinkKind,
-    installed_links,
-    link_key,
-    link_kind,
-)
+from robot_runner.core.links import kinds
+from robot_runner.core.links.graph_names import GraphNeed, full_name, namespace_prefix
 from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.links.robot_name import RobotName
-
-if TYPE_CHECKING:
-    from robot_runner.core.links.graph_needs import GraphNeed
-    from robot_runner.core.storage.input_files import InputFile
-
+from robot_runner.core.storage.input_files import InputFile
 
 #: The name of the embedded robot, which messages offer as a way out; nothing here depends on it.
 SIMULATED = "simulated"
@@ -65,7 +49,7 @@ def begin_graph_look(robot: str, needs: Mapping[str, Sequence[GraphNeed]]) -> Ca
         LinkError: there is no such robot, or a name cannot be one.
     """
     kind, name = resolved_robot(robot)
-    if kind.is_simulated or not isinstance(kind, LooksAtGraph):
+    if kind.is_simulated or not isinstance(kind, kinds.LooksAtGraph):
         return None
     full = {
         where: [replace(need, name=full_name(name.namespace, need.name)) for need in wanted]
@@ -81,7 +65,7 @@ def robot_input_files(robot: str) -> Iterable[InputFile]:
         LinkError: there is no such robot.
     """
     kind, name = resolved_robot(robot)
-    return kind.input_files(name) if isinstance(kind, ReadsFiles) else ()
+    return kind.input_files(name) if isinstance(kind, kinds.ReadsFiles) else ()
 
 
 def meant_robot(robot: str) -> str | None:
@@ -92,24 +76,24 @@ def meant_robot(robot: str) -> str | None:
         'simulated:initial_charge=40'
     """
     link, colon, options = robot.partition(":")
-    known = installed_links()
+    known = kinds.installed_links()
     near = link if link.strip() in known else nearest(link, known)
     return None if near is None else f"{near}{colon}{options}"
 
 
 def looks_for_robot(robot: str | None) -> bool:
     """Whether a name stands for whichever robot is found (`auto`)."""
-    return robot is not None and isinstance(_kind_or_none(robot), FindsRobot)
+    return robot is not None and isinstance(_kind_or_none(robot), kinds.FindsRobot)
 
 
-def found_robot(robot: str | None) -> FoundRobot | None:
+def found_robot(robot: str | None) -> kinds.FoundRobot | None:
     """Return the robot that `auto` finds; None for any other name.
 
     Raises:
         LinkError: it is to be looked for, and none is there.
     """
     kind = None if robot is None else _kind_or_none(robot)
-    return kind.found_robot() if isinstance(kind, FindsRobot) else None
+    return kind.found_robot() if isinstance(kind, kinds.FindsRobot) else None
 
 
 def is_simulated(robot: str | None) -> bool:
@@ -120,7 +104,7 @@ def is_simulated(robot: str | None) -> bool:
         True
     """
     kind = None if robot is None else _kind_or_none(robot)
-    return kind is not None and isinstance(kind, RobotLinkKind) and kind.is_simulated
+    return kind is not None and isinstance(kind, kinds.RobotLinkKind) and kind.is_simulated
 
 
 def lives_by_simulation(context: RobotRunnerContext) -> bool:
@@ -154,7 +138,7 @@ def preload_robot(robot: str | None) -> None:
     """
     if robot is not None:
         kind, name = resolved_robot(robot)
-        if isinstance(kind, Preloads):
+        if isinstance(kind, kinds.Preloads):
             kind.preload(name)
 
 
@@ -184,7 +168,7 @@ def connect_robot(context: RobotRunnerContext, *, namespace: str = "") -> RobotL
         seed=context.run_seed,
         namespace=robot_namespace(context, namespace),
     )
-    return context.resources.open(link_key("robot", namespace), opener)
+    return context.resources.open(kinds.link_key("robot", namespace), opener)
 
 
 def join_beforehand(context: RobotRunnerContext, *, namespace: str = "") -> None:
@@ -207,11 +191,11 @@ def is_slow_to_join(robot: str) -> bool:
     return _is_slow(resolved_robot(robot)[0])
 
 
-def _is_slow(kind: RobotLinkKind) -> bool:
-    return isinstance(kind, JoinsGraph) and kind.is_slow_to_join
+def _is_slow(kind: kinds.RobotLinkKind) -> bool:
+    return isinstance(kind, kinds.JoinsGraph) and kind.is_slow_to_join
 
 
-def run_robot(context: RobotRunnerContext) -> tuple[RobotLinkKind, RobotName]:
+def run_robot(context: RobotRunnerContext) -> tuple[kinds.RobotLinkKind, RobotName]:
     """Return the kind of link of the run's robot, and its name.
 
     Raises:
@@ -226,20 +210,20 @@ def run_robot(context: RobotRunnerContext) -> tuple[RobotLinkKind, RobotName]:
     return resolved_robot(context.robot)
 
 
-def resolved_robot(robot: str) -> tuple[RobotLinkKind, RobotName]:
+def resolved_robot(robot: str) -> tuple[kinds.RobotLinkKind, RobotName]:
     """Return the kind of link of a robot's name, and the name; what is to be looked for is found.
 
     Raises:
         LinkError: there is no such link, or no robot was found.
     """
     name = RobotName.parse(robot)
-    kind = link_kind(name.link)
-    if isinstance(kind, FindsRobot):
+    kind = kinds.link_kind(name.link)
+    if isinstance(kind, kinds.FindsRobot):
         if name.address is None:
             return resolved_robot(kind.found_robot().name)
     elif kind is not None:
         return kind, name if name.address is None or kind.takes_address else _named_on_graph(name)
-    fix = did_you_mean(robot.partition(":")[0], installed_links(), _SIMULATE)
+    fix = did_you_mean(robot.partition(":")[0], kinds.installed_links(), _SIMULATE)
     raise LinkError(f"robot is {robot!r}, which is no link of this version", where="robot", fix=fix)
 
 
@@ -294,10 +278,10 @@ def open_robot(robot: str, *, namespace: str = "", seed: int = 1) -> Iterator[tu
         yield link, clock
 
 
-def _kind_or_none(robot: str) -> RobotLinkKind | FindsRobot | None:
+def _kind_or_none(robot: str) -> kinds.RobotLinkKind | kinds.FindsRobot | None:
     """Return the kind of link of a robot's name; one that cannot be imported is left to `link_findings`."""
     try:
-        return link_kind(robot.partition(":")[0].strip())
+        return kinds.link_kind(robot.partition(":")[0].strip())
     except PluginError:
         return None
 

@@ -1,11 +1,19 @@
-"""Names of topics and services: relative to a robot's namespace unless they begin with a slash."""
+"""Names on a robot's graph, relative to its namespace unless they begin with a slash, and what a plugin needs there.
+
+Fields of messages have names with dots: `pose.pose.position.x`, `ranges.0`.
+"""
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
 
 from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.core.links.robot import Message
 
 #: A name that ROS 1 and ROS 2 both take (ROS 1: wiki.ros.org/Names; ROS 2: design.ros2.org, topic and service names).
 _LEGAL = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
@@ -55,3 +63,135 @@ def missing(kind: str, name: str, known: Iterable[str], *, where: str, fix: str)
 def _illegal(kind: str, name: str) -> LinkError:
     fix = "Use letters, digits and _ between slashes; none may begin with a digit."
     return LinkError(f"{name!r} cannot be the name of a {kind}", where="robot", fix=fix)
+
+
+class GraphPart(StrEnum):
+    """What of a graph is needed."""
+
+    #: A topic that somebody publishes: the plugin subscribes it.
+    PUBLISHED = "published"
+    #: A topic that somebody subscribes: the plugin publishes it, as commands are.
+    SUBSCRIBED = "subscribed"
+    SERVICE = "service"
+    ACTION = "action"
+    #: A node whose parameters can be set to these values.
+    PARAMETERS = "parameters"
+
+
+@dataclass(frozen=True, slots=True)
+class GraphNeed:
+    """One thing that must be on the robot's graph before a run, as `Plugin.required_graph` declares it.
+
+    Attributes:
+        part: what it is.
+        name: relative to the namespace of the plugin's robot, unless it begins with `/`.
+        types: ROS names; one of them is enough; none for any type.
+        is_sole: whether nobody else may publish the topic: of a topic that is published, a second publisher is an
+            error; of one that the plugin commands, any other publisher is a warning.
+        fix: what to do where it is not there.
+        values: of parameters that are to be set, by their names, as JSON; the name is the node's then.
+        sent: what is sent there, the goals of an action or the messages of a topic, as JSON: each of them is compared
+            with the definition of its type, the first of `types`.
+
+    Example:
+        >>> GraphNeed.published("odom", "nav_msgs/Odometry", is_sole=True).types
+        ('nav_msgs/Odometry',)
+    """
+
+    part: GraphPart
+    name: str
+    types: tuple[str, ...] = ()
+    is_sole: bool = False
+    fix: str = ""
+    values: str = ""
+    sent: tuple[str, ...] = ()
+
+    @classmethod
+    def published(cls, topic: str, *types: str, is_sole: bool = False, fix: str = "") -> GraphNeed:
+        """Need a topic that somebody publishes."""
+        return cls(GraphPart.PUBLISHED, topic, types, is_sole, fix)
+
+    @classmethod
+    def subscribed(
+        cls,
+        topic: str,
+        *types: str,
+        is_sole: bool = False,
+        fix: str = "",
+        messages: Iterable[Mapping[str, object]] = (),
+    ) -> GraphNeed:
+        """Need a topic that somebody subscribes, and on which `messages` are published."""
+        return cls(GraphPart.SUBSCRIBED, topic, types, is_sole, fix, sent=tuple(map(_as_json, messages)))
+
+    @classmethod
+    def service(cls, name: str, *types: str, fix: str = "") -> GraphNeed:
+        """Need a service."""
+        return cls(GraphPart.SERVICE, name, types, fix=fix)
+
+    @classmethod
+    def action(cls, name: str, *types: str, fix: str = "", goals: Iterable[Mapping[str, object]] = ()) -> GraphNeed:
+        """Need an action server, to which `goals` are sent."""
+        return cls(GraphPart.ACTION, name, types, fix=fix, sent=tuple(map(_as_json, goals)))
+
+    @classmethod
+    def parameters(cls, node: str, values: Mapping[str, object], *, fix: str = "") -> GraphNeed:
+        """Need a node whose parameters can be set to these values, as JSON holds them; nothing is set by looking."""
+        return cls(GraphPart.PARAMETERS, node, fix=fix, values=json.dumps(values))
+
+
+def _as_json(message: Mapping[str, object]) -> str:
+    return json.dumps(message, default=_plain)
+
+
+def _plain(value: object) -> object:
+    """Return what JSON can hold of a value: arrays are lists; what no message can hold fits no field then, either."""
+    if isinstance(value, Mapping):
+        return dict(value)
+    tolist = getattr(value, "tolist", None)  # of arrays and numbers: numpy's and the standard library's
+    if callable(tolist):
+        return tolist()
+    return list(value) if isinstance(value, bytes | bytearray | memoryview) else {type(value).__name__: repr(value)}
+
+
+def field_of(message: Message, field: str, *, where: str) -> Any:
+    """Return the field of a message, whatever it is.
+
+    Args:
+        message: a mapping by field.
+        field: the way to it; a number names an element of an array, and a negative one counts from its end.
+        where: for the error.
+
+    Raises:
+        LinkError: there is no such field.
+
+    Example:
+        >>> field_of({"poses": [{"x": 1.0}, {"x": 2.0}]}, "poses.-1.x", where="goal")
+        2.0
+    """
+    found: Any = message
+    for name in field.split("."):
+        if isinstance(found, Mapping):
+            if name not in found:
+                fix = did_you_mean(name, map(str, found))
+                raise LinkError(f"the message has no field {field!r}", where=where, fix=fix)
+            found = found[name]
+        else:
+            found = _element(found, name, field, where)
+    return found
+
+
+def _element(found: Any, name: str, field: str, where: str) -> Any:
+    if isinstance(found, Sequence) and re.fullmatch(r"-?\d{1,9}", name) and -len(found) <= int(name) < len(found):
+        return found[int(name)]
+    fix = "Name a field with its numbers, as in 'ranges.0'."
+    raise LinkError(f"the message has no field {field!r}", where=where, fix=fix)
+
+
+def is_time(value: object) -> bool:
+    """Return whether a field is a time or a duration of ROS.
+
+    Example:
+        >>> is_time({"sec": 1, "nanosec": 500_000_000})
+        True
+    """
+    return isinstance(value, Mapping) and value.keys() == {"sec", "nanosec"}

@@ -13,7 +13,7 @@ from typing import Protocol
 
 from robot_runner.core.errors import CommandError, LinkError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
-from robot_runner.core.events.host_access import CommandResult
+from robot_runner.core.events.resources import CommandResult
 from robot_runner.core.links.archived_files import TAR_MARGIN, Unpacked, pack, unpack
 from robot_runner.core.links.declared_host import FETCHABLE, Host, is_fetchable
 from robot_runner.core.links.host_program import MOST_KEPT, Ended, Program, last_lines, shell_path, shortened

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 from robot_runner.core.entry_points import entry_points, named_entry_point
+from robot_runner.core.errors import Finding
 from robot_runner.core.events.context import Clock
+from robot_runner.core.events.resources import Resources
+from robot_runner.core.links.graph_names import GraphNeed
 from robot_runner.core.links.robot import RobotLink
-
-if TYPE_CHECKING:
-    from robot_runner.core.errors import Finding
-    from robot_runner.core.events.resources import Resources
-    from robot_runner.core.links.graph_needs import GraphNeed
-    from robot_runner.core.links.robot_name import RobotName
-    from robot_runner.core.storage.input_files import InputFile
-
+from robot_runner.core.links.robot_name import RobotName
+from robot_runner.core.storage.input_files import InputFile
 
 _GROUP = "links"
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
-if TYPE_CHECKING:
-    from robot_runner.core.links.goals import ActionResult, GoalStatus
-
+from robot_runner.core.links.goals import ActionResult, GoalStatus
 
 #: A ROS message as a plain mapping that follows its definition: `{"linear": {"x": 0.2, ...}, "angular": {...}}`.
 #: Times and durations are `{"sec": …, "nanosec": …}` in both generations of ROS, arrays are lists, byte arrays `bytes`.

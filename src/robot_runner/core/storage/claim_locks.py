@@ -21,9 +21,9 @@ from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.storage.file_shapes import ClaimFile
 from robot_runner.core.storage.guarded_files import open_descriptor
 from robot_runner.core.storage.journal import utc_now
+from robot_runner.core.storage.layout import user_folder
 from robot_runner.core.storage.lock_files import sign, signature_of, try_lock
 from robot_runner.core.storage.system_refusals import storage_error
-from robot_runner.core.storage.user_folders import user_folder
 
 #: How often a file is tried that nobody holds and somebody merely looks at, and how long to wait between, s.
 _TRIES, _BETWEEN = 50, 0.01

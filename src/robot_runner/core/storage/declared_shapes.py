@@ -13,17 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from datetime import datetime
 from functools import cache
 from types import NoneType, UnionType
-from typing import (
-    Any,
-    NamedTuple,
-    NewType,
-    NotRequired,
-    Union,
-    get_args,
-    get_origin,
-    get_type_hints,
-    is_typeddict,
-)
+from typing import Any, NamedTuple, NewType, NotRequired, Union, get_args, get_origin, get_type_hints, is_typeddict
 
 from robot_runner.core.errors import Finding
 

@@ -9,16 +9,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.util import resolve_name
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.core.config.source import read_tree
 from robot_runner.core.errors import ConfigError
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
+from robot_runner.legacy.conversion.earlier_imports import ConvertedFile
 from robot_runner.legacy.recognition import is_earlier_import
 from robot_runner.legacy.syntax import ImportedName, attributes_of, bound_names, imports_of, nodes
-
-if TYPE_CHECKING:
-    from robot_runner.legacy.conversion.earlier_imports import ConvertedFile
 
 _INSTALLED = frozenset({"dist-packages", "site-packages"})
 

@@ -6,19 +6,15 @@ import ast
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK, RobotRunnerEvents
+from robot_runner.legacy.conversion.bases import Inherited
+from robot_runner.legacy.conversion.earlier_imports import ConvertedFile
 from robot_runner.legacy.earlier_experiment import ROW_NAMES
 from robot_runner.legacy.profilers.profiler_catalogue import plugin_of
 from robot_runner.legacy.session import Session, name_of
 from robot_runner.legacy.syntax import Edits, attributes_of, imports_of, nodes, walk_bodies
-
-if TYPE_CHECKING:
-    from robot_runner.legacy.conversion.bases import Inherited
-    from robot_runner.legacy.conversion.earlier_imports import ConvertedFile
-
 
 _CONTROLLER = "EventSubscriptionController"
 _OF_ALL = "subscribe_to_multiple_events"

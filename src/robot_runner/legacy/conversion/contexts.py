@@ -5,18 +5,14 @@ from __future__ import annotations
 import ast
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from robot_runner.core.config.parameters import ExperimentConfig
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import RobotRunnerEvents
+from robot_runner.legacy.conversion.earlier_imports import ConvertedFile
 from robot_runner.legacy.earlier_experiment import ROW_NAMES, WITHOUT_CONTEXT
+from robot_runner.legacy.session import Session
 from robot_runner.legacy.syntax import attributes_of, bound_names, classes_of, imports_of, nodes
-
-if TYPE_CHECKING:
-    from robot_runner.legacy.conversion.earlier_imports import ConvertedFile
-    from robot_runner.legacy.session import Session
-
 
 #: What callbacks read from their context, and its name here.
 _ROWS = frozenset({"run_variation", "execute_run"})

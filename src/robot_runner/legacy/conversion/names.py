@@ -5,18 +5,14 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import RobotRunnerEvents
+from robot_runner.legacy.conversion.earlier_imports import ConvertedFile
 from robot_runner.legacy.earlier_exclusions import EarlierFactor, NamedExclusion, named_exclusions
 from robot_runner.legacy.run_tables import named_columns
+from robot_runner.legacy.session import Session
 from robot_runner.legacy.syntax import Edits, nodes, walk_bodies
-
-if TYPE_CHECKING:
-    from robot_runner.legacy.conversion.earlier_imports import ConvertedFile
-    from robot_runner.legacy.session import Session
-
 
 _PATH_PROPERTY = '''
     @property

@@ -187,10 +187,7 @@ def _has_libraries() -> bool:
 def _compared(original: Path, replication: Path, bounds: Sequence[str], page: Path) -> str:
     """Compare with the libraries of this very environment, and write the page."""
     from robot_runner.analysis.comparison.comparing import compare  # noqa: PLC0415 - slow, and an extra
-    from robot_runner.analysis.comparison.comparison_document import (  # noqa: PLC0415 - as above
-        json_of_comparison,
-        write_comparison,
-    )
+    from robot_runner.analysis.comparison.comparison_document import json_of_comparison, write_comparison  # noqa: PLC0415 - as above
 
     comparison = compare(original, replication, bound=bounds or None)
     write_comparison(comparison, page)

@@ -1,8 +1,11 @@
-"""Files that callbacks leave open: what waits in their buffers is written before a run is forked, and before it ends.
+"""What a forked run has of its parent, and leaves behind: files that callbacks left open, and random generators.
 
 A forked process ends without Python's own end, which would clean up and write what is its parent's. Without this, the
 table that `before_experiment` opens and each run adds a line to would lack these lines, and what a run opens and does
 not close would be empty.
+
+Python's `random` is seeded anew in each forked process; NumPy's and PyTorch's would yield the same numbers in every
+run, repetitions included.
 """
 
 from __future__ import annotations
@@ -10,6 +13,7 @@ from __future__ import annotations
 import gc
 import io
 import os
+import random
 import stat
 import sys
 from collections.abc import Iterable, Iterator
@@ -94,3 +98,18 @@ def _problem(file: Any, write: Any) -> Iterator[str]:
         yield f"what was written to {getattr(file, 'name', 'a file')} is not all in it: {error.strerror or error}"
     except Exception:  # noqa: BLE001, S110 - it was closed or detached meanwhile
         pass
+
+
+def seed_random_numbers(run_seed: int) -> None:
+    """Give the generators of `random`, and of NumPy and PyTorch where they were imported, the state of this seed.
+
+    So a run draws the same numbers wherever and whenever it is executed, and each run draws others.
+
+    Args:
+        run_seed: of 32 bits, which is what NumPy takes.
+    """
+    random.seed(run_seed)
+    if (numpy_random := sys.modules.get("numpy.random")) is not None:
+        numpy_random.seed(run_seed)
+    if (torch := sys.modules.get("torch")) is not None:
+        torch.manual_seed(run_seed)
