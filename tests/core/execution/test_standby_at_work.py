@@ -130,6 +130,20 @@ def test_a_robot_is_told_until_it_is_reached_and_one_that_never_is_may_be_moving
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+def test_of_a_robot_whose_driver_has_gone_it_is_told_that_nobody_took_the_command(
+    write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment = prepare_or_refuse(write_config("", head=HEAD, table=TABLE))
+    robot = Told(experiment.config_path.parent)
+    monkeypatch.setattr(Told, "subscribers", lambda *_: [])
+    monkeypatch.setattr(standby_module, "connect_robot", lambda _context: robot)
+    monkeypatch.setattr(commanded_topics, "_TELLING", 0.2)
+    monkeypatch.setattr(commanded_topics, "_REACHING", 0.5)
+    with after_death(experiment, ("/alice/cmd_vel", "geometry_msgs/Twist")) as told:
+        assert told.endswith("did it, as far as it could: nobody subscribes to /alice/cmd_vel any more")
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 def test_a_robot_whose_server_or_network_is_back_some_seconds_after_the_run_s_death_is_made_safe(
     write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

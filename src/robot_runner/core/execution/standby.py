@@ -124,6 +124,8 @@ class Standby:
             return None
         if care is Care.MADE_SAFE:
             problem = f"the run died before it had made {names} safe; the process that stood by for this did it"
+            if self.state.reason:
+                problem = f"{problem}, as far as it could: {self.state.reason}"
             return {"owner": "standby", "problem": problem, "fix": "Look where the robot stands before you go on."}
         reason = self.state.reason or "the process that stood by for this died, too"
         return {
@@ -157,15 +159,16 @@ class Standby:
                 print_to_log(self._experiment.folder)
                 settle_streams()
             try:
-                self._make_safe(connection)
+                unheard = self._make_safe(connection)
             except Exception:  # noqa: BLE001 - the connection may have been lost since: what fails again is told
-                self._make_safe_anew(deadline)
+                unheard = self._make_safe_anew(deadline)
         except BaseException as error:  # noqa: BLE001 - whatever it is, a person has to know that nobody stopped the robot
             self.state.set(Care.OUT_OF_REACH, failure_fields(error)["problem"])
         else:
-            self.state.set(Care.MADE_SAFE)
+            names = enumerated(sorted(unheard))
+            self.state.set(Care.MADE_SAFE, f"nobody subscribes to {names} any more" if unheard else "")
 
-    def _make_safe_anew(self, deadline: float) -> None:
+    def _make_safe_anew(self, deadline: float) -> list[str]:
         """Do it over a connection of its own, and, until then, again where the robot cannot be reached."""
         while True:
             try:
@@ -176,15 +179,20 @@ class Standby:
                     raise
             time.sleep(_AGAIN)
 
-    def _make_safe(self, connection: _Connection) -> None:
-        """Stop the robot where it was commanded, make each system safe, and stop it again, whatever fails of that."""
-        commanded = self.state.commanded
+    def _make_safe(self, connection: _Connection) -> list[str]:
+        """Stop the robot where it was commanded, make each system safe, and stop it again, whatever fails of that.
+
+        Returns:
+            the topics to which nobody subscribes any more.
+        """
+        commanded, unheard = self.state.commanded, list[str]()
         with ExitStack() as each_of_them:  # the last one first, as the run does it
-            each_of_them.callback(connection.stop_again, commanded)
+            each_of_them.callback(lambda: unheard.extend(connection.stop_again(commanded)))
             for system in self._systems:
                 each_of_them.callback(made_safe, system, connection.contexts(system.name))
             for topic, message_type in commanded:  # also for who has no `make_safe`, such as a config
                 each_of_them.callback(connection.stop, topic, message_type)
+        return unheard
 
 
 class _Connection:
@@ -204,14 +212,16 @@ class _Connection:
         """Command a robot to stand still."""
         connect_robot(self.contexts(CONFIG_OWNER)).publish(topic, message_type, {})
 
-    def stop_again(self, commanded: Sequence[tuple[str, str]]) -> None:
+    def stop_again(self, commanded: Sequence[tuple[str, str]]) -> list[str]:
         """Repeat the stop command for some seconds, by topic and type, and until every subscriber is reached.
+
+        Returns:
+            the topics without any subscriber.
 
         Raises:
             LinkError: a subscriber of a topic is not reached.
         """
-        if commanded:
-            keep_commanding_zero(connect_robot(self.contexts(CONFIG_OWNER)), commanded)
+        return keep_commanding_zero(connect_robot(self.contexts(CONFIG_OWNER)), commanded) if commanded else []
 
     def close(self) -> None:
         """Close it."""

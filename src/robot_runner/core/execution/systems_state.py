@@ -47,7 +47,7 @@ class SystemsState:
 
     @property
     def reason(self) -> str:
-        """Why they could not be made safe."""
+        """Why they could not be made safe; or what is not known of a robot that was told to stand still."""
         return os.pread(self.descriptor, _REASON, 1).rstrip(b"\0").decode("utf-8", "replace")
 
     @property
@@ -64,7 +64,7 @@ class SystemsState:
 
     def set(self, care: Care, reason: str = "") -> None:
         """Say who has it from now on."""
-        os.pwrite(self.descriptor, reason.encode("utf-8", "backslashreplace")[:_REASON], 1)
+        os.pwrite(self.descriptor, reason.encode("utf-8", "backslashreplace")[:_REASON].ljust(_REASON, b"\0"), 1)
         os.pwrite(self.descriptor, bytes([care]), 0)
 
     def close(self) -> None:
