@@ -347,6 +347,18 @@ def test_the_same_machine_and_software_are_told_as_such(execute: Execute) -> Non
     assert manifest["executions"][1]["changed"] == {}
 
 
+def test_a_clock_that_was_set_back_between_two_executions_is_told(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    path = executed.folder / "manifest.json"
+    manifest = json.loads(path.read_text(encoding="utf-8"))
+    manifest["executions"][0]["started_at"] = "2099-01-01T00:00:00.000Z"
+    path.write_text(json.dumps(manifest), encoding="utf-8")
+    finished = execute_experiment(prepare_or_refuse(executed.config), SilentObserver())
+    (finding,) = finished.findings
+    assert finding.problem.endswith(", and the experiment was executed at 2099-01-01T00:00:00.000Z already")
+    assert not finding.is_error
+
+
 def test_a_folder_that_holds_something_else_is_refused(write_config: Write) -> None:
     config = write_config(COUNTING)
     write(config.parent / "results" / "trial" / "manifest.json", '{"format": 1}')

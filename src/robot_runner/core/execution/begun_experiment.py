@@ -71,7 +71,7 @@ def _found(experiment: Experiment, *, accept_changes: bool) -> tuple[dict[str, A
         unplanned = unplanned_additions(config, experiment.model, manifest, has_other_changes=bool(others))
         raise ExecutionError.of_findings([*changes, *unplanned])
     manifest = resumed_manifest(experiment, manifest)
-    return manifest, change_findings(experiment, manifest)
+    return manifest, tuple(change_findings(experiment, manifest))
 
 
 def refuse_unfit_treatments(

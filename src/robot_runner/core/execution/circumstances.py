@@ -155,15 +155,24 @@ def _described_pairs(manifest: Mapping[str, Any]) -> Iterator[tuple[str, Any, An
                 yield f"{name} {part}", "none" if was is None and is_now is not None else was, is_now
 
 
-def change_findings(experiment: Experiment, manifest: Mapping[str, Any]) -> tuple[Finding, ...]:
-    """Return a warning where the execution that begins differs from the first one in its machine or its software."""
-    changed = manifest["executions"][-1].get("changed") or {}
-    if not changed:
-        return ()
-    named = listed((f"{name} ({each['was']}, now {each['is'] or 'absent'})" for name, each in changed.items()), _NAMED)
-    problem = f"the machine or its software is not what the experiment began with: {named}"
-    fix = "Go on where it began if runs are to be compared; the manifest and the report tell the difference."
-    return (Finding.warning(str(experiment.folder.manifest), problem, fix),)
+def change_findings(experiment: Experiment, manifest: Mapping[str, Any]) -> Iterator[Finding]:
+    """Yield a warning where an execution has another machine or software than the first, or a clock that was set back.
+
+    A single-board computer without a clock of its own starts in the past until it has reached a time server.
+    """
+    where, now = str(experiment.folder.manifest), manifest["executions"][-1]
+    if changed := now.get("changed") or {}:
+        pairs = (f"{name} ({each['was']}, now {each['is'] or 'absent'})" for name, each in changed.items())
+        problem = f"the machine or its software is not what the experiment began with: {listed(pairs, _NAMED)}"
+        fix = "Go on where it began if runs are to be compared; the manifest and the report tell the difference."
+        yield Finding.warning(where, problem, fix)
+    latest = max((str(each.get("started_at", "")) for each in manifest["executions"]), default="")
+    if latest > str(now.get("started_at", "")):  # of one form and length, texts are ordered as times
+        problem = (
+            f"this machine's clock shows {now.get('started_at')}, and the experiment was executed at {latest} already"
+        )
+        fix = "Set the clock (chrony, systemd-timesyncd) before you go on: stamps are to tell when runs were."
+        yield Finding.warning(where, problem, fix)
 
 
 def restored_manifest(experiment: Experiment) -> tuple[dict[str, Any], Finding] | None:
