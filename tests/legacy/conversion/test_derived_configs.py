@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import pytest
@@ -107,6 +108,21 @@ def test_an_old_config_goes_on_beside_its_conversion(study: Path) -> None:
     assert {each.name for each in study.parent.glob("*.py")} == {"E1.py", "new.py", "BaseOfStudy_converted.py"}
     with load_apart():
         assert main(["check", str(study)]) == 0
+
+
+def test_what_becomes_of_a_config_that_was_executed_is_executed_under_another_name(
+    config: Callable[..., Path], execute: Callable[..., Executed], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = config()
+    assert main(["convert", str(path)]) == 0
+    assert "--set" not in capsys.readouterr().out
+    execute(path)
+    assert main(["convert", str(path)]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    name = re.search(r"config_converted\.py --set experiment_name=(\w+)", told)
+    assert name is not None
+    with load_apart():
+        assert main(["run", str(path.with_name("config_converted.py")), "--set", f"experiment_name={name[1]}"]) == 0
 
 
 def test_what_a_base_cannot_keep_is_found_in_the_file_of_the_base(

@@ -123,13 +123,16 @@ def _convert(old: Path, new: Path, folder: Path | None, written: set[Path], *, o
     print_findings(console, (*conversion.findings, *findings))
     runs = counted(len(conversion.before.model.plan()), "run")
     console.tell(f"{shown_path(new)} is written: it plans the same {runs}.")
+    name = conversion.before.parameters.experiment_name
+    # Its own results would be refused for each line that is another now.
+    beside = ("--set", f"experiment_name={name}_2") if conversion.before.folder.manifest.is_file() else ()
     print_facts(
         console,
         [
             ("Derives from", ", ".join(map(shown_path, conversion.bases))),
             ("Beside it", ", ".join(conversion.beside)),
             ("Check", command_line("check", str(new))),
-            ("Execute", command_line(str(new))),
+            ("Execute", command_line(str(new), *beside)),
         ],
     )
     return 0
