@@ -40,13 +40,15 @@ def simulated_robot(link: str, *options: str) -> Iterator[str]:
         overdue.cancel()
         assert process.poll() is None, "it ended before it was ready"
         yield next(line.partition(": ")[2] for line in lines if line.startswith("power meter: "))
-        process.terminate()
-        process.communicate(timeout=PATIENCE)
-        assert process.returncode == 0
     finally:
         overdue.cancel()
-        process.kill()
-        process.communicate(timeout=PATIENCE)
+        process.terminate()  # also after a failure: it takes back /use_sim_time, by which all later tests would live
+        try:
+            process.communicate(timeout=PATIENCE)
+        finally:
+            process.kill()
+            process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0
 
 
 @dataclass
