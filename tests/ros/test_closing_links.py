@@ -5,12 +5,14 @@ from __future__ import annotations
 import threading
 import time
 from contextlib import suppress
+from functools import partial
 
 import pytest
 from tests.ros.test_graph_link import STRING, TWIST, NotingTransport
 from tests.waiting import PATIENCE
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.resources import Resources
 from robot_runner.ros import graph_link
 from robot_runner.ros.first_message import FirstMessage
 from robot_runner.ros.graph_link import GraphLink
@@ -62,6 +64,38 @@ def test_whatever_fails_at_one_topic_every_other_robot_is_stopped(link, transpor
         assert str(caught.value).startswith(
             f"/bob/cmd_vel: the robot could not be told to stand still: {type(fault).__name__}: {fault}"
         )
+
+
+def test_every_robot_is_told_before_anybody_waits_for_one_that_is_out_of_reach(link, transport):
+    for robot in ("alice", "bob"):
+        link.publish(f"/{robot}/cmd_vel", TWIST, {"linear": {"x": 0.2}})
+    transport.done.clear()
+    link.close()
+    assert sorted(transport.done[:2]) == ["publish /alice/cmd_vel", "publish /bob/cmd_vel"]
+    assert sorted(transport.done[2:4]) == ["flush /alice/cmd_vel", "flush /bob/cmd_vel"]
+
+
+def test_the_robots_of_all_links_are_told_before_one_of_them_is_closed():
+    resources, first, second = Resources(), NotingTransport(), NotingTransport()
+    second.done = first.done  # one after the other, in the order in which it was done
+    for robot, transport in (("alice", first), ("bob", second)):
+        link = resources.open(robot, partial(GraphLink, lambda transport=transport: transport))
+        link.publish(f"/{robot}/cmd_vel", TWIST, {"linear": {"x": 0.2}})
+        link.publish(f"/{robot}/lamp", STRING, {"data": "on"})
+    first.done.clear()
+    resources.close()
+    assert sorted(first.done[:2]) == ["publish /alice/cmd_vel", "publish /bob/cmd_vel"]
+    assert not [each for each in first.done if each.startswith("publish") and "lamp" in each]
+
+
+def test_what_fails_as_a_robot_is_halted_is_told_as_its_link_is_closed(transport):
+    resources = Resources()
+    link = resources.open("alice", lambda: GraphLink(lambda: transport))
+    link.publish("/alice/cmd_vel", TWIST, {"linear": {"x": 0.2}})
+    transport.is_lost = True
+    with pytest.raises(LinkError, match="could not be told to stand still"):
+        resources.close()
+    assert transport.done[-1] == "leave the graph"
 
 
 def test_that_a_robot_was_not_stopped_is_told_whatever_fails_afterwards(link, transport):

@@ -26,6 +26,11 @@ from robot_runner.core.execution.notices import ExperimentFinished
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.recovery import Resumption
 
+#: How long the page may take to listen, and to end, s; a Raspberry Pi takes some seconds to import its libraries.
+_DEADLINE, _ENDING = 60.0, 3.0
+_HERE = "127.0.0.1"
+_PLACE = re.compile(r"^(?:--host|--port|\S+:\d+): ")
+
 
 @dataclass(frozen=True, slots=True)
 class Execution:
@@ -88,12 +93,6 @@ def read_or_not() -> Iterator[None]:
         sys.stdout.flush()
     except OSError:  # a closed pipe, or a terminal that is gone
         let_go_of(sys.stdout)
-
-
-#: How long the page may take to listen, and to end, s; a Raspberry Pi takes some seconds to import its libraries.
-_DEADLINE, _ENDING = 60.0, 3.0
-_HERE = "127.0.0.1"
-_PLACE = re.compile(r"^(?:--host|--port|\S+:\d+): ")
 
 
 @contextmanager

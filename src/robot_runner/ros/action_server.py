@@ -238,7 +238,7 @@ class GoalServer:
             try:
                 if self._outlet is not None:
                     self._outlet.tell_status(self.executions)
-            except Exception:  # goals are executed, and those that are asked to end, whoever hears of it
+            except Exception:  # goals go on, and can still be cancelled, although nobody can be told of it
                 _logger.warning("the states of the goals of %s could not be told", self.action, exc_info=True)
 
 

@@ -35,7 +35,7 @@ from robot_runner.ros.graph_transport import (
     link_closed,
 )
 from robot_runner.ros.link_faults import as_link_error, do_all
-from robot_runner.ros.opened_names import Advertised, Opened
+from robot_runner.ros.opened_names import Advertised, Opened, driven_of, halt_all, stop_all
 from robot_runner.ros.shapes import completed, plain_type
 
 if TYPE_CHECKING:
@@ -257,6 +257,10 @@ class GraphLink:
         """Return the text of a type's definition, followed by the types that it is made of."""
         return self._transport.types.definition(message_type)
 
+    def halt(self) -> None:
+        """Command zero wherever a velocity was commanded, and wait for nothing; `close` tells what fails of it."""
+        halt_all(driven_of(dict(self._advertised)))
+
     def close(self) -> None:
         """Cancel its goals, stop the robot if it was driven, end all that was opened, and leave; once.
 
@@ -274,7 +278,7 @@ class GraphLink:
         do_all(
             [
                 self._goals.close,  # before the last stop: what executes a goal may drive
-                *(partial(each.stop, topic) for (topic, _), each in reversed(advertised) if each.drives),
+                partial(stop_all, driven_of(dict(advertised))),
                 self._is_stopped.set,
                 *(each.close for _, each in reversed(advertised)),
                 *(each.close for each in reversed(opened)),

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
-from robot_runner.ros.link_faults import as_link_error
+from robot_runner.ros.link_faults import as_link_error, do_all
 from robot_runner.ros.sent_commands import is_watched, note_sent
 from robot_runner.ros.shapes import Shape, completed
 from robot_runner.ros.watchdog import VELOCITY_COMMANDS, planar, velocity_of
 
 if TYPE_CHECKING:
-    from robot_runner.core.links.robot import Message
+    from robot_runner.core.links.robot import Message, Qos
     from robot_runner.ros.graph_transport import TopicPublisher
 
 #: How long the last command, to stand still, may take to reach the robot, s: a robot two hops of Wi-Fi away takes it
@@ -59,20 +61,65 @@ class Advertised:
         """Leave the topic."""
         self.publisher.close()
 
-    def stop(self, topic: str) -> None:
-        """Command zero on a topic on which a velocity was published, and see that it is taken.
+    def command_zero(self, topic: str) -> None:
+        """Command zero on a topic on which a velocity was published.
+
+        Raises:
+            LinkError: it cannot be published.
+        """
+        with _telling(topic), self.sending():
+            self.send(topic, completed(self.shape, {}, where=topic))
+
+    def see_taken(self, topic: str) -> None:
+        """See that the last command was taken.
 
         Raises:
             LinkError: nobody takes it, or the client library fails at it.
         """
-        try:
-            with self.sending():
-                self.send(topic, completed(self.shape, {}, where=topic))
+        with _telling(topic):
             self.publisher.flush(_STOPPING_SECONDS)
-        except Exception as error:
-            fault = as_link_error(error, where=topic)
-            problem = f"the robot could not be told to stand still: {fault.problem}"
-            raise LinkError(problem, where=topic, fix=f"See that its watchdog stopped it. {fault.fix}") from error
+
+
+@contextmanager
+def _telling(topic: str) -> Iterator[None]:
+    """While this lasts, whatever fails is an error that a robot could not be told to stand still."""
+    try:
+        yield
+    except Exception as error:
+        fault = as_link_error(error, where=topic)
+        problem = f"the robot could not be told to stand still: {fault.problem}"
+        raise LinkError(problem, where=topic, fix=f"See that its watchdog stopped it. {fault.fix}") from error
+
+
+def driven_of(advertised: Mapping[tuple[str, Qos], Advertised]) -> list[tuple[str, Advertised]]:
+    """Return the topics on which velocities are commanded, the last one first."""
+    return [(topic, each) for (topic, _), each in reversed(list(advertised.items())) if each.drives]
+
+
+def halt_all(driven: Iterable[tuple[str, Advertised]]) -> None:
+    """Command zero on each of these topics, whatever fails at another, and wait for nothing.
+
+    Closing a link may wait for a robot that is out of reach, and no other one is to drive on meanwhile.
+    """
+    for topic, advertised in driven:
+        with suppress(Exception):  # it is commanded once more as the link is closed, and told then
+            advertised.command_zero(topic)
+
+
+def stop_all(driven: Iterable[tuple[str, Advertised]]) -> None:
+    """Command zero on each of these topics, and then see that it is taken: no robot drives on while another is awaited.
+
+    Raises:
+        LinkError: nobody takes one of them, or the client library fails at it.
+    """
+    told: list[tuple[str, Advertised]] = []
+
+    def tell(topic: str, advertised: Advertised) -> None:
+        advertised.command_zero(topic)
+        told.append((topic, advertised))
+
+    telling = (partial(tell, topic, each) for topic, each in driven)
+    do_all(chain(telling, (partial(each.see_taken, topic) for topic, each in told)))
 
 
 class Opened:

@@ -10,7 +10,7 @@ import socket
 import ssl
 import struct
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -201,7 +201,8 @@ _SENDING = 5.0
 def _bounded(connection: ClientConnection) -> ClientConnection:
     """Let no send last for ever: who is stuck in one holds up all who send after it, the last command among them."""
     seconds = struct.pack("ll", int(_SENDING), int(_SENDING % 1 * 1e6))
-    connection.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, seconds)
+    with suppress(OSError):  # where times have another form (32 bits), sending has no bound
+        connection.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, seconds)
     return connection
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, TypeVar, cast
+from typing import Protocol, TypeVar, cast, runtime_checkable
 
 
 class Closable(Protocol):
@@ -15,6 +15,14 @@ class Closable(Protocol):
 
     def close(self) -> None:
         """Let go of what is held."""
+
+
+@runtime_checkable
+class Halting(Protocol):
+    """What may have set something in motion: all of these are halted before any of what was opened is closed."""
+
+    def halt(self) -> None:
+        """Command a standstill, and wait for nothing; what fails of it is told when it is closed."""
 
 
 R = TypeVar("R", bound=Closable)
@@ -49,7 +57,10 @@ class Resources:
             return cast("R", self._opened[key])
 
     def close(self) -> None:
-        """Close everything in reverse order; what one of them raises is raised after all were closed."""
+        """Halt what may move, then close everything in reverse order; faults are raised once all of it is closed."""
+        for each in self._opened.values():
+            if isinstance(each, Halting):
+                self._closing.callback(each.halt)
         self._opened.clear()
         self._closing.close()
 

@@ -237,7 +237,7 @@ def leave_request(path: Path) -> None:
 def is_requested(path: Path) -> bool:
     """Return whether a pause is asked for, or lasts; or whether the orchestrator is asked to stop.
 
-    A folder that cannot be looked at asks for nothing: whoever has to write to it learns more.
+    A folder that cannot be read counts as no request: the next record that is to be written there fails, and says why.
     """
     return os.path.isfile(path)  # noqa: PTH113 - that of a path raises what the system refuses, before Python 3.14
 
