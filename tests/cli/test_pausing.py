@@ -57,6 +57,7 @@ def test_it_pauses_after_the_present_run_and_goes_on(
     assert not (tmp_path / "results" / "trial" / ".pause").exists()
     refused = robot_runner("pause", "config.py")
     assert (refused.code, "the experiment is not being executed" in refused.err) == (2, True)
+    assert "There is nothing to pause; all its runs are done." in refused.err
 
 
 @pytest.mark.long

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import signal
 import subprocess
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,8 +18,9 @@ import robot_runner
 from robot_runner.cluster import cluster_places
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError
-from robot_runner.core.execution.left_over import RunsElsewhere, runs_elsewhere
+from robot_runner.core.execution.left_over import RunMark, RunsElsewhere, runs_elsewhere
 from robot_runner.core.storage.claim_locks import HeldClaims
+from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -214,6 +216,25 @@ def test_a_run_waits_until_no_other_experiment_has_what_it_claims_of_the_worker_
         until(lambda: len(journal_of(watched.folder, "attempt_started")) == 4, "it is ordered")
         experiment.send_signal(signal.SIGINT)
         assert "Interrupted" in _answer(experiment)
+
+
+@pytest.mark.long
+def test_a_run_waits_until_the_run_of_a_process_that_was_killed_has_let_go_of_the_worker_s_machine(
+    cluster: Cluster, watched: Watched, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    watched.config.write_text(watched.config.read_text().replace("claims = []", 'claims = ["host:localhost"]'))
+    watched.go()
+    cluster.worker("one", XDG_STATE_HOME=str(tmp_path / "state"))
+    killed = ExperimentFolder(tmp_path / "killed")
+    killed.root.mkdir()
+    with HeldClaims(["host:localhost"], "killed", killed.root):
+        """Its lock is gone with it."""
+    with closing(RunMark(killed)):
+        experiment = cluster.experiment(watched.config)
+        until(lambda: "what is left of the experiment 'killed'" in str(journal_of(watched.folder, "finding")), "told")
+        assert not list(watched.told.glob("*.begun"))
+    assert experiment.wait(60) == 0, _answer(experiment)
 
 
 def test_an_experiment_that_cannot_travel_leaves_no_probe_and_no_process(

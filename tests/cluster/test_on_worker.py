@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import threading
 import time
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -18,9 +19,11 @@ from tests.cluster.conftest import until
 from robot_runner.cluster import on_worker
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 LEASE = 0.05
+REQUEST = {"kind": "stop", "because": "interrupted", "is_interruption": True}
 
 
 def _facts(tmp_path: Path) -> dict[str, Any]:
@@ -76,12 +79,65 @@ def test_an_attempt_that_was_stopped_before_it_began_never_begins(tmp_path: Path
     told: list[dict[str, Any]] = []
     session = on_worker._Session(_facts(tmp_path) | {"lease": 100.0}, tmp_path)
     session.renew()
-    request = {"kind": "stop", "because": "interrupted", "is_interruption": True}
-    assert session.stop("89ab", request) is False
+    assert session.stop("89ab", REQUEST) is False
     session.execute({"token": "89ab", "task": {}}, told.append)
     (message,) = told
     assert json.loads(message["told"])[1] == {"because": "interrupted", "is_interrupted": True, "seconds": 0.0}
-    assert session.stop("89ab", request) is True
+    assert session.stop("89ab", REQUEST) is True
+
+
+class Host:
+    """A process that executes runs, as far as it is told something; `while_told` happens before that reaches it."""
+
+    is_alive = True
+
+    def __init__(self, while_told: Callable[[str], object] = lambda _: None) -> None:
+        self.told: list[str] = []
+        self._while_told = while_told
+
+    def ask(self, kind: str, fields: dict[str, Any]) -> None:
+        self._while_told(kind)
+        self.told.append(kind)
+
+    def followed(self, outgoing: object) -> dict[str, Any]:
+        until(lambda: "stop" in self.told, "it is stopped", 10)
+        return {"because": "interrupted", "is_interrupted": True, "seconds": 1.0}
+
+
+def test_an_attempt_that_is_stopped_while_its_process_is_looked_for_is_stopped_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = on_worker._Session(_facts(tmp_path) | {"lease": 100.0}, tmp_path)
+    session.renew()
+    host = Host()
+
+    def looked_for() -> Host:
+        assert session.stop("89ab", REQUEST) is True
+        return host
+
+    monkeypatch.setattr(session, "_free_host", looked_for)
+    session.execute({"token": "89ab", "task": {}}, lambda _: None)
+    assert host.told == ["execute", "stop"]
+
+
+def test_an_attempt_that_is_stopped_while_it_is_ordered_from_its_process_is_stopped_afterwards(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process that is told to stop what it was not told to execute passes over that."""
+    session = on_worker._Session(_facts(tmp_path) | {"lease": 100.0}, tmp_path)
+    session.renew()
+    stopping = threading.Thread(target=session.stop, args=("89ab", REQUEST))
+
+    def stop_first(kind: str) -> None:
+        if kind == "execute":
+            stopping.start()
+            stopping.join(0.1)  # as long as that takes where nothing holds it back
+
+    host = Host(stop_first)
+    monkeypatch.setattr(session, "_free_host", lambda: host)
+    session.execute({"token": "89ab", "task": {}}, lambda _: None)
+    stopping.join()
+    assert host.told == ["execute", "stop"]
 
 
 def test_a_worker_that_cannot_load_the_experiment_says_why_before_it_gets_any_run(tmp_path: Path) -> None:

@@ -41,6 +41,22 @@ def simulated(tmp_path: Path) -> Iterator[RobotRunnerContext]:
     context.resources.close()
 
 
+def test_names_are_relative_to_the_namespace_of_the_runs_robot(tmp_path: Path) -> None:
+    context = make_context(tmp_path, robot="simulated:namespace=/alice")
+    for condition in (
+        node_present("turtlebot3_node"),
+        topic_present("odom", ODOMETRY),
+        topic_present("/alice/odom"),
+        service_present("task/stop"),
+        message_on("odom", ODOMETRY),
+        battery_above(50),
+    ):
+        assert condition.wait(context, timeout_s=2.0).holds, str(condition)
+    with pytest.raises(ConditionError, match=r"among them /alice/odom"):
+        topic_present("/odom").wait(context, timeout_s=0.3)
+    context.resources.close()
+
+
 def test_what_is_on_the_graph_of_a_simulated_robot_holds_at_once(simulated: RobotRunnerContext) -> None:
     for condition in (
         node_present("turtlebot3_node"),

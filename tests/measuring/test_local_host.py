@@ -76,6 +76,15 @@ def test_a_child_that_is_awaited_long_after_it_has_ended_counts_once(host, monke
     assert counted_seconds(samples) == pytest.approx(spent, abs=0.2)
 
 
+def test_a_process_that_is_new_is_seen_by_the_next_sample(monkeypatch):
+    psutil = pytest.importorskip("psutil")
+    monkeypatch.setattr(local_host, "RESCAN", 1000.0)
+    processes = local_host.LocalProcesses(psutil, ["subject:Planner"])
+    assert processes.counters() == ()
+    with busy_family("Planner") as busy:
+        assert busy.pid in [one.pid for one in processes.counters()]
+
+
 def test_what_a_subject_has_started_belongs_to_it_where_its_mark_was_taken_away(host):
     with busy_family("Planner", "sh", "-c", 'env -i "$@"; true', "sh"):
         sampler = host.sample_processes(10.0, ["subject:Planner"])

@@ -20,6 +20,7 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.window import Window
 from robot_runner.measuring import on_board_session
+from robot_runner.measuring.on_board import loop
 from robot_runner.measuring.on_board_session import FORMS, REMOTE_COMMAND, OnBoardSession
 from robot_runner.measuring.ssh_host import SshHost
 from robot_runner.measuring.utilisation import Selection, Utilisation
@@ -59,6 +60,13 @@ def test_the_best_way_is_chosen() -> None:
     session = OnBoardSession(["sh", "-c", REMOTE_COMMAND], where="here", clock=SystemClock())
     assert session.form == "python3"
     session.close()
+
+
+def test_a_process_that_is_new_is_seen_by_the_next_sample_of_the_loop_in_python() -> None:
+    processes = loop.Processes(["subject:Planner"])
+    assert processes.counters(0.0) == []
+    with busy_family("Planner") as busy:
+        assert f"0:{busy.pid}:" in " ".join(processes.counters(0.001))
 
 
 @pytest.mark.parametrize("form", PYTHON_AND_SHELL)
@@ -267,7 +275,7 @@ def test_a_form_that_counts_in_whole_seconds_is_doubted_with_how_far_it_may_be_o
     samples = sampler.stop()
     window = Window(start, start + 2.0)
     measured = Utilisation(samples, window, Selection(), sampler.report(), is_simulated=False)
-    (doubt,) = (problem for problem in measured.doubts() if "ps" in problem)
+    (doubt,) = (each.problem for each in measured.doubted() if "ps" in each.problem)
     assert "may be off by 50 % of a core" in doubt
 
 

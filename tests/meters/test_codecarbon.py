@@ -4,6 +4,7 @@ import json
 import threading
 
 import pytest
+from tests.meters.rehearsed import InRealTime
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
@@ -24,16 +25,13 @@ quiet = pytest.mark.filterwarnings("ignore")
 
 @quiet
 @needs_codecarbon
-class TestCodeCarbonOnThisMachine(ProfilerContract):
+class TestCodeCarbonOnThisMachine(InRealTime, ProfilerContract):
     robot = None
     is_repeatable = False
     measuring_seconds = 0.1
 
     def make_plugin(self) -> CodeCarbon:
         return CodeCarbon(country="NLD", interval_s=0.1, options=KNOWN)
-
-    def make_context(self, folder, plugin, *, run_seed=1):
-        return make_context(folder, plugin, robot=None, clock=SystemClock(), run_seed=run_seed)
 
 
 @pytest.fixture

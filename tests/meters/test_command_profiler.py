@@ -11,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from tests.meters.rehearsed import InRealTime, problems
 from tests.packaged_inputs import only_in_a_package
 
 from robot_runner.core.errors import PluginError
@@ -38,16 +39,13 @@ def profiler(*options: str, **settings) -> CommandProfiler:
     return CommandProfiler(**{"command": command, "columns": COLUMNS, "period_s": PATIENT, **settings})
 
 
-class TestCommandProfilerOnARealProgram(ProfilerContract):
+class TestCommandProfilerOnARealProgram(InRealTime, ProfilerContract):
     robot = None
     is_repeatable = False
     measuring_seconds = 0.1
 
     def make_plugin(self) -> CommandProfiler:
         return profiler()
-
-    def make_context(self, folder, plugin, *, run_seed=1):
-        return make_context(folder, plugin, robot=None, clock=SystemClock(), run_seed=run_seed)
 
 
 @pytest.fixture
@@ -59,10 +57,6 @@ def measure(tmp_path):
         return context
 
     return execute
-
-
-def problems(context) -> list[str]:
-    return [finding.problem for finding in context.broker.findings]
 
 
 def duration(context) -> float:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from tests.meters.fake_sysfs import write
+from tests.meters.rehearsed import InRealTime
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
@@ -40,7 +41,7 @@ def program(tmp_path):
     return stand_in(tmp_path)
 
 
-class TestEnergiBridgeOnAStandIn(ProfilerContract):
+class TestEnergiBridgeOnAStandIn(InRealTime, ProfilerContract):
     robot = None
     is_repeatable = False
     measuring_seconds = 0.1
@@ -56,9 +57,6 @@ class TestEnergiBridgeOnAStandIn(ProfilerContract):
         plugin = EnergiBridge(program=self.program, interval_ms=100, devices=self.devices)
         plugin.period_s = 0.3  # lets gaps pass, for a machine that is busy with other tests
         return plugin
-
-    def make_context(self, folder, plugin, *, run_seed=1):
-        return make_context(folder, plugin, robot=None, clock=SystemClock(), run_seed=run_seed)
 
 
 def test_energy_is_that_of_the_counter_also_where_it_begins_anew(tmp_path, program):

@@ -7,11 +7,12 @@ import json
 
 import pytest
 from tests.meters.fake_joulescope import FakeDriver
+from tests.meters.rehearsed import measured, only_finding, problems
 
 from robot_runner.core.errors import PluginError
 from robot_runner.plugins import Circumstances
 from robot_runner.plugins.profilers import Joulescope
-from robot_runner.testing import FakeClock, ProfilerContract, make_context, rehearse
+from robot_runner.testing import FakeClock, ProfilerContract
 
 real = pytest.importorskip("pyjoulescope_driver", reason="pyjoulescope_driver is not installed")
 
@@ -29,16 +30,6 @@ def connect(monkeypatch, clock):
         return driver
 
     return install
-
-
-def measured(tmp_path, plugin, clock, seconds=10.0):
-    context = make_context(tmp_path, plugin, robot=None, clock=clock)
-    rehearse(context, plugin, mission=lambda: clock.sleep(seconds))
-    return context
-
-
-def problems(context):
-    return [finding.problem for finding in context.broker.findings]
 
 
 @pytest.mark.parametrize("name", ["device_paths", "open", "close", "publish", "subscribe", "finalize"])
@@ -63,7 +54,7 @@ def test_the_real_driver_finds_no_instrument_here():
 @pytest.mark.parametrize("path", ["u/js220/000415", "u/js110/002557", "u/js320/8W2A"])
 def test_energy_is_that_of_the_instruments_own_counter(tmp_path, clock, connect, path):
     driver = connect(path, watts=lambda time: 8.0 if time < 15.0 else 20.0)
-    context = measured(tmp_path, Joulescope(), clock)
+    context = measured(tmp_path, Joulescope(), clock, seconds=10)
     assert context.measures["Energy"] == pytest.approx(140.0, rel=0.02)
     assert context.measures["MeanVoltage"] == pytest.approx(12.0)
     assert problems(context) == []
@@ -84,7 +75,7 @@ def test_what_happens_between_two_readings_is_in_the_counter(tmp_path, clock, co
 def test_an_instrument_that_falls_silent_costs_the_values_and_not_the_run(tmp_path, clock, connect):
     driver = connect("u/js220/000415")
     clock.at(13.0, lambda: setattr(driver, "is_silent", True))
-    context = measured(tmp_path, Joulescope(), clock)
+    context = measured(tmp_path, Joulescope(), clock, seconds=10)
     assert set(context.measures.values()) == {None}
     assert any("has told nothing for" in problem for problem in problems(context))
 
@@ -93,14 +84,8 @@ def test_an_instrument_that_sends_nothing_fails_the_run_before_its_mission(tmp_p
     driver = connect("u/js220/000415")
     driver.is_silent = True
     with pytest.raises(PluginError, match="sends no statistics"):
-        measured(tmp_path, Joulescope(), clock)
+        measured(tmp_path, Joulescope(), clock, seconds=10)
     assert driver.is_finalized
-
-
-def only_finding(plugin):
-    (finding,) = plugin.check(Circumstances())
-    assert finding.is_error
-    return finding
 
 
 def test_of_several_one_must_be_named(connect):
@@ -125,7 +110,7 @@ def test_one_that_cannot_be_opened_fails_the_run_before_its_mission(tmp_path, cl
 
     monkeypatch.setattr(driver, "open", refuse)
     with pytest.raises(PluginError, match="cannot be opened: jsdrv_open timed out"):
-        measured(tmp_path, Joulescope(), clock)
+        measured(tmp_path, Joulescope(), clock, seconds=10)
     assert driver.is_finalized
 
 

@@ -15,6 +15,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.meters.rehearsed import InRealTime, problems
 from tests.meters.rtsp_server import RtspServer
 
 from robot_runner.core.errors import PluginError
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.plugin import Plugin
 
 PICTURE = "lavfi:testsrc2=size=160x120:rate=25"
 
@@ -41,16 +41,13 @@ needs_ffmpeg = pytest.mark.skipif(
 
 @pytest.mark.long
 @needs_ffmpeg
-class TestLabCamera(ProfilerContract):
+class TestLabCamera(InRealTime, ProfilerContract):
     robot = None
     is_repeatable = False
     measuring_seconds = 0.3
 
     def make_plugin(self) -> LabCamera:
         return LabCamera(PICTURE)
-
-    def make_context(self, folder: Path, plugin: Plugin, *, run_seed: int = 1) -> RobotRunnerContext:
-        return make_context(folder, plugin, robot=None, clock=SystemClock(), run_seed=run_seed)
 
 
 def filmed(folder: Path, camera: LabCamera, mission: Callable[[RobotRunnerContext], None]) -> RobotRunnerContext:
@@ -65,10 +62,6 @@ def filmed(folder: Path, camera: LabCamera, mission: Callable[[RobotRunnerContex
 def rows(context: RobotRunnerContext) -> list[dict[str, float]]:
     with (context.raw_data_folder / "frames.csv").open(encoding="ascii") as file:
         return [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
-
-
-def problems(context: RobotRunnerContext) -> list[str]:
-    return [finding.problem for finding in context.broker.findings]
 
 
 @pytest.mark.long

@@ -4,6 +4,7 @@ import csv
 
 import pytest
 from tests.meters.fake_sysfs import write
+from tests.meters.rehearsed import problems
 
 from robot_runner.core.errors import PluginError
 from robot_runner.plugins import Circumstances
@@ -71,10 +72,6 @@ def measure(tmp_path, clock, board):
         return context
 
     return execute
-
-
-def problems(context) -> list[str]:
-    return [finding.problem for finding in context.broker.findings]
 
 
 def test_the_hottest_zone_and_the_mean_frequency_are_told(measure, board, clock):

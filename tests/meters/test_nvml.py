@@ -5,6 +5,7 @@ import json
 
 import pytest
 from tests.meters.fake_nvidia_driver import DRIVER_NOT_LOADED, FakeGpu, FakeNvidiaDriver, install
+from tests.meters.rehearsed import problems
 
 from robot_runner.core.errors import PluginError
 from robot_runner.plugins import Circumstances
@@ -41,10 +42,6 @@ def measure(tmp_path, clock, monkeypatch):
         return context
 
     return execute
-
-
-def problems(context) -> list[str]:
-    return [finding.problem for finding in context.broker.findings]
 
 
 def test_all_gpus_are_added_up(measure):

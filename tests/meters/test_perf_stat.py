@@ -9,6 +9,7 @@ import time
 
 import pytest
 from tests.meters.fake_sysfs import write
+from tests.meters.rehearsed import InRealTime
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
@@ -42,16 +43,13 @@ needs_perf = pytest.mark.skipif(not _may_count(), reason="needs perf, and the ri
 
 
 @needs_perf
-class TestPerfStatOnThisMachine(ProfilerContract):
+class TestPerfStatOnThisMachine(InRealTime, ProfilerContract):
     robot = None
     is_repeatable = False
     measuring_seconds = 0.1
 
     def make_plugin(self) -> PerfStat:
         return PerfStat(events=["task-clock", "context-switches"], interval_ms=100)
-
-    def make_context(self, folder, plugin, *, run_seed=1):
-        return make_context(folder, plugin, robot=None, clock=SystemClock(), run_seed=run_seed)
 
 
 @pytest.fixture

@@ -7,10 +7,10 @@ import json
 import re
 
 import pytest
-from tests.core.links.ssh_server import SshServer
 from tests.meters import rail_trees
 from tests.meters.fake_sysfs import write
 from tests.meters.rail_trees import RailTree
+from tests.meters.rehearsed import problems
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
@@ -40,10 +40,6 @@ def reading(rail):
     host = LocalHost(SystemClock())
     paths = [file.path for file in rail.files.values()]
     return rail.read(dict(zip(paths, host.read_files(paths), strict=True)))
-
-
-def problems(context):
-    return [finding.problem for finding in context.broker.findings]
 
 
 # What the drivers show.
@@ -330,13 +326,6 @@ def test_a_sensor_that_vanishes_costs_the_values_and_not_the_run(tmp_path, tree,
 def test_a_sensor_that_is_not_there_fails_the_run_before_its_mission(tmp_path, tree, clock):
     with pytest.raises(LinkError, match="no driver in /sys shows a rail"):
         measured(tmp_path, tree, clock)
-
-
-@pytest.fixture(scope="module")
-def server(tmp_path_factory):
-    started = SshServer(tmp_path_factory.mktemp("sshd"))
-    yield started
-    started.stop()
 
 
 def test_a_jetson_is_read_over_ssh(tmp_path, tree, server):

@@ -5,6 +5,7 @@ import sys
 
 import pytest
 from tests.meters.fake_sysfs import FakePowercap, write
+from tests.meters.rehearsed import InRealTime
 from tests.waiting import wait_until
 
 from robot_runner.core.events.context import SystemClock
@@ -49,7 +50,7 @@ def stand_in(folder, recorded=RECORDED) -> str:
     return str(path)
 
 
-class TestPowerJoularOnAStandIn(ProfilerContract):
+class TestPowerJoularOnAStandIn(InRealTime, ProfilerContract):
     robot = None
     is_repeatable = False
     measuring_seconds = 0.05
@@ -64,9 +65,6 @@ class TestPowerJoularOnAStandIn(ProfilerContract):
         plugin = PowerJoular(program=self.program, powercap=self.folder / "powercap")
         plugin.period_s = 0.3
         return plugin
-
-    def make_context(self, folder, plugin, *, run_seed=1):
-        return make_context(folder, plugin, robot=None, clock=SystemClock(), run_seed=run_seed)
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ import json
 import sys
 
 import pytest
+from tests.meters.rehearsed import InRealTime
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
@@ -60,7 +61,7 @@ def stand_in(folder) -> str:
     return str(path)
 
 
-class TestPowermetricsOnAStandIn(ProfilerContract):
+class TestPowermetricsOnAStandIn(InRealTime, ProfilerContract):
     robot = None
     is_repeatable = False
     measuring_seconds = 0.1
@@ -73,9 +74,6 @@ class TestPowermetricsOnAStandIn(ProfilerContract):
         plugin = Powermetrics(command=[self.program], interval_ms=100)
         plugin.period_s = 0.3  # lets gaps pass, for a machine that is busy with other tests
         return plugin
-
-    def make_context(self, folder, plugin, *, run_seed=1):
-        return make_context(folder, plugin, robot=None, clock=SystemClock(), run_seed=run_seed)
 
 
 def test_property_lists_become_energy(tmp_path):

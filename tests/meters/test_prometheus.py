@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
+from tests.meters.rehearsed import measured, problems
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
@@ -50,16 +51,6 @@ def exporter():
     started.stop()
 
 
-def measured(tmp_path, plugin, clock, seconds=10.0):
-    context = make_context(tmp_path, plugin, robot=None, clock=clock)
-    rehearse(context, plugin, mission=lambda: clock.sleep(seconds))
-    return context
-
-
-def problems(context):
-    return [finding.problem for finding in context.broker.findings]
-
-
 def findings(url, *metrics, **settings):
     return list(Prometheus(url, list(metrics), **settings).check(Circumstances()))
 
@@ -70,7 +61,7 @@ def test_counters_are_measured_by_their_increase_and_gauges_by_their_mean(tmp_pa
         clock.at(100.0 + second, lambda: exporter.tell("inc joules 8.5"))
     clock.at(105.0, lambda: exporter.tell("set watts 12"))
     plugin = Prometheus(exporter.url, ["supply_energy_joules_total", "supply_power_watts"], rate_hz=2.0)
-    context = measured(tmp_path, plugin, clock)
+    context = measured(tmp_path, plugin, clock, seconds=10)
     assert context.measures["SupplyEnergyJoules"] == pytest.approx(9 * 8.5, rel=0.01)
     assert context.measures["SupplyPowerWatts"] == pytest.approx(10.0, rel=0.03)
     assert [measure.unit for measure in plugin.measures] == ["J", "W"]
@@ -85,7 +76,9 @@ def test_the_series_of_a_counter_are_summed_and_can_be_chosen(tmp_path, exporter
     clock = FakeClock()
     clock.at(5.0, lambda: exporter.tell("inc eth0 30"))
     clock.at(6.0, lambda: exporter.tell("inc wlan0 4"))
-    context = measured(tmp_path, Prometheus(exporter.url, ["packets_total", 'packets_total{interface="wlan0"}']), clock)
+    context = measured(
+        tmp_path, Prometheus(exporter.url, ["packets_total", 'packets_total{interface="wlan0"}']), clock, seconds=10
+    )
     assert context.measures["Packets"] == pytest.approx(34.0)
     assert context.measures["Packets_wlan0"] == pytest.approx(4.0)
     facts = json.loads((context.raw_data_folder / "quality.json").read_text())
@@ -96,7 +89,7 @@ def test_a_series_of_a_counter_that_comes_late_counts_from_0_and_no_further(tmp_
     clock = FakeClock()
     clock.at(7.5, lambda: exporter.tell("inc usb0 50"))
     clock.at(8.5, lambda: exporter.tell("inc usb0 4"))
-    context = measured(tmp_path, Prometheus(exporter.url, ["packets_total"]), clock)
+    context = measured(tmp_path, Prometheus(exporter.url, ["packets_total"]), clock, seconds=10)
     assert context.measures["Packets"] == pytest.approx(54.0)
     assert "1 of 3 series of packets_total were there for a part of the time only" in problems(context)
 
@@ -106,7 +99,7 @@ def test_the_series_of_a_gauge_are_combined_as_said(tmp_path, exporter):
         ScrapedMetric(selector="core_load_percent", measure=Measure("Load", "%", "Mean of the cores."), combine="mean"),
         ScrapedMetric(selector="core_load_percent", measure=Measure("Peak", "%", "Busiest core."), combine="max"),
     ]
-    context = measured(tmp_path, Prometheus(exporter.url, metrics), FakeClock())
+    context = measured(tmp_path, Prometheus(exporter.url, metrics), FakeClock(), seconds=10)
     assert context.measures["Load"] == pytest.approx(40.0)
     assert context.measures["Peak"] == pytest.approx(60.0)
 
@@ -115,7 +108,7 @@ def test_a_histogram_tells_how_often_and_how_long(tmp_path, exporter):
     clock = FakeClock()
     for second in (2.0, 3.0, 4.0):
         clock.at(second, lambda: exporter.tell("observe latency 0.25"))
-    context = measured(tmp_path, Prometheus(exporter.url, ["latency_seconds_count", "latency_seconds_sum"]), clock)
+    context = measured(tmp_path, Prometheus(exporter.url, ["latency_seconds_count", "latency_seconds_sum"]), clock, 10)
     assert context.measures["LatencySecondsCount"] == pytest.approx(3.0)
     assert context.measures["LatencySecondsSum"] == pytest.approx(0.75)
 
@@ -130,7 +123,7 @@ def test_a_counter_that_was_set_back_counts_on_and_is_doubted(tmp_path, exporter
     clock.at(2.5, lambda: exporter.tell("inc joules 10"))
     clock.at(5.5, lambda: exporter.tell("reset joules 0"))
     clock.at(7.5, lambda: exporter.tell("inc joules 4"))
-    context = measured(tmp_path, Prometheus(exporter.url, ["supply_energy_joules_total"]), clock)
+    context = measured(tmp_path, Prometheus(exporter.url, ["supply_energy_joules_total"]), clock, seconds=10)
     assert context.measures["SupplyEnergyJoules"] == pytest.approx(14.0)
     assert any("was set back" in problem for problem in problems(context))
 
@@ -203,7 +196,7 @@ def test_nothing_at_the_address_is_told_and_fails_the_run_before_its_mission(tmp
     (finding,) = findings(exporter.url, "supply_power_watts")
     assert "does not answer" in finding.problem
     with pytest.raises(LinkError, match="does not answer"):
-        measured(tmp_path, Prometheus(exporter.url, ["supply_power_watts"]), FakeClock())
+        measured(tmp_path, Prometheus(exporter.url, ["supply_power_watts"]), FakeClock(), seconds=10)
 
 
 def test_a_machine_without_the_library_is_told_which_extra_brings_it(monkeypatch):

@@ -7,8 +7,8 @@ import json
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.core.links.ssh_server import SshServer
 from tests.measuring.busy_core import busy_core, needs_affinity, wait
+from tests.meters.rehearsed import InRealTime
 
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.events.context import SystemClock
@@ -19,33 +19,24 @@ from robot_runner.plugins.profilers import PsUtil
 from robot_runner.testing import ProfilerContract, make_context, rehearse
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Mapping
     from pathlib import Path
+
+    from tests.core.links.ssh_server import SshServer
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.events.measure import MeasureValue
-    from robot_runner.core.plugin import Plugin
 
 psutil = pytest.importorskip("psutil", reason="psutil samples this machine: pip install 'robot-runner[psutil]'")
 
 
-@pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SshServer]:
-    started = SshServer(tmp_path_factory.mktemp("sshd"))
-    yield started
-    started.stop()
-
-
-class TestPsUtilOnThisMachine(ProfilerContract):
+class TestPsUtilOnThisMachine(InRealTime, ProfilerContract):
     robot = None
     is_repeatable = False
     measuring_seconds = 0.2
 
     def make_plugin(self) -> PsUtil:
         return PsUtil(host="localhost", rate_hz=50.0, processes=["pid:1"], cores=[0])
-
-    def make_context(self, folder: Path, plugin: Plugin, *, run_seed: int = 1) -> RobotRunnerContext:
-        return make_context(folder, plugin, robot=None, clock=SystemClock(), run_seed=run_seed)
 
 
 def measured(folder: Path, plugin: PsUtil, seconds: float) -> RobotRunnerContext:

@@ -5,6 +5,7 @@ import json
 from subprocess import CompletedProcess
 
 import pytest
+from tests.meters.rehearsed import problems
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.measure import Origin
@@ -47,10 +48,6 @@ def measure(tmp_path):
         return context
 
     return execute
-
-
-def problems(context) -> list[str]:
-    return [finding.problem for finding in context.broker.findings]
 
 
 def test_means_are_those_of_the_measured_window(measure):
@@ -226,7 +223,7 @@ def test_a_process_that_was_never_there_has_no_value_and_is_told_of():
     measured = Utilisation(samples, Window(0.0, 2.0), selection, SamplingReport(rate=1.0), is_simulated=False)
     assert measured.means()["CPU_talker"] is None
     assert measured.means()["CPU_core7"] is None
-    assert list(measured.doubts()) == [
+    assert [each.problem for each in measured.doubted()] == [
         "no process name:talker was seen; new ones are looked for once a second",
         "the computer tells of no core 7",
     ]
@@ -253,7 +250,7 @@ def test_a_process_that_ended_before_the_mission_is_told_of():
     selection = Selection(("name:talker",))
     measured = Utilisation(samples, Window(2.0, 5.0), selection, SamplingReport(rate=1.0), is_simulated=False)
     told = "no process name:talker was there in the measured window, only before or after it"
-    assert list(measured.doubts()) == [told]
+    assert [each.problem for each in measured.doubted()] == [told]
 
 
 def ending(at, *, ended=0, reaped=0, brief=0, parents=0):
@@ -265,18 +262,18 @@ def test_cpu_time_that_ended_processes_used_unseen_is_told_of_where_it_may_be_mo
     samples = [ending(0), ending(1, ended=1), *map(ending, range(2, 201))]
     selection = Selection(("subject:Nav",))
     measured = Utilisation(samples, Window(0.0, 200.0), selection, SamplingReport(rate=1.0), is_simulated=False)
-    assert list(measured.doubts(["Nav"])) == []
-    assert list(measured.over(Window(0.0, 50.0)).doubts(["Nav"])) == [
+    assert [each.problem for each in measured.doubted(["Nav"])] == []
+    assert [each.problem for each in measured.over(Window(0.0, 50.0)).doubted(["Nav"])] == [
         "1 process subject:Nav ended after its last sample: CPU_Nav may leave out up to 2.0 % of a core"
     ]
-    assert list(measured.over(Window(50.0, 100.0)).doubts(["Nav"])) == []
+    assert [each.problem for each in measured.over(Window(50.0, 100.0)).doubted(["Nav"])] == []
 
 
 def test_children_that_may_have_ended_unseen_with_software_under_test_are_told_of():
     samples = [ending(0), ending(1, ended=1, parents=1), *map(ending, range(2, 51))]
     selection = Selection(("subject:Nav",))
     measured = Utilisation(samples, Window(0.0, 50.0), selection, SamplingReport(rate=1.0), is_simulated=False)
-    (told,) = measured.doubts(["Nav"])
+    (told,) = [each.problem for each in measured.doubted(["Nav"])]
     assert told.endswith("CPU_Nav may leave out up to 4.0 % of a core")
 
 
@@ -284,16 +281,42 @@ def test_processes_that_came_and_went_are_told_of_as_others_may_never_have_been_
     samples = [ending(0), ending(1, ended=1, brief=1), *map(ending, range(2, 201))]
     selection = Selection(("name:gcc",))
     measured = Utilisation(samples, Window(0.0, 200.0), selection, SamplingReport(rate=1.0), is_simulated=False)
-    (told,) = measured.doubts()
+    (told,) = [each.problem for each in measured.doubted()]
     assert told.startswith("1 process name:gcc lasted less than 2 s: new ones are looked for once a second")
     assert told.endswith("CPU_gcc and Memory_gcc may be too low")
+
+
+def test_how_often_new_processes_are_looked_for_is_that_of_the_sampler():
+    nobody = (ProcessUtilisation(0, None, 0.0),)
+    samples = [UtilisationSample(at / 20, 50.0, 10.0, processes=nobody) for at in range(41)]
+    report = SamplingReport(rate=20.0, rescan=0.05)
+    measured = Utilisation(samples, Window(0.0, 2.0), Selection(("name:talker",)), report, is_simulated=False)
+    assert [each.problem for each in measured.doubted()] == [
+        "no process name:talker was seen; new ones are looked for every 0.05 s"
+    ]
+
+
+def test_memory_of_a_process_that_may_have_been_there_before_it_was_seen_is_doubted():
+    def told(rescan, *, since=15):
+        seen = [ProcessUtilisation(1, 5.0, 2.0) if at >= since else ProcessUtilisation(0, 0.0, 0.0) for at in range(41)]
+        samples = [UtilisationSample(at / 10, 50.0, 10.0, processes=(one,)) for at, one in enumerate(seen)]
+        report = SamplingReport(rate=10.0, rescan=rescan)
+        measured = Utilisation(samples, Window(0.0, 4.0), Selection(("subject:Nav",)), report, is_simulated=False)
+        return list(measured.doubted(["Nav"]))
+
+    (doubt,) = told(1.0)
+    seen_late = "subject:Nav may have been there before it was seen: Memory_Nav may lack up to 35 %"
+    assert doubt.problem == f"{seen_late}; new ones are looked for once a second"
+    assert doubt.measures == ("Memory_Nav",)
+    assert told(0.1) == []  # each sample looks
+    assert told(1.0, since=0) == []  # it was there from the start
 
 
 def test_children_of_software_under_test_that_came_and_went_are_counted_by_their_parents():
     samples = [ending(0), ending(1, ended=1, reaped=1, brief=1), ending(2)]
     selection = Selection(("subject:Nav",))
     measured = Utilisation(samples, Window(0.0, 2.0), selection, SamplingReport(rate=1.0), is_simulated=False)
-    assert list(measured.doubts(["Nav"])) == []
+    assert [each.problem for each in measured.doubted(["Nav"])] == []
 
 
 def test_a_core_that_was_switched_off_for_a_part_of_the_window_has_no_value_and_is_told_of():
@@ -303,7 +326,7 @@ def test_a_core_that_was_switched_off_for_a_part_of_the_window_has_no_value_and_
     measured = Utilisation(samples, Window(0.0, 20.0), selection, SamplingReport(rate=1.0), is_simulated=False)
     assert (measured.means()["CPU_core0"], measured.means()["CPU_core1"]) == (pytest.approx(20.0), None)
     told = "the computer tells of core 1 for a part of the window only: it was switched off meanwhile"
-    assert list(measured.doubts()) == [told]
+    assert [each.problem for each in measured.doubted()] == [told]
 
 
 def test_a_core_that_is_switched_off_among_others_is_told_of():
@@ -311,7 +334,7 @@ def test_a_core_that_is_switched_off_among_others_is_told_of():
     selection = Selection((), (1,))
     measured = Utilisation(samples, Window(0.0, 2.0), selection, SamplingReport(rate=1.0), is_simulated=False)
     assert measured.means()["CPU_core1"] is None
-    assert list(measured.doubts()) == ["the computer tells of no core 1"]
+    assert [each.problem for each in measured.doubted()] == ["the computer tells of no core 1"]
 
 
 def test_a_core_that_is_switched_off_has_no_column_among_the_samples(tmp_path):

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.meters.fake_sysfs import FakePowercap, write
+from tests.meters.rehearsed import problems
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
@@ -69,10 +70,6 @@ class WatchedRapl(Rapl):
             pass
         for _ in range(count):
             assert self.has_read.acquire(timeout=60)
-
-
-def problems(context) -> list[str]:
-    return [finding.problem for finding in context.broker.findings]
 
 
 def test_energy_is_what_the_packages_have_counted(measure, tmp_path):

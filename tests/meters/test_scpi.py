@@ -8,6 +8,7 @@ import socket
 import time
 
 import pytest
+from tests.meters.rehearsed import measured, only_finding, problems
 from tests.meters.scpi_server import ScpiServer
 
 from robot_runner.core.errors import PluginError
@@ -26,16 +27,6 @@ def server():
     started = ScpiServer()
     yield started
     started.stop()
-
-
-def measured(tmp_path, plugin, clock, seconds):
-    context = make_context(tmp_path, plugin, robot=None, clock=clock)
-    rehearse(context, plugin, mission=lambda: clock.sleep(seconds))
-    return context
-
-
-def problems(context):
-    return [finding.problem for finding in context.broker.findings]
 
 
 def test_power_is_voltage_times_current_over_tcp(tmp_path, server):
@@ -108,12 +99,6 @@ def test_an_overload_is_no_value(tmp_path, server):
     context = measured(tmp_path, Scpi(server.resource), clock, 10.0)
     assert context.measures["Energy"] == pytest.approx(60.0)
     assert any("an overload, or no value" in problem for problem in problems(context))
-
-
-def only_finding(plugin):
-    (finding,) = plugin.check(Circumstances())
-    assert finding.is_error
-    return finding
 
 
 def test_a_good_instrument_has_no_findings(server):

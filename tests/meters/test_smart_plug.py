@@ -12,6 +12,7 @@ import time
 import pytest
 from tests.meters.fake_plugs import FakePlug, PlugOnHttp, PlugOnMqtt
 from tests.meters.mqtt_broker import Broker
+from tests.meters.rehearsed import measured, only_finding, problems
 from tests.waiting import wait_until
 
 from robot_runner.core.errors import LinkError, PluginError
@@ -55,22 +56,6 @@ def on_mqtt(plug, broker, request):
     started.stop()
 
 
-def measured(tmp_path, plugin, clock, seconds=60.0):
-    context = make_context(tmp_path, plugin, robot=None, clock=clock)
-    rehearse(context, plugin, mission=lambda: clock.sleep(seconds))
-    return context
-
-
-def problems(context):
-    return [finding.problem for finding in context.broker.findings]
-
-
-def only_finding(plugin):
-    (finding,) = plugin.check(Circumstances())
-    assert finding.is_error
-    return finding
-
-
 def watch(plug, clock):
     """Have the load rise by 0.5 W a second, and the plug count it."""
 
@@ -88,7 +73,7 @@ def watch(plug, clock):
 def test_each_kind_is_read_over_http(tmp_path, plug, on_http, kind):
     clock = FakeClock(5.0)
     watch(plug, clock)
-    context = measured(tmp_path, SmartPlug(kind, url=on_http.url), clock)
+    context = measured(tmp_path, SmartPlug(kind, url=on_http.url), clock, seconds=60)
     assert context.measures["Energy"] == pytest.approx(42.5 * 60 + 0.5 * 0.5 * 60**2, rel=0.01)
     assert context.measures["MeanPower"] == pytest.approx(57.5, rel=0.01)
     assert context.measures["MeanVoltage"] == (None if kind == "shelly1" else pytest.approx(230.0))
@@ -111,7 +96,7 @@ def test_a_counter_that_contradicts_the_power_of_a_long_mission_is_doubted(tmp_p
 
 def test_power_in_whole_watts_is_doubted_and_tasmota_told_how_to_mend_it(tmp_path, plug, on_http):
     plug.watts = 7
-    context = measured(tmp_path, SmartPlug("tasmota", url=on_http.url), FakeClock())
+    context = measured(tmp_path, SmartPlug("tasmota", url=on_http.url), FakeClock(), seconds=60)
     assert any("whole watts, at 7 W (Tasmota's command `WattRes 2`" in problem for problem in problems(context))
 
 
@@ -347,7 +332,7 @@ def test_no_broker_at_the_address_fails_the_run_before_its_mission(tmp_path):
     pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
     plugin = SmartPlug("tasmota", broker="mqtt://127.0.0.1:9", topic="charger")
     with pytest.raises(LinkError, match="does not answer"):
-        measured(tmp_path, plugin, FakeClock())
+        measured(tmp_path, plugin, FakeClock(), seconds=60)
 
 
 def test_a_machine_without_the_library_is_told_which_extra_brings_it(monkeypatch):

@@ -187,3 +187,29 @@ def test_a_corrupt_journal_is_refused_with_the_line(start: Start) -> None:
     assert again.end() == 2
     assert "journal.jsonl:2" in again.output
     shutil.rmtree(experiment.folder)
+
+
+@pytest.mark.long
+def test_a_disk_that_fails_while_a_keeper_does_not_answer_ends_the_experiment_and_its_run(start: Start) -> None:
+    experiment = start(
+        """
+        from robot_runner.core.execution import keeper
+        from robot_runner.core.storage.journal import Journal
+        keeper._MARGIN = 0.5
+        grace_in_s = 0.5
+        def refuse(self, kind, append=Journal.append, **fields):
+            if kind == "shared":
+                from robot_runner.core.errors import StorageError
+                raise StorageError("the file cannot be written", where="journal.jsonl", fix="Make room.")
+            append(self, kind, **fields)
+        Journal.append = refuse
+        def launch_mission(self, context):
+            import os, signal, time
+            os.kill(os.getppid(), signal.SIGSTOP)
+            context.share(position=1)
+            time.sleep(600)
+        """
+    )
+    assert experiment.end() == 1
+    assert "journal.jsonl: the file cannot be written" in experiment.output
+    assert experiment.nobody_is_left()

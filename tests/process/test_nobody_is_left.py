@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.conftest import HEAD, written_config
 from tests.process.conftest import wait_until
 
 Start = Callable[..., Any]
@@ -52,8 +53,10 @@ def flag(self, name): return Path(__file__).parent / name
 HANG = "import ctypes; m = ctypes.create_string_buffer(64); [ctypes.CDLL(None).pthread_mutex_lock(m) for _ in 'ab']"
 
 
-def moving(start: Start, *, move: str = "time.sleep(600)", close: str = "pass", grace: float = 5.0) -> Any:
-    body = BODY.replace("MOVE", move).replace("CLOSE", close).replace("GRACE", str(grace))
+def moving(
+    start: Start, *, move: str = "time.sleep(600)", close: str = "pass", grace: float = 5.0, more: str = ""
+) -> Any:
+    body = f"{more}\n{BODY}".replace("MOVE", move).replace("CLOSE", close).replace("GRACE", str(grace))
     experiment = start(body)
     experiment.config.with_name("may close").touch()
     experiment.wait_for("moving")
@@ -133,6 +136,16 @@ def test_killed_with_its_keeper_the_run_ends_its_own_orphans(start: Start) -> No
 
 
 @pytest.mark.long
+def test_a_run_that_has_left_its_process_group_and_does_not_end_is_killed(start: Start) -> None:
+    leave = "import signal; os.setpgid(0, os.getppid()); signal.signal(signal.SIGTERM, signal.SIG_IGN)"
+    first = moving(start, move=f"{leave}; self.flag('left').touch(); time.sleep(600)", grace=0.5)
+    first.wait_for("left")
+    kill(first, "orchestrator")
+    assert first.nobody_is_left()
+    again(start, first)
+
+
+@pytest.mark.long
 def test_orphans_of_a_run_that_was_killed_with_everybody_end_at_the_restart(start: Start) -> None:
     first = moving(start)
     kill(first, "orchestrator", "keeper", "run")
@@ -195,6 +208,37 @@ def test_a_program_that_is_dead_cannot_outlive_its_run(start: Start) -> None:
     )
     assert experiment.end() == 1
     assert "cannot outlive the run: it is not alive" in experiment.output
+
+
+@pytest.mark.long
+def test_who_claims_the_same_robot_waits_for_what_a_killed_experiment_has_left_and_is_refused_meanwhile(
+    start: Start,
+) -> None:
+    claims = 'claims = ["robot:alice"]'
+    close = "while not self.flag('may close').exists(): time.sleep(0.01)"
+    first = moving(
+        start,
+        move="self.flag('may close').unlink(); self.flag('left').touch(); time.sleep(600)",
+        close=close,
+        grace=60.0,
+        more=claims,
+    )
+    first.wait_for("left")
+    kill(first, "orchestrator")
+    first.wait_for("closed")
+    note = "with Path(__file__).with_name('story').open('a') as file: print('begins other', file=file)"
+    body = f"{claims}\ndef launch_mission(self, context):\n    {note}"
+    other = first.config.with_name("other.py")
+    written_config(first.config.parent, body, head=HEAD.replace("trial", "other"), name="other.py")
+    refused = start(config=other)
+    assert refused.end() == 2
+    assert "robot:alice is in use by what is left of the experiment 'trial'" in refused.output
+    waiting = start("", "--wait", config=other)
+    assert any("Waiting for claims" in line for line in waiting.process.stdout)
+    first.config.with_name("may close").touch()
+    assert waiting.end() == 0
+    story = first.text_of("story").splitlines()
+    assert story.index("ends r_2") < story.index("begins other")
 
 
 @pytest.mark.long

@@ -132,6 +132,16 @@ def test_killed_the_run_is_closed_within_a_second_and_the_experiment_resumes_and
 
 
 @pytest.mark.long
+def test_killed_a_run_is_closed_whose_config_has_a_broken_pipe_end_its_program(start: Start) -> None:
+    experiment = start(f"import signal; signal.signal(signal.SIGPIPE, signal.SIG_DFL)\n{MOVING}")
+    experiment.wait_for("moving")
+    experiment.send(signal.SIGKILL)
+    experiment.wait_for("stopped")
+    experiment.end()
+    assert experiment.nobody_is_left()
+
+
+@pytest.mark.long
 def test_killed_while_the_run_hangs_in_c_nobody_is_left(start: Start) -> None:
     experiment = start(
         """

@@ -274,6 +274,30 @@ def test_what_is_damaged_changed_gone_or_not_to_be_kept_is_told_and_holds_up_nob
     assert "others may write in the folder of the queue" in robot_runner("queue").err
 
 
+@pytest.mark.long
+def test_what_wants_a_robot_that_may_be_moving_waits_until_somebody_has_looked(
+    robot_runner: Callable[..., Any],
+    config: Callable[..., Path],
+    start: Callable[..., subprocess.Popen[str]],
+    tmp_path: Path,
+) -> None:
+    moving, same, other = (config(name, claim, 0) for name, claim in (("moving", "a"), ("same", "a"), ("other", "b")))
+    said = "    def before_run(self, context): raise OSError('THE ROBOT MAY BE MOVING: the cable is out')\n"
+    moving.write_text(moving.read_text().replace("    def launch_mission", f"{said}    def launch_mission"))
+    for path in (moving, same, other):
+        assert robot_runner("queue", "add", path).code == 0
+    runner = start("queue", "run")
+    until((tmp_path / "other.begun").exists, "what wants another robot is executed")
+    assert "take it out: robot-runner queue drop 1" in line_with(runner, "2 (same) waits for")
+    assert "1 (moving), after which THE ROBOT MAY BE MOVING" in robot_runner("queue").out
+    assert not (tmp_path / "same.begun").exists()
+    assert "waits for 1 (moving)" in robot_runner("queue", "add", same).out
+    assert robot_runner("queue", "drop", 1, 4).code == 0
+    runner.communicate(timeout=PATIENCE)
+    assert runner.returncode == 1
+    assert set(done_runs(tmp_path / "results" / "same").values()) == {1}
+
+
 def test_the_number_of_an_experiment_that_was_dropped_is_given_to_no_other() -> None:
     queue = ExperimentQueue()
     facts = {"options": [], "started_in": "/", "experiment": "e", "results": "/e", "claims": [], "python": "python"}

@@ -47,11 +47,18 @@ LONG = "time.sleep(60)"
 
 @pytest.fixture
 def lamp(start: Start, write_config: Callable[..., Path]) -> Callable[..., Any]:
-    def light(*, mission: str = LONG, make_safe: str = "pass", more: str = "", tasks: str = '"Video"') -> Any:
+    def light(
+        *,
+        mission: str = LONG,
+        make_safe: str = "pass",
+        more: str = "",
+        tasks: str = '"Video"',
+        waits_for: str = "launched",
+    ) -> Any:
         lamp = LAMP.format(mission=mission, make_safe=make_safe)
         head = HEAD.replace("import *\n", f"import *\n{lamp}", 1)
         experiment = start(config=write_config(BODY.replace("TASKS", tasks) + more, head=head, table=""))
-        experiment.wait_for("launched")
+        experiment.wait_for(waits_for)
         return experiment
 
     return light
@@ -94,6 +101,38 @@ def test_where_the_standby_is_killed_with_the_run_the_orchestrator_has_the_syste
     assert experiment.end() == 1
     assert not is_on(experiment)
     assert len(calls(experiment)) == 1
+
+
+SLOW_TO_STAND_BY = """
+    from robot_runner.core.execution.standby import Standby
+    def begin_late(self, *arguments, begin=Standby.begin, **more):
+        (HERE / "keeper").write_text(str(os.getpid()))
+        time.sleep(1)
+        begin(self, *arguments, **more)
+    Standby.begin = begin_late
+"""
+
+
+@pytest.mark.long
+def test_a_run_begins_once_somebody_stands_by_so_that_no_moment_is_without(lamp: Callable[..., Any]) -> None:
+    experiment = lamp(more=SLOW_TO_STAND_BY)
+    kill(experiment.run_process(), experiment.keeper(), experiment.process.pid)
+    assert experiment.nobody_is_left()
+    assert not is_on(experiment)
+    assert len(calls(experiment)) == 1
+
+
+@pytest.mark.long
+def test_a_run_whose_keeper_is_killed_before_anybody_stands_by_never_begins(lamp: Callable[..., Any]) -> None:
+    again = "    attempts = 2\n" + SLOW_TO_STAND_BY.replace("time.sleep(1)", "time.sleep(60)").replace(
+        "        time.sleep(60)\n", "        not (HERE / 'killed').exists() and time.sleep(60)\n"
+    )
+    experiment = lamp(mission="(HERE / 'twice').touch(exist_ok=False)", more=again, waits_for="keeper")
+    (experiment.config.parent / "killed").touch()
+    kill(int(experiment.text_of("keeper")))
+    assert experiment.end() == 0, experiment.output
+    assert "the run's keeper was killed by SIGKILL; it is tried again" in experiment.output
+    assert experiment.nobody_is_left()
 
 
 @pytest.mark.long

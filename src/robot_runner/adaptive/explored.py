@@ -14,7 +14,7 @@ from typing import Any
 from robot_runner.core.design.asking import Decision, Told
 from robot_runner.core.design.design import IsAllowed
 from robot_runner.core.design.factor import Combination, Factor, factor_places
-from robot_runner.core.design.numeric_range import is_number
+from robot_runner.core.design.numeric_range import is_number, is_whole
 from robot_runner.core.design.planned_runs import RunOrder, arranged
 from robot_runner.core.errors import Finding, did_you_mean
 from robot_runner.core.words import INACTIVE, counted, enumerated, listed
@@ -50,20 +50,10 @@ class Explored:
     repetition: int = 0
     has_failed: bool = False
 
-    @property
-    def as_texts(self) -> dict[str, str]:
-        """The combination, each treatment as text."""
-        return {name: str(treatment) for name, treatment in self.combination.items()}
-
     def means(self, measures: Sequence[str]) -> tuple[float, ...] | None:
         """Return the mean of each measure; None where one of them has no value."""
         known = [self.values.get(name) for name in measures]
         return tuple(math.fsum(each.values()) / len(each) for each in known if each) if all(known) else None
-
-
-def key_of(combination: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return what tells a combination from others: its treatments as text."""
-    return tuple(map(str, combination.values()))
 
 
 def explored(told: Sequence[Told], measures: Sequence[str]) -> tuple[list[Explored], list[tuple[str, str]]]:
@@ -79,7 +69,7 @@ def explored(told: Sequence[Told], measures: Sequence[str]) -> tuple[list[Explor
     found: dict[tuple[str, ...], Explored] = {}
     odd = []
     for each in told:
-        own = found.setdefault(key_of(each.run.combination), Explored(each.run.combination))
+        own = found.setdefault(each.run.combination.texts, Explored(each.run.combination))
         own.repetition = max(own.repetition, each.run.repetition)
         if each.run.batch > 1:
             continue
@@ -92,7 +82,7 @@ def explored(told: Sequence[Told], measures: Sequence[str]) -> tuple[list[Explor
             if value is not None:
                 why = "too large to compute with" if is_number(value) else f"which is no number of {name}"
                 odd.append((f"{each.run.run_id} has {value!r}, {why}", "Name another measure."))
-    searched = {key_of(each.run.combination) for each in told if each.run.batch == 1}
+    searched = {each.run.combination.texts for each in told if each.run.batch == 1}
     return [each for key, each in found.items() if key in searched], odd
 
 
@@ -165,7 +155,7 @@ def direction_findings(where: str, directions: object) -> Iterator[Finding]:
 def count_findings(where: str, least: int = 0, **counts: object) -> Iterator[Finding]:
     """Say which counts are no whole numbers from `least`."""
     for name, value in counts.items():
-        if isinstance(value, bool) or not isinstance(value, int):
+        if not is_whole(value):
             yield Finding.error(where, f"{name} is {value!r}, of type {type(value).__name__}", "Give a whole number.")
         elif value < least:
             yield Finding.error(where, f"{name} is {value}", f"Give a whole number from {least}.")

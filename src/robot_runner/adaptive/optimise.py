@@ -26,13 +26,12 @@ from robot_runner.adaptive.explored import (
     direction_findings,
     explored,
     in_direction,
-    key_of,
     shown,
     without_values,
 )
 from robot_runner.core.design.asking import Decision, Told
 from robot_runner.core.design.design import ChosenCombinations, IsAllowed
-from robot_runner.core.design.factor import Combination, Factor
+from robot_runner.core.design.factor import Combination, Factor, texts_of
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import DesignError, Finding
 from robot_runner.core.words import counted, enumerated, listed
@@ -104,8 +103,7 @@ class Optimise:
         if baseline and not confirm:
             problem = "a baseline is executed beside the best when that is confirmed, and confirm is 0"
             findings.append(Finding.error(where, problem, "Give confirm=10, say, or leave the baseline out."))
-        if findings:
-            raise DesignError.of_findings(findings)
+        DesignError.refuse(findings)
         directions = MappingProxyType({name: Direction(each) for name, each in asked.items()})
         given = (directions, runs, start, at_a_time, confirm, MappingProxyType(dict(baseline or {})), seed)
         for name, value in zip(self.__slots__, given, strict=True):
@@ -116,24 +114,31 @@ class Optimise:
         """The measures that it decides by."""
         return tuple(self.directions)
 
-    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
-        """Say why the search cannot be: nothing to vary, too few runs, no Optuna, a baseline that does not fit."""
-        where = f"Optimise({', '.join(self.measures)})"
+    @property
+    def _where(self) -> str:
+        return f"Optimise({', '.join(self.measures)})"
+
+    def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
+        """Say why the search cannot be: nothing to vary, no Optuna, a baseline that does not fit."""
+        where = self._where
         if find_spec("optuna") is None:
             problem = "the library Optuna is not installed, which decides where to search"
             yield Finding.error(where, problem, "Install the extra: pip install 'robot-runner[adaptive]'")
         if all(len(factor.treatments) == 1 for factor in factors):
             problem = "no factor has two treatments, so that there is nothing to search among"
             yield Finding.error(where, problem, "Give a factor the treatments to search among: its range, in steps.")
+        if self.baseline:
+            yield from baseline_findings(where, factors, self.baseline)
+
+    def repetition_findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+        """Say why it cannot be: too few runs to search with."""
         start = self._start(factors)
         if self.runs // repetitions <= start:
             problem = (
                 f"{counted(self.runs, 'run')} are {counted(self.runs // repetitions, 'combination')} of "
                 f"{counted(repetitions, 'repetition')}, and the first {start} are spread: none is left to search with"
             )
-            yield Finding.error(where, problem, f"Plan runs={2 * start * repetitions} or more.")
-        if self.baseline:
-            yield from baseline_findings(where, factors, self.baseline)
+            yield Finding.error(self._where, problem, f"Plan runs={2 * start * repetitions} or more.")
 
     def as_mapping(self) -> Mapping[str, Any]:
         """Return the search as plain data."""
@@ -141,7 +146,7 @@ class Optimise:
             "kind": "optimise",
             **{name: getattr(self, name) for name in self.__slots__},
             "directions": {name: each.value for name, each in self.directions.items()},
-            "baseline": {name: str(each) for name, each in self.baseline.items()},
+            "baseline": texts_of(self.baseline),
         }
 
     def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
@@ -277,8 +282,8 @@ class _Search:
         if not self._design.baseline:
             return list(best)
         beside = baseline_of(self._factors, self._design.baseline)
-        known = {key_of(each.combination): each for each in (Explored(beside), *points)}
-        chosen = {key_of(each.combination): each for each in (*best, known[key_of(beside)])}
+        known = {each.combination.texts: each for each in (Explored(beside), *points)}
+        chosen = {each.combination.texts: each for each in (*best, known[beside.texts])}
         return list(chosen.values())
 
     def _known(self, points: Sequence[Explored], best: Sequence[Explored]) -> dict[str, Any]:
@@ -287,7 +292,7 @@ class _Search:
             "combinations": len(points),
             "without_value": sum(each.means(self.measures) is None for each in points),
             "best": [
-                {"combination": each.as_texts, "means": dict(zip(self.measures, means, strict=True))}
+                {"combination": texts_of(each.combination), "means": dict(zip(self.measures, means, strict=True))}
                 for each in best
                 if (means := each.means(self.measures))
             ],

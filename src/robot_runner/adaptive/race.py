@@ -18,14 +18,13 @@ from robot_runner.adaptive.explored import (
     direction_findings,
     explored,
     in_direction,
-    key_of,
     shown,
     without_values,
 )
 from robot_runner.core.design.asking import Decision, Told
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.design import DesignedRuns, IsAllowed
-from robot_runner.core.design.factor import Factor, full_factorial, full_size
+from robot_runner.core.design.factor import Factor, full_factorial, full_size, texts_of
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, planned_runs
 from robot_runner.core.design.precision import LEAST_REPETITIONS
 from robot_runner.core.design.repeated_intervals import half_width_of, level_at_each_look
@@ -76,8 +75,7 @@ class Race:
             *count_findings(where, LEAST_REPETITIONS, at_most=at_most),
             *count_findings(where, confirm=confirm),
         ]
-        if findings:
-            raise DesignError.of_findings(findings)
+        DesignError.refuse(findings)
         given = (MappingProxyType({measure: Direction(direction)}), at_most, confirm)
         for name, value in zip(self.__slots__, given, strict=True):
             object.__setattr__(self, name, value)
@@ -87,8 +85,8 @@ class Race:
         """The measure that it decides by."""
         return tuple(self.directions)
 
-    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
-        """Say why the race cannot be: too many or too few combinations or repetitions."""
+    def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
+        """Say why the race cannot be: too many or too few combinations."""
         where = f"Race({self.measures[0]})"
         many = full_size(factors)
         if many == 1:
@@ -97,6 +95,11 @@ class Race:
         if many > _MOST_COMBINATIONS:
             problem = f"{many:,} combinations are more than the {_MOST_COMBINATIONS} that a race is made for"
             yield Finding.error(where, problem, "Search among them: Optimise(...).")
+
+    def repetition_findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+        """Say why it cannot be: too few repetitions, or more than there are to be."""
+        del factors
+        where = f"Race({self.measures[0]})"
         if repetitions < LEAST_REPETITIONS:
             problem = f"{counted(repetitions, 'repetition')} cannot show the spread, by which combinations are dropped"
             yield Finding.error(where, problem, "Plan repetitions=5 or more: the first look comes after them.")
@@ -165,14 +168,15 @@ class _Racing:
         points, odd = explored(told, self.measures)
         raced = [each.run for each in told if each.run.batch == 1]
         now = max(run.repetition for run in raced)
-        there = {key_of(run.combination) for run in raced if run.repetition == now}
-        runners = [each for each in points if key_of(each.combination) in there]
+        there = {run.combination.texts for run in raced if run.repetition == now}
+        runners = [each for each in points if each.combination.texts in there]
         worse = self._worse(runners, len(points))
         # Where runs failed, each may be worse than another in the repetitions that they share.
         left = [each for each in runners if id(each) not in worse] or runners
         words = self._in_words(left, runners, worse, now)
-        dropped = [each.as_texts for each in runners if id(each) in worse]
-        facts = {"known": {"repetitions": now, "left": [each.as_texts for each in left], "dropped": dropped}}
+        dropped = [texts_of(each.combination) for each in runners if id(each) in worse]
+        kept = [texts_of(each.combination) for each in left]
+        facts = {"known": {"repetitions": now, "left": kept, "dropped": dropped}}
         if any(each.run.batch > 1 for each in told):
             words = f"{words}. The runs that confirm it are done"
         elif not any(each.values for each in runners):

@@ -11,9 +11,10 @@ from robot_runner.core.design.batch import Batch
 from robot_runner.core.design.columns import BATCH, REPETITION
 from robot_runner.core.design.factor import Factor, full_size
 from robot_runner.core.design.listed_runs import ListedRunTableModel
+from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.design.run_table_model import RunTableModel
-from robot_runner.core.events.measure import MeasureColumns
+from robot_runner.core.events.measure import QUALITY_SUFFIX, MeasureColumns
 from robot_runner.core.words import INACTIVE, counted, enumerated, listed, plain, shown_treatment
 
 # The columns that tell runs apart: id, treatments, repetition.
@@ -77,7 +78,7 @@ def _cells(run: PlannedRun, model: RunTableModel) -> list[str]:
 
 
 def _factor_column(factor: Factor) -> Column:
-    are_numbers = all(isinstance(each, int | float) and not isinstance(each, bool) for each in factor.treatments)
+    are_numbers = all(map(is_number, factor.treatments))
     return Column(factor.name, width_of([factor.name, *map(shown_treatment, factor.treatments)]), are_numbers)
 
 
@@ -215,8 +216,11 @@ def later_orders_in_words(model: RunTableModel) -> list[str]:
 
 
 def measures_in_words(columns: MeasureColumns) -> str:
-    """Return the measure columns of the run table with their units."""
-    return listed((heading_of(each.name, each.measure.unit) for each in columns.in_table), _MOST_NAMES) or "none"
+    """Return the measure columns of the run table with their units, and whether each has one of its quality."""
+    telling = {each.name + QUALITY_SUFFIX for each in columns.in_table}
+    measures = [each for each in columns.in_table if each.name not in telling]
+    told = listed((heading_of(each.name, each.measure.unit) for each in measures), _MOST_NAMES) or "none"
+    return told if len(measures) == len(columns.in_table) else f"{told}; each with its quality"
 
 
 def heading_of(measure: str, unit: str) -> str:

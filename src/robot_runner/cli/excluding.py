@@ -135,7 +135,7 @@ def _read_rows(folder: ExperimentFolder, schema: Sequence[ColumnDescription]) ->
     if EXCLUDED in rows.layout.extras:
         where = f"{folder.run_table}, column {EXCLUDED!r}"
         fix = "Rename your column: runs that are left out get one of that name."
-        raise StorageError.of_findings([Finding.error(where, "the run table has a column of your own there", fix)])
+        raise StorageError("the run table has a column of your own there", where=where, fix=fix)
     return rows if layout.has_exclusions else read_run_table(folder.run_table, replace(layout, has_exclusions=True))
 
 

@@ -6,7 +6,6 @@ longer what the config makes.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from secrets import randbits
@@ -39,11 +38,11 @@ from robot_runner.core.execution.circumstances import keep_config_files, kept_ma
 from robot_runner.core.execution.given_values import accept_given
 from robot_runner.core.execution.recovered_table import RecoveredTable
 from robot_runner.core.execution.recovery import ACCEPT, Resumption, TableDisagreementError, config_changes
-from robot_runner.core.execution.table_recovery import digest_of, recover_table
+from robot_runner.core.execution.table_recovery import recover_table
 from robot_runner.core.storage.journal import Journal, read_journal, utc_now
 from robot_runner.core.storage.lock import ExperimentLock
 from robot_runner.core.storage.manifest import write_manifest
-from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.run_table_reading import digest_of, read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
 from robot_runner.core.storage.table_columns import FactorColumn
 from robot_runner.core.words import counted
@@ -264,13 +263,7 @@ def runs_of_grown_design(
         return []
     allowed = config.allowed_of(design.factors)
     planned = config.design.runs(design.factors, allowed, design.repetitions, order.seed, order.shuffle)
-    wanted: defaultdict[tuple[str, ...], set[int]] = defaultdict(set)
-    for run in planned.runs:
-        wanted[_texts_of(run.combination, design)].add(run.repetition)
-    there: defaultdict[tuple[str, ...], set[int]] = defaultdict(set)
-    for run in begun.counted_runs:
-        if not run.is_warm_up:
-            there[_texts_of({**design.defaults, **run.combination}, design)].add(run.repetition)
+    wanted, there = design.repetitions_of(planned.runs), design.repetitions_of(begun.counted_runs)
     fits = all(numbers <= wanted[texts] for texts, numbers in there.items())
     in_place = planned.facts.get("repetitions_in_place") and design.repetitions > begun.repetitions
     if in_place or not fits:
@@ -280,9 +273,5 @@ def runs_of_grown_design(
     return [
         (run.combination, run.repetition)
         for run in planned.runs
-        if run.repetition not in there[_texts_of(run.combination, design)]
+        if run.repetition not in there[design.texts_of(run.combination)]
     ]
-
-
-def _texts_of(combination: Mapping[str, Any], design: GrownDesign) -> tuple[str, ...]:
-    return tuple(str(combination[factor.name]) for factor in design.factors)

@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from rich.text import Text
 
 from robot_runner.cli.console import UserConsole, complaints, print_folded
-from robot_runner.core.errors import Finding
+from robot_runner.core.errors import Finding, errors_first
 from robot_runner.core.words import counted, listed, one_line
 
 _STYLES = {"error": "bold red", "warning": "bold yellow"}
@@ -28,7 +28,7 @@ def show_findings(findings: Sequence[Finding]) -> None:
 
 def print_findings(console: UserConsole, findings: Sequence[Finding]) -> None:
     """Print findings, errors first."""
-    for finding in sorted(findings, key=lambda each: not each.is_error):
+    for finding in errors_first(findings):
         problem = f"{finding.where}: {finding.problem}" if finding.where else finding.problem
         severity = finding.severity.value
         print_folded(console, f"{severity}: ", one_line(problem), style=_STYLES[severity])
@@ -61,10 +61,16 @@ def quality_in_words(bad: Mapping[str, Mapping[str, Sequence[str]]]) -> str:
     Example:
         >>> quality_in_words({"Energy": {"doubtful": ["r_1", "r_2"], "missing": ["r_3"]}})
         'Energy is doubtful in r_1, r_2, missing in r_3'
+        >>> quality_in_words({"CPU": {"doubtful": ["r_1"]}, "Memory": {"doubtful": ["r_1"]}})
+        'CPU, Memory are doubtful in r_1'
     """
+    alike: dict[tuple[tuple[str, tuple[str, ...]], ...], list[str]] = {}
+    for measure, by_quality in bad.items():
+        alike.setdefault(tuple((quality, tuple(runs)) for quality, runs in by_quality.items()), []).append(measure)
     return "; ".join(
-        f"{measure} is {', '.join(f'{quality} in {listed(runs)}' for quality, runs in by_quality.items())}"
-        for measure, by_quality in bad.items()
+        f"{listed(names)} {'is' if len(names) == 1 else 'are'} "
+        f"{', '.join(f'{quality} in {listed(runs)}' for quality, runs in qualities)}"
+        for qualities, names in alike.items()
     )
 
 
@@ -90,7 +96,7 @@ def as_json(findings: Sequence[Finding]) -> list[dict[str, str]]:
             "problem": finding.problem,
             "fix": finding.fix,
         }
-        for finding in sorted(findings, key=lambda each: not each.is_error)
+        for finding in errors_first(findings)
     ]
 
 
@@ -133,19 +139,27 @@ def _reasons(failures: Sequence[str]) -> list[str]:
 
 
 def grouped(findings: Iterable[Finding], run_ids: Collection[str] | None) -> list[tuple[str, str]]:
-    """Return each finding's text and fix; findings that differ in the run and in numbers alone become one.
+    """Return each finding's text and fix; findings that differ in run and numbers alone, or in the owner, become one.
 
     Example:
         >>> from robot_runner.core.errors import Finding
         >>> grouped([Finding.warning(f"r_{n}, Ina219", f"{n} samples lost") for n in (1, 2)], None)
         [('Ina219: 1 samples lost, and the like (in r_1, r_2)', '')]
+        >>> grouped([Finding.warning(f"r_1, {owner}", "swap was used") for owner in ("PsUtil", "Rapl")], None)
+        [('PsUtil, Rapl: swap was used (in r_1)', '')]
     """
     groups: dict[tuple[str, str, str], list[tuple[str, Finding]]] = {}
     for finding in findings:
         run_id, place = _split(finding.where, run_ids)
         key = (place, _NUMBER.sub("#", finding.problem), finding.fix)
         groups.setdefault(key, []).append((run_id, finding))
-    return [(_text(place, members), fix) for (place, _, fix), members in groups.items()]
+    places: dict[tuple[str, str], list[str]] = {}
+    for (place, _, fix), members in groups.items():
+        places.setdefault((_text(members), fix), []).append(place)
+    return [
+        (f"{listed(filter(None, owners))}: {text}" if any(owners) else text, fix)
+        for (text, fix), owners in places.items()
+    ]
 
 
 def _split(where: str, run_ids: Collection[str] | None) -> tuple[str, str]:
@@ -154,9 +168,9 @@ def _split(where: str, run_ids: Collection[str] | None) -> tuple[str, str]:
     return (head, rest) if is_run else ("", where)
 
 
-def _text(place: str, members: Sequence[tuple[str, Finding]]) -> str:
+def _text(members: Sequence[tuple[str, Finding]]) -> str:
     problem = members[0][1].problem
     alike = "" if all(finding.problem == problem for _, finding in members) else ", and the like"
     runs = list(dict.fromkeys(run_id for run_id, _ in members if run_id))
     where = f" (in {listed(runs)})" if runs else ""
-    return f"{place}: {problem}{alike}{where}" if place else f"{problem}{alike}{where}"
+    return f"{problem}{alike}{where}"

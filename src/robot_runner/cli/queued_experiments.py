@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
+from robot_runner.core.links.commanded_topics import MAY_BE_MOVING
 from robot_runner.core.storage import guarded_files
 from robot_runner.core.storage.claim_locks import state_folder
 from robot_runner.core.storage.declared_shapes import shape_findings
@@ -74,6 +75,11 @@ class QueuedExperiment:
     def has_ended(self) -> bool:
         """Whether there is nothing left to do."""
         return self.ended_at is not None
+
+    @property
+    def may_have_left_a_robot_moving(self) -> bool:
+        """Whether it ended where nobody could stop its robot: whatever claims the same waits until it is dropped."""
+        return self.has_ended and MAY_BE_MOVING in self.problem
 
 
 class ExperimentQueue:

@@ -27,6 +27,7 @@ from robot_runner.cli.queued_experiments import ExperimentQueue, QueuedExperimen
 from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, StorageError
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.interruption import stop_signals_handled
+from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, MOVING_ROBOT
 from robot_runner.core.storage.claim_locks import claim_holders
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -61,18 +62,19 @@ def digest_of(config: str) -> str:
 # Who waits for whom.
 
 
-def awaited_by(queue: ExperimentQueue, queued: QueuedExperiment, left: Sequence[QueuedExperiment]) -> str:
-    """Return what an experiment waits for, and since when; empty where it could begin now. `left` have not ended."""
+def awaited_by(queue: ExperimentQueue, queued: QueuedExperiment, known: Sequence[QueuedExperiment]) -> str:
+    """Return what an experiment waits for, and since when; empty where it could begin now. `known` is the queue."""
     others = [each for each in claim_holders(queued.claims).items() if each[1].folder != queued.results]
     if others:
         return "; ".join(f"{claim}, in use by {holder.in_words()}" for claim, holder in others)
     if not queue.is_taken(queued.number) and (holder := holder_of(ExperimentFolder(Path(queued.results)).lock)):
         return f"process {holder.pid}, which executes the same experiment since {holder.since}"
-    for each in left:
-        if each.number >= queued.number:
-            break
+    for each in known:
         shared = sorted({*each.claims, each.results} & {*queued.claims, queued.results})
-        if shared:
+        if shared and each.may_have_left_a_robot_moving:
+            look = f"look at it, then take it out: robot-runner queue drop {each.number}"
+            return f"{named(each)}, after which {MAY_BE_MOVING}: {look}"
+        if shared and each.number < queued.number and not each.has_ended:
             return f"{named(each)}, which wants {', '.join(shared)} and is in the queue since {each.added_at}"
     return ""
 
@@ -137,10 +139,14 @@ def _executed(queued: QueuedExperiment) -> tuple[int, str]:
     def executed() -> int:
         try:
             digest_of(queued.config)
-            return run.execute(parser_of("run", run).parse([queued.config, *queued.options, "--wait"]))
+            given = parser_of("run", run).parse([queued.config, *queued.options, "--wait"])
+            code, facts = run.prepare_and_execute(given)
         except RobotRunnerError as error:
             reason.append(str(error.findings[0]))
             raise
+        if facts.get("stopped_by") == MOVING_ROBOT:
+            reason.append(f"{MAY_BE_MOVING}; {_reason(code, queued)}")
+        return code
 
     code = guarded(executed)
     return code, next(iter(reason), _reason(code, queued))
@@ -183,24 +189,25 @@ class QueueRunner:
         failed = False
         with self._queue.attended(), stop_signals_handled(self._take_signal):
             while not self._is_ending:
-                left = self._left()
+                known = self._known()
+                left = [each for each in known if not each.has_ended]
                 if not left and not self._stays:
                     return SOME_FAILED if failed else 0
-                following = next((each for each in left if self._may_begin(each, left)), None)
+                following = next((each for each in left if self._may_begin(each, known)), None)
                 if following is None:
-                    self._tell_waiting(left)
+                    self._tell_waiting(left, known)
                     time.sleep(_LOOK)
                     continue
                 failed = self._execute_one(following) or failed
         return INTERRUPTED
 
-    def _left(self) -> list[QueuedExperiment]:
+    def _known(self) -> list[QueuedExperiment]:
         known, findings = self._queue.read()
         self._tell("; ".join(map(str, findings)), findings)
-        return [each for each in known if not each.has_ended]
+        return known
 
-    def _may_begin(self, queued: QueuedExperiment, left: Sequence[QueuedExperiment]) -> bool:
-        return not self._queue.is_taken(queued.number) and not awaited_by(self._queue, queued, left)
+    def _may_begin(self, queued: QueuedExperiment, known: Sequence[QueuedExperiment]) -> bool:
+        return not self._queue.is_taken(queued.number) and not awaited_by(self._queue, queued, known)
 
     def _execute_one(self, queued: QueuedExperiment) -> bool:
         """Execute an experiment in a process of its own; return whether it has failed."""
@@ -259,9 +266,9 @@ class QueueRunner:
         while not self._is_ending and time.monotonic() < until:
             time.sleep(min(_LOOK, seconds))
 
-    def _tell_waiting(self, left: Sequence[QueuedExperiment]) -> None:
+    def _tell_waiting(self, left: Sequence[QueuedExperiment], known: Sequence[QueuedExperiment]) -> None:
         free = [each for each in left if not self._queue.is_taken(each.number)]
-        waiting = [(each, awaited_by(self._queue, each, left)) for each in free]
+        waiting = [(each, awaited_by(self._queue, each, known)) for each in free]
         self._tell("\n".join(f"{named(each)} waits for {awaited}" for each, awaited in waiting if awaited))
 
     def _tell(self, text: str, findings: Sequence[Finding] = ()) -> None:

@@ -14,6 +14,7 @@ from robot_runner.core.config.parameters import PARAMETERS, OperationType
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.execution.durations import Durations, Estimate, durations_of
+from robot_runner.core.execution.mission_knowledge import CombinationKey, combination_key
 from robot_runner.core.late_annotations import signature_of
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.links.declared_host import Host, Reboot
@@ -30,9 +31,9 @@ def covering_runs(plan: Sequence[PlannedRun]) -> list[PlannedRun]:
     The next one is always that which has most treatments that no other has yet (greedy set cover, which needs at most
     a logarithmic factor more than the fewest: Chvatal, Math. Oper. Res. 4, 1979).
     """
-    first: dict[frozenset[tuple[str, str]], PlannedRun] = {}
+    first: dict[CombinationKey, PlannedRun] = {}
     for run in plan:
-        first.setdefault(frozenset((name, str(each)) for name, each in run.combination.items()), run)
+        first.setdefault(combination_key(run.combination), run)
     left = set().union(*first) if first else set()
     chosen: list[PlannedRun] = []
     while left:
@@ -235,7 +236,7 @@ def _by_factor(runs: Sequence[PlannedRun]) -> dict[str, list[str]]:
 def _not_proved(
     experiment: Experiment, plan: Sequence[PlannedRun], chosen: Sequence[PlannedRun], told: Shortening
 ) -> Iterator[str]:
-    combinations = {frozenset((name, str(each)) for name, each in run.combination.items()) for run in plan}
+    combinations = {combination_key(run.combination) for run in plan}
     unseen = len(combinations) - len(chosen)
     if unseen > 0:
         yield f"{counted(unseen, 'combination')} of treatments that no run had together"

@@ -44,6 +44,12 @@ def folder_of_target(target: str, assignments: Sequence[str], *, takes_older: bo
         words = shlex.join(["unzip", "-q", target, "-d", path.stem])
         fix = f"Unpack it, and name the folder: {words}"
         raise StorageError("this is a package, and an experiment's folder is needed", where=target, fix=fix)
+    if path.suffix.casefold() != ".py" and holds_experiment(path.parent):
+        problem, fix = (
+            "this is a file of an experiment, and its folder is needed",
+            f"Name it: {shown_path(path.parent)}",
+        )
+        raise StorageError(problem, where=target, fix=fix)
     return _of_config(path, assignments, takes_older=takes_older)
 
 
@@ -123,6 +129,17 @@ def only_experiment(command: str, *after: str) -> str:
         UsageError: there is none, or more than one.
     """
     return _only(command, "experiment", sorted(_experiments(Path.cwd(), _DEEPEST)), after)
+
+
+def target_or_only(
+    command: str, target: str | None, assignments: Sequence[str], *, takes_older: bool = False
+) -> ExperimentFolder:
+    """Return the folder of the experiment that is meant: the one that is named, or else the only one here.
+
+    Raises:
+        RobotRunnerError: none is named, and not exactly one is here; or there is none where one is named.
+    """
+    return folder_of_target(target or only_experiment(command), assignments, takes_older=takes_older)
 
 
 def target_and_runs(

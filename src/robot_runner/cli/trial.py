@@ -9,7 +9,6 @@ import inspect
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -31,6 +30,7 @@ from robot_runner.core.execution.task import AttemptStatus, RunOutcome
 from robot_runner.core.late_annotations import signature_of
 from robot_runner.core.plugin import Plugin, installed_plugins, load_plugin, refused_name
 from robot_runner.core.storage.guarded_files import open_to_read, read_json, read_text
+from robot_runner.core.storage.journal import seconds_of
 from robot_runner.core.words import enumerated
 
 _NAME = "try"
@@ -199,11 +199,7 @@ def _seconds(emitted: Sequence[Mapping[str, Any]], place: int | None) -> float |
     """Return the real time from one event to the next one."""
     if place is None or place + 1 >= len(emitted):
         return None
-    return _parsed(emitted[place + 1]["at"]) - _parsed(emitted[place]["at"])
-
-
-def _parsed(stamp: str) -> float:
-    return datetime.fromisoformat(stamp).timestamp()
+    return seconds_of(emitted[place + 1]["at"]) - seconds_of(emitted[place]["at"])
 
 
 def _raw_file(path: Path, folder: Path) -> RawFile:

@@ -54,8 +54,7 @@ def cluster_settings() -> dict[str, Any]:
             what = "neither True nor False" if is_switch else "no length of time"
             findings.append(Finding.error(variable, f"{given!r} is {what}", f"Set it as in {variable}={example}."))
         settings[name.replace("-", "_")] = value
-    if findings:
-        raise ConfigError.of_findings(findings)
+    ConfigError.refuse(findings)
     return settings
 
 

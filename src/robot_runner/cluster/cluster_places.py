@@ -197,7 +197,7 @@ class ClusterPlaces:
             for place in self._places:
                 place.is_aside = True
             # It cannot renew leases any more, so the runs of all workers end.
-            until = time.monotonic() + self._lease + self._closing
+            until = time.monotonic() + self.longest_end
             for run in self._runs.values():
                 run.lose(self._end_of_gateway, until)
 

@@ -101,8 +101,7 @@ def inputs_of(kept: Path, folder: Path) -> Iterator[None]:
         StorageError: a copy cannot be read or written.
     """
     fix = "Put it there, as it is on the machine that starts the experiment."
-    if lacking := [Finding.error(each.where, each.problem, fix) for each in missing_inputs(kept)]:
-        raise ConfigError.of_findings(lacking)
+    ConfigError.refuse(Finding.error(each.where, each.problem, fix) for each in missing_inputs(kept))
     copy_kept(kept, folder / SOURCE)
     with kept_copies(kept, folder / SOURCE):
         yield
@@ -133,5 +132,4 @@ def _refuse_unfit(experiment: Experiment, revisions: Sequence[Sequence[str]]) ->
             if not Path(path).is_dir()
         ),
     ]
-    if any(finding.is_error for finding in found):
-        raise ConfigError.of_findings([finding for finding in found if finding.is_error])
+    ConfigError.refuse(finding for finding in found if finding.is_error)

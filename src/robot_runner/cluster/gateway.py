@@ -35,6 +35,7 @@ from robot_runner.cluster import cluster_members, on_worker
 from robot_runner.cluster.cluster_checks import cluster_settings
 from robot_runner.cluster.piped_process import Replies
 from robot_runner.cluster.raw_data_transfer import TransferError, bring_home
+from robot_runner.cluster.run_host import ended_unbegun
 from robot_runner.core.errors import StorageError
 from robot_runner.core.execution.run_records import RecordReader
 
@@ -260,8 +261,7 @@ class Gateway:
         """Tell that an attempt is over which its worker had no thread for yet, and does not begin any more."""
         attempt.is_over = attempt.is_ending = True
         self._forget(attempt)
-        over = {"because": request["because"], "is_interrupted": request["is_interruption"], "seconds": 0.0}
-        self._replies.tell("over", {"token": attempt.token, **over})
+        self._replies.tell("over", {"token": attempt.token, **ended_unbegun(request)})
 
     def _take_event(self, event: tuple[float, Mapping[str, Any]]) -> None:
         message = event[1]

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.cluster.piped_process import HostProcess, Outgoing
-from robot_runner.cluster.run_host import INPUTS, OUTBOX
+from robot_runner.cluster.run_host import INPUTS, OUTBOX, ended_unbegun
 from robot_runner.cluster.worker_versions import described_versions
 
 if TYPE_CHECKING:
@@ -269,12 +269,14 @@ class _Session:
             stopped = self._stopped.pop(token, None)
         outgoing = Outgoing(self._facts["session"], token, tell)
         if stopped is not None:
-            outgoing.end({"because": stopped["because"], "is_interrupted": stopped["is_interruption"], "seconds": 0.0})
+            outgoing.end(ended_unbegun(stopped))
             return
         host = self._free_host()
-        with self._lock:
+        with self._lock:  # who stops it from here on asks the host, and only once that knows of it
             self._of_attempt[token] = host
-        host.ask("execute", {"token": token, "until": self._until, "task": order["task"]})
+            host.ask("execute", {"token": token, "until": self._until, "task": order["task"]})
+            if (asked := self._stopped.get(token)) is not None:
+                host.ask(asked["kind"], {"token": token, **asked})
         ended = host.followed(outgoing)
         with self._lock:
             self._stopped.pop(token, None)

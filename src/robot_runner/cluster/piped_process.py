@@ -6,7 +6,6 @@ Requests and replies are records, each over a pipe of its own; the gateway answe
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
 import os
 import select
@@ -194,7 +193,7 @@ class Replies:
 
     async def flushed(self) -> None:
         """Wait, but not for ever, until everything is sent."""
-        with contextlib.suppress(TimeoutError):
+        with suppress(TimeoutError):
             await asyncio.wait_for(self._is_sent.wait(), _FLUSHED)
 
     def _write(self) -> None:

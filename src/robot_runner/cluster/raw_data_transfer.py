@@ -26,22 +26,20 @@ _ATTEMPTS = 3
 _LONGEST_LIST = 64_000_000
 _DEEPEST = 64
 
+#: Gets a piece and its SHA-256 from the worker, given the name of a file (that of the list of files is empty), where
+#: the piece begins, and its size.
+Read = Callable[[str, int, int], Awaitable[tuple[bytes, str]]]
+
 
 class TransferError(Exception):
     """The worker's files cannot be had as they are there."""
 
 
-async def bring_home(
-    read: Callable[[str, int, int], Awaitable[tuple[bytes, str]]],
-    ended: Mapping[str, Any],
-    run: Path,
-    root: Path,
-) -> None:
+async def bring_home(read: Read, ended: Mapping[str, Any], run: Path, root: Path) -> None:
     """Write all that an attempt has left on its worker into the run's folder.
 
     Args:
-        read: gets a piece and its SHA-256 from the worker, given the name of a file (that of the list of files is
-            empty), where the piece begins, and its size.
+        read: asks the worker for a piece of a file.
         ended: what the worker told of the end: `files`, `bytes`, and the length of the `list`.
         run: the run's folder.
         root: the experiment's.
@@ -69,9 +67,7 @@ async def bring_home(
             os.close(descriptor)
 
 
-async def _listed(
-    read: Callable[[str, int, int], Awaitable[tuple[bytes, str]]], ended: Mapping[str, Any]
-) -> list[tuple[str, int, str]]:
+async def _listed(read: Read, ended: Mapping[str, Any]) -> list[tuple[str, int, str]]:
     if not 0 <= ended["list"] <= _LONGEST_LIST:
         raise TransferError("the list of files is too long")
     text = b""
@@ -99,9 +95,7 @@ def _parts(name: str) -> tuple[str, ...]:
     return parts
 
 
-async def _copy(
-    read: Callable[[str, int, int], Awaitable[tuple[bytes, str]]], name: str, size: int, digest: str, descriptor: int
-) -> None:
+async def _copy(read: Read, name: str, size: int, digest: str, descriptor: int) -> None:
     whole, offset = hashlib.sha256(), 0
     while offset < size:
         piece = await _piece(read, name, offset, size - offset)
@@ -114,9 +108,7 @@ async def _copy(
         raise TransferError(f"the file {name[:200]!r} has another SHA-256 than the worker told")
 
 
-async def _piece(
-    read: Callable[[str, int, int], Awaitable[tuple[bytes, str]]], name: str, offset: int, left: int
-) -> bytes:
+async def _piece(read: Read, name: str, offset: int, left: int) -> bytes:
     wanted = min(PIECE, left)
     for _ in range(_ATTEMPTS):
         piece, digest = await read(name, offset, wanted)

@@ -33,9 +33,11 @@ from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.errors import ExecutionError, RobotRunnerError
 from robot_runner.core.execution.executor import begin_run, load_before_forks
 from robot_runner.core.execution.interruption import Interruption
+from robot_runner.core.execution.keeper import reap_keepers
 from robot_runner.core.execution.places import RunInFlight, Watch
 from robot_runner.core.execution.processes import use_no_streams
 from robot_runner.core.execution.run_records import RecordReader, RecordWriter
+from robot_runner.core.execution.standby import goes_on
 from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 from robot_runner.core.execution.worker import task_of
 from robot_runner.core.storage.claim_locks import HeldClaims
@@ -153,7 +155,7 @@ class _Host:
         if self._is_leaving or time.monotonic() >= self._lease:
             told = {"lost": GONE, "is_certain": True}
         elif (asked := self._stopped) is not None:
-            told = {"because": asked["because"], "is_interrupted": asked["is_interruption"], "seconds": 0.0}
+            told = ended_unbegun(asked)
         elif not self._has_claims(task_of(self._experiment, order["task"])):
             return
         self._order = None
@@ -170,7 +172,7 @@ class _Host:
         claims = [each for each in self._claims.against_others([task.combination]) if not each.startswith("robot:")]
         name = self._experiment.parameters.experiment_name
         try:
-            self._held.enter_context(HeldClaims(claims, name, self._folder))
+            self._held.enter_context(HeldClaims(claims, name, self._experiment.folder.root, goes_on=goes_on))
         except ExecutionError as error:
             if self._waits_for != self._token:
                 self._waits_for = self._token
@@ -201,6 +203,7 @@ class _Host:
             outcome = run.outcome()
             run.close()
             self._run = None
+            reap_keepers()  # who claims the same next must not take the last of it for a run that goes on
             self._held.close()
             ended = self._told(outcome)
         if self._records:  # all at once: each message wakes the worker
@@ -288,6 +291,11 @@ class _Builder(OutcomeBuilder):
         return super().outcome(ended_because=ended_because, interrupted=interrupted)
 
 
+def ended_unbegun(asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Return how an attempt ended that was asked to stop before it had begun."""
+    return {"because": asked["because"], "is_interrupted": asked["is_interruption"], "seconds": 0.0}
+
+
 def _lack_of_room(folder: Path) -> str:
     """Return that there is no room for what a run writes; empty where there is."""
     room = shutil.disk_usage(folder).free
@@ -303,12 +311,9 @@ def _listed(folder: Path) -> tuple[list[tuple[str, int, str]], list[str]]:
         if not stat.S_ISREG(path.lstat().st_mode):
             others.append(name)
             continue
-        digest, size = hashlib.sha256(), 0
         with path.open("rb") as file:
-            while block := file.read(_BLOCK):
-                digest.update(block)
-                size += len(block)
-        files.append((name, size, digest.hexdigest()))
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+            files.append((name, file.tell(), digest))
     return files, others
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from robot_runner.core.errors import ConditionError, Finding, LinkError, did_you_mean, nearest
 from robot_runner.core.events.condition import Condition, Look, LookAgain
 from robot_runner.core.events.context import RobotRunnerContext
-from robot_runner.core.links.connect import SIMULATED, connect_robot
+from robot_runner.core.links.connect import SIMULATED, connect_robot, robot_namespace
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import RobotLink
 
@@ -29,7 +29,7 @@ def node_present(node: str, *, namespace: str = "") -> Condition:
         >>> print(node_present("move_base"))
         the node /move_base is there
     """
-    return _Present("node", full_name(namespace, node), namespace)
+    return _Present("node", _checked(node), namespace)
 
 
 def topic_present(topic: str, message_type: str | None = None, *, namespace: str = "") -> Condition:
@@ -49,12 +49,12 @@ def topic_present(topic: str, message_type: str | None = None, *, namespace: str
         >>> print(topic_present("scan", "sensor_msgs/LaserScan"))
         the topic /scan (sensor_msgs/LaserScan) is there
     """
-    return _Present("topic", full_name(namespace, topic), namespace, message_type)
+    return _Present("topic", _checked(topic), namespace, message_type)
 
 
 def service_present(service: str, *, namespace: str = "") -> Condition:
     """Return the condition that a service is on the robot's graph; as `node_present`."""
-    return _Present("service", full_name(namespace, service), namespace)
+    return _Present("service", _checked(service), namespace)
 
 
 def lifecycle_state(node: str, state: str = "active", *, namespace: str = "") -> Condition:
@@ -75,7 +75,12 @@ def lifecycle_state(node: str, state: str = "active", *, namespace: str = "") ->
     """
     if state not in _STATES:
         raise ConditionError(f"{state!r} is no state of a node", where=node, fix=did_you_mean(str(state), _STATES))
-    return _InState(full_name(namespace, node), state, namespace)
+    return _InState(_checked(node), state, namespace)
+
+
+def _checked(name: str) -> str:
+    full_name("", name)
+    return name
 
 
 def check_robot_named(what: str, robot: str | None) -> Iterable[Finding]:
@@ -109,15 +114,16 @@ class _OnGraph(Condition):
 
         def look() -> Look:
             try:
-                return self.judged(connect_robot(context, namespace=self.namespace))
+                link = connect_robot(context, namespace=self.namespace)
+                return self.judged(link, robot_namespace(context, self.namespace))
             except LinkError as error:
                 return Look(holds=False, seen=error.problem, is_known=False)
 
         return look
 
     @abstractmethod
-    def judged(self, link: RobotLink) -> Look:
-        """Return what is seen; a `LinkError` says that nothing is."""
+    def judged(self, link: RobotLink, namespace: str) -> Look:
+        """Return what is seen, names being relative to a namespace; a `LinkError` says that nothing is."""
 
 
 @dataclass(frozen=True)
@@ -127,12 +133,13 @@ class _InState(_OnGraph):
     namespace: str
 
     def __str__(self) -> str:
-        return f"the node {self.node} is {self.state}"
+        return f"the node {full_name(self.namespace, self.node)} is {self.state}"
 
-    def judged(self, link: RobotLink) -> Look:
-        told = link.call(f"{self.node}/get_state", "lifecycle_msgs/GetState", timeout=_ANSWER)
+    def judged(self, link: RobotLink, namespace: str) -> Look:
+        node = full_name(namespace, self.node)
+        told = link.call(f"{node}/get_state", "lifecycle_msgs/GetState", timeout=_ANSWER)
         state = str(told["current_state"]["label"])
-        return Look(holds=state == self.state, seen=f"{self.node} is {state}", value=state)
+        return Look(holds=state == self.state, seen=f"{node} is {state}", value=state)
 
 
 @dataclass(frozen=True)
@@ -143,19 +150,21 @@ class _Present(_OnGraph):
     message_type: str | None = None
 
     def __str__(self) -> str:
-        return f"the {self.kind} {self.name}{f' ({self.message_type})' if self.message_type else ''} is there"
+        of_type = f" ({self.message_type})" if self.message_type else ""
+        return f"the {self.kind} {full_name(self.namespace, self.name)}{of_type} is there"
 
-    def judged(self, link: RobotLink) -> Look:
+    def judged(self, link: RobotLink, namespace: str) -> Look:
+        name = full_name(namespace, self.name)
         there = {"node": link.nodes, "topic": link.topics, "service": link.services}[self.kind]()
-        if self.name not in there:
-            near = nearest(self.name, there)
+        if name not in there:
+            near = nearest(name, there)
             if self.kind == "service" and not there:
                 return Look(holds=False, seen="the graph tells of no services", is_known=False)
             seen = f"{len(there)} {self.kind}s are there{f', among them {near}' if near else ''}"
             return Look(holds=False, seen=seen)
-        found = link.topics().get(self.name) if self.message_type else None
+        found = link.topics().get(name) if self.message_type else None
         if self.message_type and found != self.message_type.replace("/msg/", "/"):  # as ROS 2 spells it
             is_known = found != "*"  # what a graph says where nothing tells the type
             said = f"carries {found}" if is_known else "nothing tells what it carries"
-            return Look(holds=False, seen=f"{self.name} is there and {said}", is_known=is_known)
-        return Look(holds=True, seen=f"{self.name} is there")
+            return Look(holds=False, seen=f"{name} is there and {said}", is_known=is_known)
+        return Look(holds=True, seen=f"{name} is there")

@@ -13,6 +13,7 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from http.client import HTTPException
 
+from robot_runner.core.design.numeric_range import is_whole
 from robot_runner.core.errors import ConditionError, Finding
 from robot_runner.core.events.condition import Condition, Look, LookAgain
 from robot_runner.core.events.context import RobotRunnerContext
@@ -40,7 +41,7 @@ def port_open(port: int, *, host: str = LOCAL) -> Condition:
         >>> print(port_open(9090, host="robot.local"))
         port 9090 of robot.local is open
     """
-    if isinstance(port, bool) or not isinstance(port, int) or not 0 < port <= _MOST_PORT:
+    if not is_whole(port) or not 0 < port <= _MOST_PORT:
         raise ConditionError(f"{port!r} is no port", where="port_open", fix=f"Give a number from 1 to {_MOST_PORT}.")
     if not isinstance(host, str) or not host or re.search(r"[\s@/]", host) or not _is_name(host):
         fix = "Give its name or address on the network, such as 'robot.local', without a user."

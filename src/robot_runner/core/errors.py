@@ -69,6 +69,11 @@ class Finding:
         return f"{self.where}: {self.problem}" + (f" → {self.fix}" if self.fix else "")
 
 
+def errors_first(findings: Iterable[Finding]) -> list[Finding]:
+    """Return findings with the errors first, and otherwise in their order."""
+    return sorted(findings, key=lambda finding: not finding.is_error)
+
+
 class RobotRunnerError(Exception):
     """What every error of Robot Runner is: a problem, the place where it is, and how to mend it.
 
@@ -159,10 +164,14 @@ class PackageError(RobotRunnerError):
     """A replication package that cannot be made, or that must not be used as it is."""
 
 
-def nearest(name: str, candidates: Iterable[str]) -> str | None:
-    """Return the candidate that looks most like `name`, ignoring case, or None if none comes near."""
+#: How alike two names are before one is taken for a slip of the other (1.0: equal).
+SLIP = 0.85
+
+
+def nearest(name: str, candidates: Iterable[str], least: float = 0.6) -> str | None:
+    """Return the candidate that looks most like `name`, ignoring case; None if none is as alike as `least` (of 1.0)."""
     by_folded = {candidate.casefold(): candidate for candidate in candidates}
-    match = difflib.get_close_matches(name.casefold(), by_folded, n=1, cutoff=0.6)
+    match = difflib.get_close_matches(name.casefold(), by_folded, n=1, cutoff=least)
     return by_folded[match[0]] if match else None
 
 

@@ -1,4 +1,4 @@
-"""What callables take and classes name, as it is written: no annotation is evaluated for it.
+"""What callables take and read, and classes name, as it is written: no annotation is evaluated for it.
 
 From Python 3.14 on an annotation is evaluated when somebody asks for it. Until then nobody misses what it names,
 and that may be imported for type checkers alone.
@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from types import CodeType
 from typing import Any
 
 if sys.version_info >= (3, 14):
@@ -45,3 +46,23 @@ def names_in(parent: type) -> set[str]:
     else:
         annotated = vars(parent).get("__annotations__", {})
     return {*vars(parent), *annotated}
+
+
+def code_of(attribute: object) -> CodeType | None:
+    """Return the code of a function or method as a class has it; None of anything else."""
+    bare = attribute.__func__ if isinstance(attribute, classmethod | staticmethod) else attribute
+    return getattr(inspect.unwrap(bare) if callable(bare) else None, "__code__", None)
+
+
+def names_read_by(attribute: object) -> Iterator[str]:
+    """Yield the names that a function or method reads or calls, and those of the functions in it.
+
+    Example:
+        >>> sorted(names_read_by(lambda robot: [robot.stop() for _ in "ab"]))
+        ['stop']
+    """
+    code = attribute if isinstance(attribute, CodeType) else code_of(attribute)
+    if code is not None:
+        yield from code.co_names
+        for each in code.co_consts:
+            yield from names_read_by(each) if isinstance(each, CodeType) else ()

@@ -9,12 +9,12 @@ from math import lcm
 from typing import Any
 
 from robot_runner.core.design.design import DesignedRuns, IsAllowed
-from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.factor import Factor, factor_name
 from robot_runner.core.errors import Finding
 from robot_runner.core.words import counted
 from robot_runner.designs.balanced_blocks import balanced_blocks, pair_count
 from robot_runner.designs.block_search import concurrences, distributed, efficiency, efficiency_bound
-from robot_runner.designs.factor_roles import Roles, factor_name, refused, role_findings, shuffled, texts_of_combination
+from robot_runner.designs.factor_roles import Roles, refused, role_findings, shuffled, texts_of_combination
 
 #: More runs than this are spread at random and evenly, and not improved: the search would take long.
 _MOST_IMPROVED = 4000
@@ -35,7 +35,7 @@ class Blocks:
         by: the factors whose treatments are the blocks.
 
     Example:
-        >>> from robot_runner.core.design.factor import Factor
+        >>> from robot_runner.core.design.factor import Factor, factor_name
         >>> from robot_runner.core.design.run_table_model import RunTableModel
         >>> factors = [Factor("Day", ["Mon", "Tue", "Wed"]), Factor("Planner", ["A", "B", "C"])]
         >>> model = RunTableModel(factors, repetitions=2, design=Blocks("Day"))
@@ -48,9 +48,8 @@ class Blocks:
     def __init__(self, *by: str | Factor) -> None:
         object.__setattr__(self, "by", by)
 
-    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+    def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
         """Say which factors there are not."""
-        del repetitions
         if not self.by:
             yield Finding.error("design: Blocks(...)", "no factor is named", 'Name one, such as Blocks("Day").')
         yield from role_findings("Blocks", [("by", factor_name(each)) for each in self.by], factors)

@@ -8,10 +8,10 @@ from importlib.util import find_spec
 from typing import Any, ClassVar
 
 from robot_runner.core.design.design import IsAllowed
-from robot_runner.core.design.factor import Combination, Factor, factor_places, full_size
+from robot_runner.core.design.factor import Combination, Factor, factor_name, factor_places, full_size
+from robot_runner.core.design.numeric_range import is_whole
 from robot_runner.core.errors import Finding
 from robot_runner.core.words import INACTIVE
-from robot_runner.designs.factor_roles import factor_name
 
 
 class Described:
@@ -146,7 +146,7 @@ _INSTALL = "Install it: pip install 'robot-runner[designs]'."
 def number_findings(name: str, value: object, least: int, most: int | None = None) -> Iterator[Finding]:
     """Say whether a parameter of a design is no whole number from `least` to `most`."""
     fix = f"Give a whole number from {least}."
-    if isinstance(value, bool) or not isinstance(value, int):
+    if not is_whole(value):
         yield Finding.error("design", f"{name}={value!r} is of type {type(value).__name__}", fix)
     elif value < least:
         yield Finding.error("design", f"{name}={value} is less than {least}", fix)

@@ -55,9 +55,8 @@ class CoveringArray(Described):
     strength: int = 2
     seed: int = 0
 
-    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+    def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
         """Say why it cannot be."""
-        del repetitions
         yield from library_findings("numpy")
         yield from number_findings("seed", self.seed, 0)
         wrong = list(number_findings("strength", self.strength, 2))
@@ -80,8 +79,7 @@ class CoveringArray(Described):
 
             rows = [list(map(int, row)) for row in pairwise_array(levels, self.seed)]
         else:
-            if too_many := list(_size_findings(factors, self.strength)):
-                raise DesignError.of_findings(too_many)
+            DesignError.refuse(_size_findings(factors, self.strength))
             rows = self._rows(levels, constraints)
         facts = {"kind": self.kind, "strength": self.strength, "model": "main"}
         return ChosenCombinations(at_places(factors, rows), facts)

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from robot_runner.core.design.design import HELD_ORDER, DesignedRuns, HeldOrder, IsAllowed
-from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.factor import Factor, factor_name
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import Finding
 from robot_runner.core.words import counted
 from robot_runner.designs.choosing import Described
-from robot_runner.designs.factor_roles import Roles, factor_name, refused, role_findings, shuffled, texts_of_combination
+from robot_runner.designs.factor_roles import Roles, refused, role_findings, shuffled, texts_of_combination
 
 
 def williams_sequences(treatments: int) -> list[tuple[int, ...]]:
@@ -47,7 +47,7 @@ class Crossover(Described):
         washout_in_s: how long a unit rests between two periods, s, so that what one treatment left is gone.
 
     Example:
-        >>> from robot_runner.core.design.factor import Factor
+        >>> from robot_runner.core.design.factor import Factor, factor_name
         >>> from robot_runner.core.design.run_table_model import RunTableModel
         >>> factors = [Factor("Robot", ["A", "B"]), Factor("Period", [1, 2]), Factor("Planner", ["old", "new"])]
         >>> model = RunTableModel(factors, design=Crossover("Robot", "Period", washout_in_s=60))
@@ -60,9 +60,8 @@ class Crossover(Described):
     period: str | Factor
     washout_in_s: float = 0
 
-    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+    def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
         """Say which factors there are not, and what is wrong with the washout."""
-        del repetitions
         named = [("unit", factor_name(self.unit)), ("period", factor_name(self.period))]
         yield from role_findings("Crossover", named, factors)
         if not is_number(self.washout_in_s) or self.washout_in_s < 0:

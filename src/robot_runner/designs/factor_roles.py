@@ -14,11 +14,6 @@ from robot_runner.core.design.planned_runs import shuffle_in_place
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
 
-def factor_name(given: Any) -> Any:
-    """Return the name of a factor that was given by it or itself; whatever else was given is returned as it is."""
-    return given.name if isinstance(given, Factor) else given
-
-
 def role_findings(design: str, roles: Sequence[tuple[str, Any]], factors: Sequence[Factor]) -> Iterator[Finding]:
     """Say which roles name what is no factor, or a factor that has another role, and whether nothing is left to study.
 

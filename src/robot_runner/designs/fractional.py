@@ -53,9 +53,8 @@ class FractionalFactorial:
         given = {"resolution": self._resolution, "runs": self.runs, "generators": generators}
         return {"kind": "fractional_factorial", **{name: each for name, each in given.items() if each is not None}}
 
-    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+    def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
         """Say why the fraction cannot be."""
-        del repetitions
         for factor in factors:
             if len(factor.treatments) != 2:  # noqa: PLR2004 - a two-level design
                 fix = "Give it two, or choose CoveringArray or DOptimal, which take any number."

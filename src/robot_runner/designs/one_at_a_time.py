@@ -39,9 +39,8 @@ class OneFactorAtATime:
         """Return the base as text."""
         return {"kind": "one_factor_at_a_time", "base": {str(name): str(each) for name, each in self.base.items()}}
 
-    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+    def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
         """Say what is wrong with the base."""
-        del repetitions
         if not isinstance(self.base, Mapping):
             problem = f"base={self.base!r} is of type {type(self.base).__name__}"
             yield Finding.error("design", problem, 'Give a treatment for each factor: base={"Speed": 0.2}.')

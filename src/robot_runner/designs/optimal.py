@@ -56,9 +56,8 @@ class DOptimal(choosing.Described):
     model: str = "main"
     seed: int = 0
 
-    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+    def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
         """Say why it cannot be."""
-        del repetitions
         yield from choosing.library_findings("numpy")
         yield from choosing.number_findings("seed", self.seed, 0)
         wrong = list(choosing.number_findings("runs", self.runs, 1, MAX_RUNS))

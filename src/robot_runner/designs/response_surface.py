@@ -41,9 +41,8 @@ class CentralComposite(Described):
     centre: int = 4
     axial: str = _INSCRIBED
 
-    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+    def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
         """Say why it cannot be."""
-        del repetitions
         yield from number_findings("centre", self.centre, 1, MAX_RUNS)
         if self.axial not in (_INSCRIBED, _FACED):
             problem = f"axial={self.axial!r} is neither {_INSCRIBED!r} nor {_FACED!r}"
@@ -85,9 +84,8 @@ class BoxBehnken(Described):
     kind: ClassVar[str] = "box_behnken"
     centre: int = 3
 
-    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+    def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
         """Say why it cannot be."""
-        del repetitions
         yield from number_findings("centre", self.centre, 1, MAX_RUNS)
         yield from _numeric_findings(factors, 3)
         if len(factors) > max(_BLOCKS):

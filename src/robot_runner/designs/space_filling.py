@@ -32,9 +32,8 @@ class _SpaceFilling(Described):
     runs: int
     seed: int = 0
 
-    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+    def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
         """Say why it cannot be."""
-        del repetitions
         yield from number_findings("runs", self.runs, 2, MAX_RUNS)
         yield from number_findings("seed", self.seed, 0)
         yield from library_findings("scipy")

@@ -8,10 +8,10 @@ from itertools import pairwise
 from typing import Any
 
 from robot_runner.core.design.design import HELD_ORDER, DesignedRuns, HeldOrder, IsAllowed
-from robot_runner.core.design.factor import Combination, Factor
+from robot_runner.core.design.factor import Combination, Factor, factor_name
 from robot_runner.core.errors import Finding
 from robot_runner.core.words import counted
-from robot_runner.designs.factor_roles import Roles, factor_name, refused, role_findings, shuffled
+from robot_runner.designs.factor_roles import Roles, refused, role_findings, shuffled
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +43,8 @@ class SplitPlot:
         """The names of the factors that are hard to change."""
         return [factor_name(each) for each in (self.hard if isinstance(self.hard, list | tuple) else [self.hard])]
 
-    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+    def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
         """Say which factors there are not, and whether there is none that is easy to change."""
-        del repetitions
         if not self.hard_names:
             yield Finding.error("design: SplitPlot(hard=...)", "no factor is hard to change", "Name at least one.")
         named = [("plot", factor_name(self.plot)), *(("hard", name) for name in self.hard_names)]

@@ -8,10 +8,10 @@ from functools import cache, reduce
 from typing import Any, ClassVar, Final
 
 from robot_runner.core.design.design import DesignedRuns, IsAllowed
-from robot_runner.core.design.factor import Combination, Factor, full_factorial
+from robot_runner.core.design.factor import Combination, Factor, factor_name, full_factorial
 from robot_runner.core.errors import Finding
 from robot_runner.designs.choosing import Described
-from robot_runner.designs.factor_roles import Roles, factor_name, refused, role_findings, shuffled, texts_of_combination
+from robot_runner.designs.factor_roles import Roles, refused, role_findings, shuffled, texts_of_combination
 from robot_runner.designs.finite_fields import finite_field
 
 
@@ -39,9 +39,8 @@ class LatinSquare(Described):
     rows: str | Factor
     columns: str | Factor
 
-    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+    def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
         """Say which factors there are not, and whether rows and columns differ in number."""
-        del repetitions
         yield from _findings(self, [("rows", self.rows), ("columns", self.columns)], factors)
 
     def runs(
@@ -89,9 +88,8 @@ class GraecoLatinSquare(Described):
     columns: str | Factor
     greek: str | Factor | None = None
 
-    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+    def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
         """Say which factors there are not, whether they differ in number, and whether there is such a square."""
-        del repetitions
         given = [("rows", self.rows), ("columns", self.columns)]
         given += [("greek", self.greek)] if self.greek is not None else []
         findings = list(_findings(self, given, factors))

@@ -10,8 +10,8 @@ from itertools import zip_longest
 from robot_runner.measuring.device_clock import ClockMap
 from robot_runner.measuring.host import RESCAN, ProcessUtilisation, UtilisationSample
 
-#: One that lasts two looks for new processes is not missed, s.
-_BRIEF = 2 * RESCAN
+#: One that lasts so many looks for new processes is not missed.
+_BRIEF = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +83,12 @@ def placed_cores(counters: Mapping[int, CoreCounters]) -> tuple[CoreCounters | N
 
 
 def utilisation_of(
-    samples: Iterable[CounterSample], *, cores: int, selectors: int = 0, to_run: ClockMap | None = None
+    samples: Iterable[CounterSample],
+    *,
+    cores: int,
+    selectors: int = 0,
+    to_run: ClockMap | None = None,
+    rescan: float = RESCAN,
 ) -> list[UtilisationSample]:
     """Return the utilisation between each two looks; the first sample has none.
 
@@ -94,6 +99,7 @@ def utilisation_of(
         samples: oldest first.
         cores: how many the computer has.
         selectors: how many selectors of processes there were.
+        rescan: how long a new process may be there before it is seen, s.
         to_run: brings the samples' times to the run's clock; left out, they are on it already.
 
     Example:
@@ -103,7 +109,7 @@ def utilisation_of(
         [(None, 25.0), (25.0, 25.0)]
     """
     found: list[UtilisationSample] = []
-    families = [_Family() for _ in range(selectors)]
+    families = [_Family(_BRIEF * rescan) for _ in range(selectors)]
     spent = [0.0] * selectors
     before: CounterSample | None = None
     for sample in samples:
@@ -160,6 +166,9 @@ def _reaper(pid: int, ended: Mapping[int, tuple[int, float]]) -> int:
 class _Family:
     """What the processes of one selector have spent from look to look, with children that came and went in between.
 
+    Args:
+        brief: what lasts no longer may be missed, s.
+
     Attributes:
         ended: how many had ended at the last look.
         reaped: how many of them were reaped by another one, as far as one can tell.
@@ -167,7 +176,8 @@ class _Family:
         parents: how many that no other one reaped had had children, which may have ended with them.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, brief: float) -> None:
+        self._brief = brief
         self.ended = self.reaped = self.brief = self.parents = 0
         self._since: dict[tuple[int, str], float] = {}
         self._seen: dict[tuple[int, str], ProcessCounters] = {}
@@ -205,7 +215,7 @@ class _Family:
     ) -> None:
         last = self._last or {}
         lasted = [time - self._since.pop((pid, last[pid].started)) for pid in ended]
-        self.ended, self.brief = len(ended), sum(seconds < _BRIEF for seconds in lasted)
+        self.ended, self.brief = len(ended), sum(seconds < self._brief for seconds in lasted)
         left = [last[pid] for pid in ended if _reaper(pid, ended) not in now]
         self.reaped = len(ended) - len(left)
         above = {one.parent for one in last.values()}

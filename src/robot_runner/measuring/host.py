@@ -9,7 +9,8 @@ from typing import Protocol, TypeVar, runtime_checkable
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.measuring.device_clock import ClockRecord
 
-#: Seconds between two looks for new processes.
+#: Seconds between two looks for new processes, where that is not done with each sample; and between two looks at those
+#: that may still turn into another program.
 RESCAN = 1.0
 
 
@@ -82,6 +83,7 @@ class SamplingReport:
         clock: how the computer's clock stands to the run's; None where they are one.
         cpu_seconds: CPU time that sampling took on the computer itself, s; None if not known.
         form: how the samples were taken, in words.
+        rescan: how long a new process may be there before it is seen, s.
     """
 
     rate: float
@@ -89,6 +91,7 @@ class SamplingReport:
     clock: ClockRecord | None = None
     cpu_seconds: float | None = None
     form: str = ""
+    rescan: float = RESCAN
 
 
 @runtime_checkable
@@ -113,6 +116,11 @@ class ReportingSampler(Protocol):
 
     def report(self) -> SamplingReport:
         """Say how it went; to be asked after `stop`."""
+
+
+def report_of(sampler: object, rate: float) -> SamplingReport:
+    """Return what a sampler says of itself once it was stopped; of one that says nothing, its rate (Hz)."""
+    return sampler.report() if isinstance(sampler, ReportingSampler) else SamplingReport(rate=rate)
 
 
 @runtime_checkable

@@ -33,6 +33,8 @@ from robot_runner.measuring.host import (
 from robot_runner.measuring.on_board.loop import names_of
 from robot_runner.measuring.periodic import PeriodicSampler, Sampling
 
+#: Looks that are taken at a process at once, with each sample: it may not have been given its program yet.
+_FRESH = 2
 #: Looks during which a process may still turn into another program.
 _YOUNG = 5
 #: Which cores are switched on, such as `0,3-5`. Source: Linux, Documentation/admin-guide/cputopology.rst.
@@ -58,9 +60,10 @@ class LocalProcesses:
 
     def counters(self) -> tuple[ProcessCounters, ...]:
         """Return the counters of each process that matches."""
-        if time.monotonic() >= self._next_scan:
+        is_due = time.monotonic() >= self._next_scan
+        if is_due:
             self._next_scan = time.monotonic() + RESCAN
-            self._scan()
+        self._scan(_YOUNG if is_due else _FRESH)
         return tuple(counters for pid in list(self._matched) for counters in self._of(pid))
 
     def _of(self, pid: int) -> list[ProcessCounters]:
@@ -87,11 +90,13 @@ class LocalProcesses:
             for place in places
         ]
 
-    def _scan(self) -> None:
-        self._ages = {pid: self._ages.get(pid, 0) + 1 for pid in self._psutil.pids()}
+    def _scan(self, looks: int) -> None:
+        new = _FRESH - 1 if not self._ages else 0  # what is there at first has its program
+        self._ages = {pid: self._ages.get(pid, new) for pid in self._psutil.pids()}
         self._subjects = {pid: subject for pid, subject in self._subjects.items() if pid in self._ages}
         for pid, age in self._ages.items():
-            if age <= _YOUNG:
+            if age < looks:
+                self._ages[pid] += 1
                 self._look_at(pid, self._matched.pop(pid, (None, ())))
 
     def _look_at(self, pid: int, known: tuple[Any, tuple[int, ...]]) -> None:
@@ -204,7 +209,11 @@ class LocalSampler(Generic[R, S]):
         sampling = self._sampler.stop()
         failures = [f"{sampling.failures} readings failed: {sampling.first_failure}"] if sampling.failures else []
         return SamplingReport(
-            rate=self._rate, problems=tuple(failures), cpu_seconds=sampling.cpu_seconds, form=self._form
+            rate=self._rate,
+            problems=tuple(failures),
+            cpu_seconds=sampling.cpu_seconds,
+            form=self._form,
+            rescan=1 / self._rate,
         )
 
 
@@ -255,7 +264,7 @@ class LocalHost:
         def evaluate(sampling: Sampling[CounterSample]) -> Sequence[UtilisationSample]:
             pairs = zip(sampling.times, sampling.readings, strict=True)
             readings = [replace(reading, time=at) for at, reading in pairs]
-            return utilisation_of(readings, cores=counters.cores, selectors=count)
+            return utilisation_of(readings, cores=counters.cores, selectors=count, rescan=1 / rate)
 
         return self._sampler(counters.read, evaluate, rate, "psutil, in a thread of the run's process")
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -17,6 +15,7 @@ from typing import IO
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import Clock
+from robot_runner.core.execution.processes import stop_with_parent
 
 #: How often output is looked at, s: records are stamped as much too late, at most.
 _LOOK = 0.01
@@ -24,7 +23,6 @@ _LOOK = 0.01
 _LAST_GRACE = 1.0
 #: How long to wait for what was killed to be gone, s.
 _DEATH = 5.0
-_PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +90,7 @@ class ChildProgram:
                 stdout=output,
                 stderr=errors,
                 process_group=0 if has_own_group else None,
-                preexec_fn=_die_with_parent if has_own_group else None,  # noqa: PLW1509 - one system call, no lock
+                preexec_fn=stop_with_parent if has_own_group else None,  # noqa: PLW1509 - one system call, no lock
             )
         except OSError as error:
             errors.close()
@@ -245,12 +243,3 @@ class MeterProcess(ChildProgram):
         self._offset += len(fresh)
         *whole, self._rest = (self._rest + fresh).split(self._separator)
         self._records += [Record(now, piece.decode(errors="replace")) for piece in whole]
-
-
-_LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
-
-
-def _die_with_parent() -> None:
-    """Have the kernel end this process when its parent dies; called between fork and exec, so it does nothing else."""
-    if _LIBC is not None:
-        _LIBC.prctl(_PR_SET_PDEATHSIG, int(signal.SIGTERM))

@@ -16,7 +16,7 @@ from robot_runner.measuring.cpu_counters import (
     utilisation_of,
 )
 from robot_runner.measuring.device_clock import ClockMap, ClockRecord
-from robot_runner.measuring.host import FileSample, SamplingReport, UtilisationSample
+from robot_runner.measuring.host import RESCAN, FileSample, SamplingReport, UtilisationSample
 from robot_runner.measuring.on_board_session import FORMS, OnBoardSession, new_token
 
 _KILOBYTE = 1024.0
@@ -84,21 +84,24 @@ class Quantity(Generic[S_co]):
     Attributes:
         kind: what the on-board loop calls it.
         about: what the loop is to look at.
-        understood: from the lines that come back, the computer's clock and how many cores it has to the samples, placed
-            on the run's clock; damaged lines are left out.
+        understood: from the lines that come back, the computer's clock, how many cores it has and how long (s) a new
+            process may be there before it is seen, to the samples, placed on the run's clock; damaged lines are left
+            out.
     """
 
     kind: str
     about: Sequence[str]
-    understood: Callable[[Sequence[Sequence[str]], ClockRecord, int], Sequence[S_co]]
+    understood: Callable[[Sequence[Sequence[str]], ClockRecord, int, float], Sequence[S_co]]
 
 
 def utilisation_counters(processes: Sequence[str]) -> Quantity[UtilisationSample]:
     """Return the utilisation of the computer, and of the processes that selectors match."""
 
-    def understood(lines: Sequence[Sequence[str]], clock: ClockRecord, cores: int) -> Sequence[UtilisationSample]:
+    def understood(
+        lines: Sequence[Sequence[str]], clock: ClockRecord, cores: int, rescan: float
+    ) -> Sequence[UtilisationSample]:
         counters = [sample for line in lines if (sample := counter_sample(line[1:])) is not None]
-        return utilisation_of(counters, cores=cores, selectors=len(processes), to_run=clock.to_run)
+        return utilisation_of(counters, cores=cores, selectors=len(processes), to_run=clock.to_run, rescan=rescan)
 
     return Quantity("utilisation", processes, understood)
 
@@ -106,7 +109,9 @@ def utilisation_counters(processes: Sequence[str]) -> Quantity[UtilisationSample
 def file_lines(paths: Sequence[str]) -> Quantity[FileSample]:
     """Return what stands in the first line of each of some files."""
 
-    def understood(lines: Sequence[Sequence[str]], clock: ClockRecord, _cores: int) -> Sequence[FileSample]:
+    def understood(
+        lines: Sequence[Sequence[str]], clock: ClockRecord, _cores: int, _rescan: float
+    ) -> Sequence[FileSample]:
         to_run = clock.to_run
         return [one for line in lines if (one := file_sample(line[1:], to_run, files=len(paths))) is not None]
 
@@ -174,7 +179,7 @@ class OnBoardSampler(Generic[S_co]):
         """
         if self._samples is None:
             lines = self._lines()
-            self._samples = self._quantity.understood(lines, self._clock, self._cores)
+            self._samples = self._quantity.understood(lines, self._clock, self._cores, self._rescan)
             if damaged := len(lines) - len(self._samples):
                 self._problems.append(f"{damaged} {'sample' if damaged == 1 else 'samples'} arrived damaged")
         return self._samples
@@ -187,7 +192,12 @@ class OnBoardSampler(Generic[S_co]):
             clock=self._clock,
             cpu_seconds=self._cpu_seconds,
             form=FORMS[self._session.form].description,
+            rescan=self._rescan,
         )
+
+    @property
+    def _rescan(self) -> float:
+        return 1 / self._rate if FORMS[self._session.form].sees_new_at_once else max(RESCAN, 1 / self._rate)
 
     def _lines(self) -> list[list[str]]:
         self.end()

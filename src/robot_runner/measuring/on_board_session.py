@@ -23,6 +23,7 @@ from pathlib import Path
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import Clock
+from robot_runner.core.storage.outliving import is_alive
 from robot_runner.measuring.device_clock import ClockExchange, ClockOffset, estimate_offset
 
 
@@ -33,15 +34,17 @@ class Form:
     Attributes:
         program: the file that is sent there.
         description: what samples, in words.
+        sees_new_at_once: whether new processes are looked for with each sample.
     """
 
     program: str
     description: str
+    sees_new_at_once: bool = False
 
 
 #: What can be sent, best first, by the name that the bootstrap program knows.
 FORMS = {
-    "python3": Form("loop.py", "a loop in Python that reads Linux's /proc"),
+    "python3": Form("loop.py", "a loop in Python that reads Linux's /proc", sees_new_at_once=True),
     "sh": Form("loop.sh", "a loop of the POSIX shell that reads Linux's /proc"),
     "ps": Form("loop.sh", "a loop of the POSIX shell that asks ps: CPU time in steps of up to a second"),
 }
@@ -331,12 +334,4 @@ def _owner() -> str:
 def _is_left(path: str) -> bool:
     """Return whether the process that a file belongs to is dead."""
     pid = path.rpartition("/")[2].split("-")[-2]
-    if not pid.isdigit():
-        return False
-    try:
-        os.kill(int(pid), 0)
-    except ProcessLookupError:
-        return True
-    except (PermissionError, OverflowError):
-        return False
-    return False
+    return pid.isdigit() and not is_alive(int(pid))

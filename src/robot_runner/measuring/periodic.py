@@ -19,9 +19,9 @@ from robot_runner.measuring.host import (
     FileHost,
     FileSample,
     FileSampler,
-    ReportingSampler,
     SamplingReport,
     TellingSampler,
+    report_of,
 )
 from robot_runner.measuring.quality import SampleQuality, quality_of
 from robot_runner.measuring.series import Series, within
@@ -315,7 +315,7 @@ class HostSampler(Generic[R]):
 
     def report(self) -> SamplingReport:
         """Return what the computer says of its sampling; to be asked after `stop`."""
-        return self._files.report() if isinstance(self._files, ReportingSampler) else SamplingReport(rate=self._rate)
+        return report_of(self._files, self._rate)
 
     def _take_latest(self, sample: Callable[[], FileSample]) -> None:
         self._latest = sample

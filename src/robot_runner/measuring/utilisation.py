@@ -25,6 +25,7 @@ _NO_PROCESS = (
     "Start it before or during the mission, and compare its selector with what `ps -eo pid,comm,args` shows then."
 )
 _ENDED = "Have it end after the mission, or measure it as Program(..., per='mission'), whose CPUTime is exact."
+_LATE = "Start it before the mission, or measure a computer that has a Python 3 (hosts.md)."
 _CORES = "Name cores that are switched on: /sys/devices/system/cpu/online has their numbers."
 
 
@@ -142,12 +143,8 @@ class Utilisation:
             **{name: value for place in range(len(self.selection.labels)) for name, value in self._process(place)},
         }
 
-    def doubts(self, started: Container[str] = ()) -> Iterator[str]:
-        """Yield what is doubtful, with figures, besides the quality of the samples; see `doubted`."""
-        return (each.problem for each in self.doubted(started))
-
     def doubted(self, started: Container[str] = ()) -> Iterator[Doubt]:
-        """Yield what is doubtful, of which measures, and what to do.
+        """Yield what is doubtful besides the quality of the samples, of which measures, and what to do.
 
         Args:
             started: the names of software under test that the run has started; a probe before it starts none.
@@ -167,19 +164,40 @@ class Utilisation:
             label = self.selection.labels[place]
             names = (f"CPU_{label}", f"Memory_{label}")
             if self.samples and not self._was_seen(place):
-                yield Doubt(
-                    f"no process {selector} was seen; new ones are looked for once a second", names, _NO_PROCESS
-                )
+                yield Doubt(f"no process {selector} was seen; {self._looks}", names, _NO_PROCESS)
             elif self.samples and not self._was_seen(place, within=self.window):
                 problem = f"no process {selector} was there in the measured window, only before or after it"
                 yield Doubt(problem, names, _NO_PROCESS)
             yield from (Doubt(problem, names, _ENDED) for problem in self._doubts_about_ends(place))
+            if (share := self._unseen_memory(place)) > _UNSEEN_SHARE:
+                problem = (
+                    f"{selector} may have been there before it was seen: Memory_{label} may lack up to {share:.0f} %"
+                )
+                yield Doubt(f"{problem}; {self._looks}", names[1:], _LATE)
         for core in self.selection.cores:
             problem = f"the computer tells of core {core} for a part of the window only: it was switched off meanwhile"
             if self.samples and not self._tells_of(core):
                 yield Doubt(f"the computer tells of no core {core}", (f"CPU_core{core}",), _CORES)
             elif self.quality.is_sufficient and not self._covers(core):
                 yield Doubt(problem, (f"CPU_core{core}",), _CORES)
+
+    def _unseen_memory(self, place: int) -> float:
+        """Return what processes may have held before they were seen, % of what they were seen to hold."""
+        late = self.report.rescan - 1 / self.report.rate  # a sampler that looks each time is not late
+        held = unseen = 0.0
+        for sooner, later in pairwise(self.samples):
+            if later.time > self.window.start and sooner.time < self.window.end:
+                before, told = sooner.processes[place], later.processes[place]
+                held += (told.memory or 0.0) * (later.time - sooner.time)
+                if told.count > before.count:
+                    more = max(0.0, (told.memory or 0.0) - (before.memory or 0.0))
+                    unseen += more * max(0.0, min(late, sooner.time - self.window.start))
+        return 100.0 * unseen / held if held else 0.0
+
+    @property
+    def _looks(self) -> str:
+        every = "once a second" if self.report.rescan == RESCAN else f"every {self.report.rescan:.2g} s"
+        return f"new ones are looked for {every}"
 
     def _doubts_about_ends(self, place: int) -> Iterator[str]:
         selector, label = self.selection.processes[place], self.selection.labels[place]
@@ -192,11 +210,11 @@ class Utilisation:
                 lost = told.ended - told.reaped if has_children else told.ended
                 ended, brief = ended + lost, brief + told.brief
                 unseen += lost * (min(later.time, self.window.end) - max(sooner.time, self.window.start))
-                unseen += told.parents * RESCAN if has_children else 0.0
+                unseen += told.parents * self.report.rescan if has_children else 0.0
         if brief and not has_children:
             yield (
-                f"{_processes(brief, selector)} lasted less than 2 s: new ones are looked for once a second, so that "
-                f"others may have been missed, and CPU_{label} and Memory_{label} may be too low"
+                f"{_processes(brief, selector)} lasted less than {2 * self.report.rescan:.2g} s: {self._looks}, so "
+                f"that others may have been missed, and CPU_{label} and Memory_{label} may be too low"
             )
         elif ended and unseen > self.window.duration * _UNSEEN_SHARE / 100:
             yield (
@@ -283,6 +301,12 @@ class Utilisation:
             "problems": list(self.report.problems),
             "clock": None if clock is None else clock.facts(),
         }
+
+
+def means_over(utilisation: Utilisation | None, window: Window) -> dict[str, float | None]:
+    """Return the means over a window, by measure; nothing where too little of it was sampled, or nothing at all."""
+    measured = utilisation.over(window) if utilisation is not None else None
+    return measured.means() if measured is not None and measured.quality.is_sufficient else {}
 
 
 def _processes(count: int, selector: str) -> str:

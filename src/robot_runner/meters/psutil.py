@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
+from robot_runner.core.design.numeric_range import is_whole
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.context import Clock, RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin, Over
@@ -20,18 +22,17 @@ from robot_runner.measuring.host import (
     ProcessHost,
     PromptSampler,
     RemoteHost,
-    ReportingSampler,
-    SamplingReport,
     TellingSampler,
     UtilisationSample,
     UtilisationSampler,
     process_selector,
+    report_of,
 )
 from robot_runner.measuring.live_samples import LiveSamples
 from robot_runner.measuring.measured_machine import Computer, host_findings, machine_clock
 from robot_runner.measuring.on_board_session import FORMS
 from robot_runner.measuring.quality import Column
-from robot_runner.measuring.utilisation import Selection, Utilisation
+from robot_runner.measuring.utilisation import Selection, Utilisation, means_over
 from robot_runner.meters.parameter_checks import check_list, check_positive
 
 _REMEDY = "Look at the load of the computer, at the network and at samples.csv before you use this run."
@@ -196,7 +197,7 @@ class PsUtil(Profiler):
         except LinkError as error:
             samples = ()
             context.doubt(f"the samples could not be fetched: {error.problem}", fix=error.fix)
-        report = sampler.report() if isinstance(sampler, ReportingSampler) else SamplingReport(rate=self.rate_hz)
+        report = report_of(sampler, self.rate_hz)
         if report.clock is not None:
             context.note_clock(report.clock.facts())
         self._utilisation = Utilisation(samples, self._sampled, self.selection, report, self._link.is_simulated)
@@ -213,11 +214,8 @@ class PsUtil(Profiler):
             for problem in measured.quality.warnings():
                 context.doubt(problem, fix=_REMEDY)
         origin = Origin.SIMULATED if sampled is not None and sampled.is_simulated else Origin.MEASURED
-        publish_measures(context, self.measures, self._evaluated, origin=origin, clock=self._clock)
-
-    def _evaluated(self, window: Window) -> Mapping[str, float | None]:
-        measured = self._utilisation.over(window) if self._utilisation is not None else None
-        return measured.means() if measured is not None and measured.quality.is_sufficient else {}
+        evaluate = partial(means_over, sampled)
+        publish_measures(context, self.measures, evaluate, origin=origin, clock=self._clock)
 
     def _forget(self) -> None:
         self._sampler = self._clock = self._sampled = self._utilisation = None
@@ -259,7 +257,7 @@ def _refuse_idle(plugin: str, parameters: Mapping[str, object], reason: str) -> 
 
 def _selection(plugin: str, processes: Sequence[str | int], cores: Sequence[int]) -> Selection:
     check_list(plugin, processes=processes, cores=cores)
-    odd = [core for core in cores if isinstance(core, bool) or not isinstance(core, int) or core < 0]
+    odd = [core for core in cores if not is_whole(core) or core < 0]
     if odd:
         raise PluginError(f"there is no core {odd[0]!r}", where=plugin, fix="Number the cores from 0.")
     try:

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from robot_runner.core.design.numeric_range import is_whole
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.connect import SIMULATED, is_simulated
@@ -111,7 +112,7 @@ class SmartPlug(ElectricalProfiler):
         if topic is not None and (not topic or any(sign in topic for sign in "+#\0 ")):
             fix = "Give the topic as the plug's own settings show it."
             raise PluginError(f"topic is {topic!r}", where=self.name, fix=fix)
-        if isinstance(channel, bool) or not isinstance(channel, int) or channel < 0:
+        if not is_whole(channel) or channel < 0:
             raise PluginError(f"channel is {channel!r}", where=self.name, fix="Count the outlets from 0.")
         check_positive(self.name, timeout_s=timeout_s)
         self.kind = kind

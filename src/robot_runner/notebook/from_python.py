@@ -18,9 +18,7 @@ from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.run_table_reading import read_run_table
-from robot_runner.core.storage.table_columns import TableLayout
-from robot_runner.core.storage.table_schema import read_schema
+from robot_runner.core.storage.run_table_reading import read_described_table
 from robot_runner.core.words import shown_duration
 from robot_runner.notebook.apart import execute_forked, execute_in_interpreter
 from robot_runner.notebook.python_config import NAME, PREFIX, as_texts, config_of_object, is_config, runs_named
@@ -239,7 +237,7 @@ def _executed(
 
 def _results(finished: notices.ExperimentFinished) -> ExperimentResults:
     files = ExperimentFolder.found_at(finished.folder)
-    rows = read_run_table(files.run_table, TableLayout.of_schema(read_schema(files.schema)))
+    rows = read_described_table(files)
     return ExperimentResults(
         folder=finished.folder,
         rows=tuple(rows),

@@ -60,8 +60,7 @@ def as_texts(settings: Mapping[str, Any]) -> dict[str, str]:
         else:
             problem = f"a value of type {type(value).__name__} cannot be set from outside"
             findings.append(Finding.error(f"settings[{name!r}]", problem, "Set it in the config."))
-    if findings:
-        raise ConfigError.of_findings(findings)
+    ConfigError.refuse(findings)
     return texts
 
 

@@ -57,7 +57,7 @@ class FollowedExperiment:
         self._status: ExperimentStatus | None = None
         self._error: RobotRunnerError | None = None
         self._doing: dict[str, dict[str, Any]] = {}
-        #: What is awaited before a run: places side by side wait for themselves.
+        #: The slot of each run in flight, where its log is.
         self._slots: dict[str, int] = {}
         self._curves: dict[str, RunCurves] = {}
         self._signs: tuple[Any, ...] = ()
@@ -301,30 +301,22 @@ class FollowedExperiment:
         return "failed" if status.failed else "done"
 
     def _flying(self, each: Any) -> dict[str, Any]:
-        place = self.table.place(each.run)
-        treatments = (
-            dict(zip(self.table.factors, self.table.treatments[place], strict=True)) if place is not None else {}
-        )
         return {
             "run": each.run,
             "place": each.place,
             "event": each.event,
-            "treatments": treatments,
+            "treatments": self.table.combination(each.run),
             **self._doing.get(each.run, {}),
         }
 
     def _waiting(self, waiting: Mapping[str, Any]) -> dict[str, Any]:
-        place = self.table.place(waiting["next_run"])
-        treatments = (
-            dict(zip(self.table.factors, self.table.treatments[place], strict=True)) if place is not None else {}
-        )
         questions = [Question.from_mapping(facts) for facts in waiting["questions"]]
         asked = [question.as_mapping() | {"hint": question.hint} for question in questions]
         return {
             "run": waiting["next_run"],
             "place": waiting["place"],
             "step": waiting["step"],
-            "treatments": treatments,
+            "treatments": self.table.combination(waiting["next_run"]),
             "questions": asked,
         }
 

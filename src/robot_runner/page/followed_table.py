@@ -9,7 +9,7 @@ from typing import Any
 
 from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.design.repeated_intervals import CONFIDENCE, half_width_of
-from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.cells import ENDS, RunStatus
 from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
 from robot_runner.core.storage.guarded_files import LINE_LIMIT, MissingFileError, open_to_read
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -17,7 +17,7 @@ from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.record_shapes import RECORDS, Record
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import shown_treatment
@@ -80,15 +80,13 @@ class JournalTail:
 
     def _lines(self) -> list[bytes]:
         try:
-            with open_to_read(self._path) as file:
+            with storage_errors(self._path, "read"), open_to_read(self._path) as file:
                 file.seek(self._offset)
                 block = file.read(_AT_ONCE)
                 if b"\n" not in block and len(block) == _AT_ONCE:
                     block += file.readline(LINE_LIMIT)
         except MissingFileError:
             return []
-        except OSError as error:
-            raise storage_error(self._path, "read", error) from error
         end = block.rfind(b"\n") + 1
         if not end and len(block) > LINE_LIMIT:  # nothing that we wrote: go on behind it
             end = len(block)
@@ -115,7 +113,6 @@ _WORDS = {RunStatus.TODO: "to do", RunStatus.RUNNING: "running", RunStatus.DONE:
 _MOST_BYTES = 64_000_000
 #: Of a text in a cell, so many characters are shown.
 _LONGEST = 200
-_ENDS = {"done": RunStatus.DONE, "failed": RunStatus.FAILED}
 
 
 class FollowedTable:
@@ -151,6 +148,11 @@ class FollowedTable:
     def place(self, run_id: str) -> int | None:
         """Return where a run stands, counted from 0; None for one that the table does not have."""
         return self._places.get(run_id)
+
+    def combination(self, run_id: str) -> dict[str, str]:
+        """Return the treatments of a run in words, by factor; nothing of one that the table does not have."""
+        place = self.place(run_id)
+        return {} if place is None else dict(zip(self.factors, self.treatments[place], strict=True))
 
     def read(self, files: ExperimentFolder) -> RunTableRows | None:
         """Read the table from the disk anew; None where there is none yet, or it is too large to be shown.
@@ -205,7 +207,7 @@ class FollowedTable:
         place = self._places.get(record["run"])
         if place is None:
             return
-        self.statuses[place] = _ENDS.get(record["status"], RunStatus.TODO)
+        self.statuses[place] = ENDS.get(record["status"], RunStatus.TODO)
         told = record["measures"]
         self.values[place] = tuple(_shown(told[name]["value"]) if name in told else None for name in self.measures)
         self.doubt(record)

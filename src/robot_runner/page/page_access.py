@@ -15,7 +15,7 @@ from enum import IntEnum
 
 from robot_runner.core.storage.guarded_files import MissingFileError, read_text, remove, replace
 from robot_runner.core.storage.layout import user_folder
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import storage_errors
 
 
 class Role(IntEnum):
@@ -61,10 +61,8 @@ class Keys:
             StorageError: the secret cannot be kept.
         """
         path = user_folder("XDG_STATE_HOME") / "page-secret"
-        try:
+        with storage_errors(path.parent, "made"):
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        except OSError as error:
-            raise storage_error(path.parent, "made", error) from error
         if anew:
             remove(path)
         try:

@@ -42,8 +42,7 @@ def _go_on(experiment: FollowedExperiment, said: Mapping[str, Any]) -> str:
         str(name): str(text)[:_LONGEST_ANSWER] for name, text in (given.items() if isinstance(given, dict) else ())
     }
     _, refused = read_answers(questions_of(status), answers)
-    if refused:
-        raise RefusedAnswersError.of_findings([_for_a_page(each) for each in refused])
+    RefusedAnswersError.refuse(map(_for_a_page, refused))
     continue_and_see(ExperimentFolder(experiment.folder), waiting, answers, experiment.folder.name)
     return "It goes on."
 

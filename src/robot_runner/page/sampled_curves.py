@@ -14,7 +14,7 @@ from typing import Any
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.measuring.live_samples import LIVE
 
 #: Points of a curve: more than a phone is wide; each has the least and the largest value of its samples.
@@ -111,14 +111,11 @@ class _SampleFile:
         Raises:
             StorageError: it is no regular file, or cannot be read.
         """
-        try:
-            with open_to_read(self._path, self._root) as file:
-                file.seek(self._offset)
-                wanted = min(_AT_ONCE, _MOST_BYTES - self._offset)
-                block = file.read(wanted)
-                self.is_cut = os.fstat(file.fileno()).st_size > _MOST_BYTES
-        except OSError as error:
-            raise storage_error(self._path, "read", error) from error
+        with storage_errors(self._path, "read"), open_to_read(self._path, self._root) as file:
+            file.seek(self._offset)
+            wanted = min(_AT_ONCE, _MOST_BYTES - self._offset)
+            block = file.read(wanted)
+            self.is_cut = os.fstat(file.fileno()).st_size > _MOST_BYTES
         end = block.rfind(b"\n") + 1
         self._offset += end
         self.is_behind = bool(end) and len(block) == wanted

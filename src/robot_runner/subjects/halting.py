@@ -24,7 +24,7 @@ from pathlib import Path
 from robot_runner.core.errors import LinkError, PluginError, RobotRunnerError
 from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.events.resources import Resources
-from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND, keep_commanding_zero
+from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND, VELOCITIES, keep_commanding_zero
 from robot_runner.core.links.connect import (
     connect_robot,
     is_simulated,
@@ -255,12 +255,6 @@ def _halt_after(start: Start) -> None:
                 commanded.end(error.problem if isinstance(error, RobotRunnerError) else repr(error))
 
 
-if __name__ == "__main__":
-    _halt_after(Start(Path(sys.argv[1])))
-
-
-#: A message of these types without any field stops a robot.
-_VELOCITIES = frozenset({"geometry_msgs/Twist", "geometry_msgs/TwistStamped"})
 #: After how long a graph is known that has to be discovered, s: on Fast DDS, that has taken up to 3.2 s.
 _DISCOVERY = 4.0
 
@@ -327,9 +321,13 @@ class CommandedRobot:
         return [
             (topic, message_type)
             for topic, message_type in link.topics().items()
-            if message_type in _VELOCITIES
+            if message_type in VELOCITIES
             and topic.startswith(below)
             and topic not in self._topics
             and any(not each.is_own for each in link.publishers(topic))
             and any(not each.is_own for each in link.subscribers(topic))
         ]
+
+
+if __name__ == "__main__":
+    _halt_after(Start(Path(sys.argv[1])))

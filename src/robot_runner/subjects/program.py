@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from robot_runner.core.design.numeric_range import is_whole
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.events.measure import Measure, Origin
@@ -55,14 +56,14 @@ class Program(Subject):
             raise PluginError(f"command is {command!r}", where=self.name, fix=fix)
         self.command = tuple(command)
         codes = exit_codes if isinstance(exit_codes, Collection) else [None]
-        if not all(isinstance(each, int) and not isinstance(each, bool) for each in codes):
+        if not all(map(is_whole, codes)):
             fix = "Give a list of whole numbers: exit_codes=[0]."
             raise PluginError(f"exit_codes is {exit_codes!r}", where=self.name, fix=fix)
         self.exit_codes = tuple(exit_codes)
         self._awaited_since: float | None = None
         self.words()  # what is no word is found before anything is executed
         if self.exit_codes and self._is_of_run:
-            ended = Measure("ExitCode", "", f"With what {self.name} ended by itself; none where it was stopped.")
+            ended = Measure("ExitCode", "1", f"With what {self.name} ended by itself; none where it was stopped.")
             self.measures = (*self.measures, ended, *(_CPU_TIME if self.per == "mission" else ()))
 
     def words(self) -> tuple[str, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,7 +11,7 @@ from typing import Any
 from robot_runner.core.config.treatment_makers import Workshop
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.revision import Revision
-from robot_runner.core.errors import ExecutionError, Finding, did_you_mean
+from robot_runner.core.errors import ExecutionError, Finding, did_you_mean, nearest
 from robot_runner.core.storage.git_repository import git, repository_state, without_login
 from robot_runner.core.words import one_line
 from robot_runner.subjects.work_tree import WorkTree, is_kept, kept_name
@@ -169,5 +168,5 @@ def _found(where: str, repository: Repository, ours: Sequence[Revision], facts: 
 
 
 def _nearest(name: str, names: list[str]) -> str:
-    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    return f"Did you mean {near[0]!r}?" if near else did_you_mean(name, names) or "Commit something first."
+    near = nearest(name, names, least=0.5)
+    return f"Did you mean {near!r}?" if near is not None else did_you_mean(name, names) or "Commit something first."

@@ -22,7 +22,7 @@ from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.plugin import Circumstances, System
 from robot_runner.core.storage.input_files import InputFile
-from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.layout import ExperimentFolder, user_folder
 from robot_runner.core.treatments import factors_of
 from robot_runner.measuring.host import SUBJECT_VARIABLE
 from robot_runner.measuring.measured_machine import machine_clock
@@ -332,7 +332,7 @@ class Subject(System):
         """Return the file that is locked from each start of this subject until all of it has ended."""
         told = os.fsencode(f"{context.experiment_folder.absolute()}\0{self.name}")
         key = hashlib.sha256(told).hexdigest()[:16]
-        return supervised_program.user_cache() / "subjects" / f"{key}.lock"
+        return user_folder("XDG_CACHE_HOME") / "subjects" / f"{key}.lock"
 
     def _attached(self, context: RobotRunnerContext) -> supervised_program.Start:
         """Return the start of a subject that goes on through all runs; another process has started it."""

@@ -17,7 +17,6 @@ from typing import IO, Any
 
 from robot_runner.core.errors import PluginError, StorageError, did_you_mean
 from robot_runner.core.links.ssh_command import gist, remedy, ssh_command
-from robot_runner.core.storage.layout import user_folder
 from robot_runner.core.words import listed, one_line
 from robot_runner.subjects.orphans import end_orphans, mark_of
 from robot_runner.subjects.remote_supervision import BOOTSTRAP, LEASE
@@ -30,7 +29,7 @@ _LAST_PATIENCE = 15.0
 _LOOK = 0.01
 _NAME_A_FOLDER = "Set XDG_CACHE_HOME to a folder of your own."
 #: How much of the end of an output is shown.
-_TAIL_BYTES, _TAIL_LINES = 4096, 3
+_SHOWN_BYTES, _SHOWN_LINES = 4096, 3
 #: What mends why a program could not be started, as the system says it.
 _REMEDIES = {
     "Exec format error": "Give a script a first line such as #!/bin/sh; a program has to be built for this computer.",
@@ -170,11 +169,7 @@ class Start:
 
     def last_lines(self) -> str:
         """Return the end of what it wrote to stderr, or else to stdout, on one line."""
-        for path in (self.stderr, self.stdout):
-            lines = [line.strip() for line in tail(path).splitlines() if line.strip()]
-            if lines:
-                return one_line(" | ".join(lines[-_TAIL_LINES:]))
-        return ""
+        return last_lines_of(self.stderr, _SHOWN_LINES) or last_lines_of(self.stdout, _SHOWN_LINES)
 
     def death(self, name: str, ended: Ended) -> str:
         """Return what is said of an end that nobody asked for; `name` is the plugin's."""
@@ -332,15 +327,6 @@ def named_signal(plugin: str, wanted: object) -> signal.Signals:
     )
 
 
-def user_cache() -> Path:
-    """Return our folder among the user's caches (XDG_CACHE_HOME).
-
-    Raises:
-        StorageError: the user has no home folder.
-    """
-    return user_folder("XDG_CACHE_HOME")
-
-
 @contextmanager
 def locked(path: Path, wait: Callable[[], object]) -> Iterator[IO[str]]:
     """Hold the lock of a file among the user's caches; `wait` is called again and again while somebody else does.
@@ -364,14 +350,16 @@ def locked(path: Path, wait: Callable[[], object]) -> Iterator[IO[str]]:
         yield file
 
 
-def tail(path: Path, size: int = _TAIL_BYTES) -> str:
-    """Return the end of a text file; nothing of one that cannot be read."""
+def last_lines_of(path: Path, most: int) -> str:
+    """Return the last lines of a text file that are not blank, on one line; nothing of one that cannot be read."""
     try:
         with path.open("rb") as file:
-            file.seek(max(0, path.stat().st_size - size))
-            return file.read().decode(errors="replace")
+            file.seek(max(0, path.stat().st_size - _SHOWN_BYTES))
+            end = file.read().decode(errors="replace")
     except OSError:
         return ""
+    lines = [line.strip() for line in end.splitlines() if line.strip()]
+    return one_line(" | ".join(lines[-most:]))
 
 
 def _how(code: int | None) -> str:

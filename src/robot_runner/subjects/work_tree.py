@@ -25,8 +25,9 @@ from robot_runner.core.errors import ExecutionError, StorageError
 from robot_runner.core.storage.git_repository import git, repository_state, uncommitted_changes, without_login
 from robot_runner.core.storage.guarded_files import read_bytes, replace
 from robot_runner.core.storage.journal import utc_now
+from robot_runner.core.storage.layout import user_folder
 from robot_runner.core.words import one_line
-from robot_runner.subjects.supervised_program import locked, tail, user_cache
+from robot_runner.subjects.supervised_program import last_lines_of, locked
 
 #: How long cloning may take, s.
 _CLONING = 3600.0
@@ -37,7 +38,7 @@ _SHORT = 12  # digits of a hash that a person reads
 
 def cache_folder() -> Path:
     """Return where work trees are kept: in the user's folder of caches. It may be emptied at will."""
-    return user_cache() / "revisions"
+    return user_folder("XDG_CACHE_HOME") / "revisions"
 
 
 class WorkTree:
@@ -56,8 +57,7 @@ class WorkTree:
     def __init__(self, repository: str, commit: str, build: str, copy: Path | None = None) -> None:
         self.repository, self.commit, self._build, self._copy = repository, commit, build, copy
         key = hashlib.sha256(f"{repository}\0{commit}\0{build}".encode()).hexdigest()[:8]
-        name = Path(repository.rstrip("/")).name.removesuffix(".git") or "repository"
-        self._entry = cache_folder() / f"{name}-{commit[:_SHORT]}-{key}"
+        self._entry = cache_folder() / f"{_name_of(repository)}-{commit[:_SHORT]}-{key}"
         self.folder = self._entry / "tree"
         self._stamp = self._entry / "built.json"
         self._log = self._entry / "build.log"
@@ -161,8 +161,7 @@ class WorkTree:
         if workshop.is_interrupted():
             raise KeyboardInterrupt
         if code != 0:
-            lines = [line.strip() for line in tail(self._log).splitlines() if line.strip()]
-            said = one_line(" | ".join(lines[-_SHOWN_LINES:])) or "it printed nothing"
+            said = last_lines_of(self._log, _SHOWN_LINES) or "it printed nothing"
             fix = f"Look at {self._log}, and build it by hand in {self.folder}: {self._build}"
             raise ExecutionError(f"the build ended with exit code {code}: {said}", where=f"revision {name!r}", fix=fix)
 
@@ -201,8 +200,12 @@ _LEFT = "FETCH_HEAD"
 
 def kept_name(repository: str) -> str:
     """Return the name of the copy of a repository, other than that of any other one."""
-    name = Path(repository.rstrip("/")).name.removesuffix(".git") or "repository"
-    return f"{name}-{hashlib.sha256(repository.encode('utf-8', 'surrogateescape')).hexdigest()[:8]}.git"
+    digest = hashlib.sha256(repository.encode("utf-8", "surrogateescape")).hexdigest()
+    return f"{_name_of(repository)}-{digest[:8]}.git"
+
+
+def _name_of(repository: str) -> str:
+    return Path(repository.rstrip("/")).name.removesuffix(".git") or "repository"
 
 
 def is_kept(target: Path, clones: Mapping[str, Path]) -> bool:

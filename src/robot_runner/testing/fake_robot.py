@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import GoalRejectedError, LinkError, did_you_mean
 from robot_runner.core.events.context import Clock
+from robot_runner.core.links.commanded_topics import VELOCITIES
 from robot_runner.core.links.goals import GoalStatus
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import Encoding, GoalExecution, GraphEndpoint, Message, Qos, RawMessage
 from robot_runner.ros.action_calls import missing_action
 from robot_runner.ros.first_message import FirstMessage
 from robot_runner.ros.shapes import completed, plain_type
-from robot_runner.ros.watchdog import VELOCITY_COMMANDS, velocity_of
+from robot_runner.ros.watchdog import velocity_of
 from robot_runner.testing.fake_actions import FakeAction, FakeGoal
 
 if TYPE_CHECKING:
@@ -133,9 +134,7 @@ class FakeRobotLink:
         """Whether the last velocity command on each topic was one to stand still, or none was given."""
         commands = [(each, plain_type(each.message_type)) for each in self.publications]
         last = {
-            full_name("", each.topic): velocity_of(kind, each.message)
-            for each, kind in commands
-            if kind in VELOCITY_COMMANDS
+            full_name("", each.topic): velocity_of(kind, each.message) for each, kind in commands if kind in VELOCITIES
         }
         return not any(map(_moves, last.values()))
 

@@ -24,7 +24,7 @@ from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.run_events import made_safe, publish_returned
 from robot_runner.core.links.connect import SIMULATED, is_simulated, open_clock
 from robot_runner.core.links.declared_host import Host, named_hosts
-from robot_runner.core.links.host_commands import DeclaredHosts
+from robot_runner.core.links.host_commands import opened_host
 from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.plugin import Plugin, System, refused_name, usual_origin
 from robot_runner.core.treatments import bind, factors_of
@@ -258,7 +258,7 @@ def make_context(
         owner=plugins[0].name if plugins else CONFIG_OWNER,
         times=MissionTimes(clock, broker.report, phases),
         broker=broker,
-        hosts=DeclaredHosts(named_hosts(hosts)),
+        hosts=partial(opened_host, named_hosts(hosts)),
         usual_origin=usual_origin(plugins[0] if plugins else None, is_simulated=is_simulated(robot)),
     )
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Message
 from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
-from robot_runner.ros.shapes import BYTE_KINDS, Field, Shape, UpTo, completed, plain_type
+from robot_runner.ros.shapes import BYTE_KINDS, UNBOUNDED, Field, Shape, UpTo, completed, plain_type
 
 if TYPE_CHECKING:
     from cbor2 import CBORTag
@@ -57,6 +57,9 @@ def with_typed_arrays(shape: Shape, values: Mapping[str, Any], message: Mapping[
         shape: of its type.
         values: the message as the protocol has it in JSON.
         message: the same message as ours.
+
+    Raises:
+        Refusal: it has an array that the servers cannot write so (cbor_conversion.py of rosbridge_library 0.11).
     """
     return {field.name: _value(field, values[field.name], message[field.name]) for field in shape.fields}
 
@@ -68,6 +71,8 @@ def _value(field: Field, value: Any, ours: Any) -> Any:
         return [with_typed_arrays(field.kind, *pair) for pair in zip(value, ours, strict=True)]
     if field.count is None:
         return value
+    if field.count != UNBOUNDED or field.kind in {"string", "time", "duration"}:
+        raise Refusal(f"{field.name} is no message")
     if field.kind in BYTE_KINDS:
         return ours
     return typed_array(field.kind, ours) if field.kind in _TYPED else value
@@ -234,19 +239,20 @@ class ServedRosapi:
     """Answers questions about a graph.
 
     Attributes:
-        nodes: full names of the nodes that there are.
+        nodes: full names of the nodes that there are, that of the server first.
         parameters: the parameter server of ROS 1, by full names.
         has_ended: whether it has failed and answers no more, as in ROS 2 where it is asked for the details of a service
             type that the robot has not installed.
+        hangs: whether it is there and does not answer, as a node that is stopped, or was killed a moment ago.
     """
 
-    def __init__(self, graph: Graph, generation: int, distro: str, nodes: list[str]) -> None:
+    def __init__(self, graph: Graph, generation: int, distro: str) -> None:
         self._graph = graph
         self._generation = generation
         self._distro = distro
-        self.nodes = nodes
+        self.nodes = ["/rosbridge_websocket", "/rosapi"]
         self.parameters: dict[str, Any] = {}
-        self.has_ended = False
+        self.has_ended = self.hangs = False
 
     def answer(self, service: str, request: Mapping[str, Any]) -> dict[str, Any] | None:
         """Return the response of a service of rosapi's, or None if it is another service, or rosapi has ended."""
@@ -274,6 +280,8 @@ class ServedRosapi:
             questions["action_servers"] = lambda _: {"action_servers": list(self._graph.action_types())}
             questions["action_type"] = lambda asked: {"type": self._graph.action_types().get(asked["action"], "")}
             questions["get_ros_version"] = lambda _: {"version": self._generation, "distro": self._distro}
+        if service == f"{self.nodes[0]}/{'get_loggers' if self._generation == 1 else 'list_parameters'}":
+            return {}  # the server's own node answers, whatever rosapi does
         question = questions.get(service.removeprefix("/rosapi/")) if service.startswith("/rosapi/") else None
         if question is None or self.has_ended:
             return None

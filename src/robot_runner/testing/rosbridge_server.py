@@ -39,9 +39,6 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
-#: How often it is looked whether a call is over, s.
-_LOOK = 0.01
-
 
 class ServedClient:
     """A client that is connected to a server by a WebSocket, from its first to its last frame."""
@@ -54,7 +51,7 @@ class ServedClient:
         self._fragment_sizes: dict[str, int] = {}
         self._open_requests: dict[str, tuple[ServedClient, Any]] = {}
         self._is_authenticated = False
-        self._asking: set[str] = set()
+        self.asking: set[str] = set()  # the calls of services that have not answered
 
     def serve(self) -> None:
         """Take operations until the connection ends."""
@@ -68,8 +65,8 @@ class ServedClient:
                     continue
                 if operation is not None:
                     self._take(operation)
-                while self._server.calls_in_turn and self._asking and self._connection.close_code is None:
-                    time.sleep(_LOOK)
+                while self._server.calls_in_turn and self.asking and self._connection.close_code is None:
+                    time.sleep(0.01)
         self._leave()
 
     def close(self) -> None:
@@ -90,7 +87,8 @@ class ServedClient:
         shape = types.shape(name)
         values = self._server.spelt(to_protocol(shape, message))
         if compression == "cbor":
-            self._send_bytes({**operation, "msg": with_typed_arrays(shape, values, message)})
+            with suppress(Refusal):  # which a server writes to its log alone
+                self._send_bytes({**operation, "msg": with_typed_arrays(shape, values, message)})
         else:
             self._send({**operation, "msg": values}, self._fragment_sizes.get(topic.name))
 
@@ -98,12 +96,12 @@ class ServedClient:
         """Forward a call of a service that this client offers."""
         name = f"service_request:{service}:{next(self._numbers)}"
         self._open_requests[name] = (caller, number)
-        caller._asking.add(str(number))
+        caller.asking.add(str(number))
         self.send({"op": "call_service", "id": name, "service": service, "args": dict(request)})
 
     def respond(self, number: Any, service: str, values: Any, *, is_good: bool) -> None:
         """Send the response of a service that this client called."""
-        self._asking.discard(str(number))
+        self.asking.discard(str(number))
         self.send({"op": "service_response", "id": number, "service": service, "values": values, "result": is_good})
 
     def send(self, operation: dict[str, Any]) -> None:
@@ -283,8 +281,8 @@ class RosbridgeServer:
         self.graph = Graph(TypeCatalogue.of(generation, _DISTROS[generation], tuple(types)))
         self.actions = ServedActions(self.graph, is_known=generation > 1)
         self.lock = threading.RLock()
-        nodes = ["/rosbridge_websocket", *(["/rosapi"] if has_rosapi else [])]
-        self._rosapi = ServedRosapi(self.graph, generation, _DISTROS[generation], nodes) if has_rosapi else None
+        self._rosapi = ServedRosapi(self.graph, generation, _DISTROS[generation])
+        self._rosapi.has_ended = not has_rosapi
         self._clients: list[ServedClient] = []
         self._scheme = "rosbridge" if tls is None else "rosbridge+tls"
         self.secret = secret
@@ -346,7 +344,10 @@ class RosbridgeServer:
         Raises:
             Refusal: there is no such service, or the request is not one of its type.
         """
-        if self._rosapi is not None and (answer := self._rosapi.answer(service, request)) is not None:
+        if self._rosapi.hangs and service.startswith("/rosapi/"):
+            caller.asking.add(str(number))
+            return
+        if (answer := self._rosapi.answer(service, request)) is not None:
             caller.respond(number, service, answer, is_good=True)
             return
         served = self.graph.services.get(service)

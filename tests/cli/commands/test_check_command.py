@@ -28,6 +28,14 @@ def test_it_says_what_is_fine(robot_runner: Callable, write_config: Callable[...
     }
 
 
+def test_columns_of_qualities_are_told_as_one(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
+    write_config()
+    for command in ("check", "plan"):
+        answer = robot_runner(command, "config.py", "--set", "quality_columns=true")
+        (line,) = [line for line in answer.out.splitlines() if line.split()[:1] == ["Measures"]]
+        assert line.split(maxsplit=1)[1] == "Energy; each with its quality"
+
+
 def test_all_findings_are_told_and_errors_come_first(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
     table = """\
     def create_run_table(self):

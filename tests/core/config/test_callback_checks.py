@@ -256,6 +256,44 @@ def test_a_mission_that_waits_by_the_run_s_clock_is_right(tmp_path: Path, way: s
     assert slept_told(tmp_path, way) == []
 
 
+# A robot that the orchestrator drives.
+
+
+def driven_told(folder: Path, event: str, call: str, **settings: str) -> list[str]:
+    config = folder / "driven.py"
+    head = "from robot_runner.plugins import connect_robot\nTWIST = 'geometry_msgs/msg/Twist'\n"
+    body = f"    def {event}(self, context): {call}\n"
+    config.write_text(LOST_BEGIN.format(head=head, body=body), encoding="utf-8")
+    preparation = prepare(config, {"robot": "rosbridge://lab:9090", **settings}, is_for_here=False)
+    assert preparation.experiment is not None, preparation.findings
+    return [each.problem for each in preparation.findings if "nobody stops the robot" in each.problem]
+
+
+DRIVE = "connect_robot(context).publish('cmd_vel', 'geometry_msgs/TwistStamped', {'twist': {'linear': {'x': 0.2}}})"
+
+
+@pytest.mark.parametrize("event", ["before_run", "continue_experiment"])
+@pytest.mark.parametrize("call", [DRIVE, "link = connect_robot(context); link.publish('cmd_vel', TWIST, self.ahead)"])
+def test_a_robot_that_is_driven_in_the_orchestrator_s_process_is_told(tmp_path: Path, event: str, call: str) -> None:
+    told = f"{event} drives the robot in the orchestrator's process: where that is killed meanwhile, "
+    assert driven_told(tmp_path, event, call) == [f"{told}nobody stops the robot"]
+    assert driven_told(tmp_path, event, call, robot="simulated") == []
+    assert driven_told(tmp_path, event, call, run_process="in_process") == []
+    assert driven_told(tmp_path, "launch_mission", call) == []
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        "context.publish('Twist', 'Twist of it')",
+        "connect_robot(context).publish('lamp', LAMP, {'data': True})",
+        "connect_robot(context).publish('cmd_vel', TWIST, {})",
+    ],
+)
+def test_what_else_is_published_in_the_orchestrator_s_process_is_right(tmp_path: Path, call: str) -> None:
+    assert driven_told(tmp_path, "before_run", call) == []
+
+
 # A file that each run writes under one name.
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.conftest import HEAD
@@ -80,6 +81,20 @@ def test_what_a_neighbour_or_a_base_class_of_a_package_calls_is_in_use(write_con
     head = "import neighbour, unittest\n" + HEAD.replace("(ExperimentConfig)", "(ExperimentConfig, unittest.TestCase)")
     body = "def start_mission(self): ...\ndef setUp(self): ...\ndef tearDown(self): ..."
     assert warnings(write_config(body, head=head)) == {}
+
+
+def test_what_a_base_class_of_a_package_calls_in_a_function_of_a_method_is_in_use(
+    write_config: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Lab:
+        @classmethod
+        def all_robots(cls) -> None:
+            def each(config: Any) -> None:
+                config.start_mission()
+
+    monkeypatch.setattr("unittest.Lab", Lab, raising=False)
+    head = "import unittest\n" + HEAD.replace("(ExperimentConfig)", "(ExperimentConfig, unittest.Lab)")
+    assert warnings(write_config("def start_mission(self): ...", head=head)) == {}
 
 
 def test_a_subscription_uses_its_method(write_config: Write) -> None:

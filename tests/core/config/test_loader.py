@@ -93,6 +93,23 @@ def test_a_missing_package_is_named(write_config: Write) -> None:
     assert "'no_such_package'" in finding.fix
 
 
+@pytest.mark.parametrize(
+    ("line", "fix"),
+    [
+        (
+            "from robot_runner.plugins import PsUtil",
+            "It is elsewhere: from robot_runner.plugins.profilers import PsUtil",
+        ),
+        ("from robot_runner import Psutil", "Mend this line."),
+        ("from robot_runner.plugins.profilers import PsUtill", "Did you mean 'PsUtil'?"),
+        ("from robot_runner.plugins import Factor", "It is elsewhere: from robot_runner import Factor"),
+        ("from pathlib import Pth", "Did you mean 'Path'?"),
+    ],
+)
+def test_where_a_name_is_imported_from_is_told(write_config: Write, line: str, fix: str) -> None:
+    assert refused(write_config(head=f"{line}\nclass RobotRunnerConfig:\n    pass\n"))[0].fix == fix
+
+
 def test_neighbours_of_the_config_can_be_imported_and_are_known(write_config: Write, tmp_path: Path) -> None:
     (tmp_path / "neighbour_module.py").write_text("NAME = 'from next door'\n")
     head = "import neighbour_module\nclass RobotRunnerConfig:\n    experiment_name = neighbour_module.NAME\n"

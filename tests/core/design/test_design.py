@@ -20,7 +20,7 @@ FACTORS = [Factor("Task", ["a", "b"]), Factor("Speed", [1, 2])]
 
 
 class Parts:
-    def findings(self, factors: Any, repetitions: int) -> Iterator[Finding]:
+    def findings(self, factors: Any) -> Iterator[Finding]:
         if len(factors) > 2:
             yield Finding.error("design", "too many", "Remove one.")
 

@@ -27,7 +27,7 @@ def test_plain_values_stay_what_they_are(value: object) -> None:
     assert type(taken) is type(value)
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf"), Fraction(10**400, 3)])
 def test_a_number_that_is_not_finite_is_refused(value: float) -> None:
     with pytest.raises(MeasureError, match="not a finite number"):
         as_measure_value("Energy", value, where="config")
@@ -79,7 +79,9 @@ def test_a_decimal_is_refused_rather_than_rounded() -> None:
         as_measure_value("Energy", Decimal("0.1"), where="config")
 
 
-@pytest.mark.parametrize(("value", "problem"), [("a\ud800", "UTF-8"), (1 << 1025, "1026 bits")])
+@pytest.mark.parametrize(
+    ("value", "problem"), [("a\ud800", "UTF-8"), (1 << 1025, "1026 bits"), (2**1024 - 1, "1024 bits")]
+)
 def test_what_no_file_could_hold_is_refused(value: object, problem: str) -> None:
     with pytest.raises(MeasureError, match=problem):
         as_measure_value("Energy", value, where="config")

@@ -154,6 +154,21 @@ def test_the_order_of_a_set_which_is_another_in_each_process_is_no_change(of_met
     assert not config_changes(prepare_or_refuse(config))
 
 
+def test_a_list_that_is_in_another_order_is_told_and_refuses_nothing(
+    of_meter: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # As one that is made of a set is in each process, and one from outside may be.
+    config = of_meter("", 'ROUTE = sorted(["dock", "lab"], reverse="TURNED" in os.environ)')
+    start(config, only=("r_1",))
+    original = manifest_of(config)
+    monkeypatch.setenv("TURNED", "yes")
+    assert given_elsewhere(prepare_or_refuse(config), original, ()) == ["ROUTE (['dock', 'lab'], here ['lab', 'dock'])"]
+    (told,) = [each for each in start(config).findings if "ROUTE" in each.problem]
+    assert told.problem == "the order of ROUTE was ['dock', 'lab'], and is ['lab', 'dock'] now"
+    assert not told.is_error
+    assert manifest_of(config)["executions"][-1]["changed_values"].keys() == {"ROUTE"}
+
+
 def test_what_is_large_is_told_by_its_checksum_and_what_cannot_be_looked_at_is_left_out(
     of_meter: Callable[..., Path],
 ) -> None:

@@ -16,9 +16,11 @@ from tests.conftest import HEAD
 
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
 from robot_runner.core.errors import ExecutionError
-from robot_runner.core.execution.notices import AttemptFinished, Notice, SilentObserver
+from robot_runner.core.execution.experiment_status import read_status
+from robot_runner.core.execution.notices import AttemptFinished, ExperimentStarted, Notice, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.storage.lock import leave_request
 
 Execute = Callable[..., Any]
 Write = Callable[..., Path]
@@ -179,3 +181,98 @@ def test_an_experiment_that_somebody_else_has_gone_on_with_executes_no_further_r
         resume(config)
     assert "start the experiment again: it resumes" in refused.value.fix
     assert resume(config).done_count == 4
+
+
+def test_a_run_that_is_not_tried_again_as_the_user_interrupts_has_failed_and_is_told_so(write_config: Write) -> None:
+    class Interrupting(SilentObserver):
+        def notice(self, notice: Notice) -> None:
+            if isinstance(notice, AttemptFinished):
+                signal.raise_signal(signal.SIGINT)
+
+    config = write_config("attempts = 2\ndef launch_mission(self, context): raise ValueError('the wheel fell off')")
+    finished = execute_experiment(prepare_or_refuse(config), Interrupting())
+    status = read_status(finished.folder)
+    assert (finished.done_count, finished.failed_count, finished.todo_count) == (0, 1, 3)
+    assert (status.done, status.failed, status.todo) == (0, 1, 3)
+    assert finished.failures == status.failures == ("r_1: launch_mission of config: ValueError: the wheel fell off",)
+
+
+def test_what_a_run_had_printed_that_the_journal_does_not_know_is_in_no_log_of_another(write_config: Write) -> None:
+    config = write_config("def launch_mission(self, context): print('mission of', context.run_id)")
+    folder = config.parent / "results" / "trial"
+    resume(config, only=("r_1", "r_2"))
+    journal = folder / "journal.jsonl"
+    lines = journal.read_text().splitlines(keepends=True)
+    end_of_second = max(place for place, line in enumerate(lines) if line.startswith('{"kind":"attempt_finished"'))
+    journal.write_text("".join(lines[:end_of_second]))  # an older one was put back, and
+    (folder / "run_table.csv").unlink()
+    (folder / "current_log.txt").write_text("mission of r_3, which was killed")
+    finished = resume(config)
+    assert {name: (folder / "runs" / name / "log.txt").read_text() for name in ("r_1", "r_2", "r_3", "r_4")} == {
+        name: f"mission of {name}\n" for name in ("r_1", "r_2", "r_3", "r_4")
+    }
+    assert (folder / "earlier_attempts" / "r_2" / "1" / "log.txt").read_text() == "mission of r_2\n"
+    kept = folder / "earlier_attempts" / "unknown run" / "1" / "log.txt"
+    assert kept.read_text() == "mission of r_3, which was killed"
+    assert [each.problem for each in finished.findings if each.where == str(kept)] == [
+        "a run printed this of which the journal does not tell that it was begun"
+    ]
+
+
+def test_what_a_killed_execution_has_written_by_half_is_gone_and_what_another_process_writes_is_not(
+    write_config: Write,
+) -> None:
+    config = write_config()
+    folder = config.parent / "results" / "trial"
+    resume(config, only=("r_1",))
+    of_killed = [folder / f".{name}.4711.tmp" for name in ("run_table.csv", "run_table.schema.json", "manifest.json")]
+    of_another = folder / ".control.4712.tmp"
+    for each in (*of_killed, of_another):
+        each.write_text("half of")
+    resume(config, only=("r_2",))
+    assert [each.exists() for each in (*of_killed, of_another)] == [False, False, False, True]
+
+
+def test_what_was_put_away_for_an_attempt_that_a_kill_kept_from_beginning_is_put_back(write_config: Write) -> None:
+    config = write_config("def launch_mission(self, context): print('attempt', context.attempt, 'at', context.run_id)")
+    folder = config.parent / "results" / "trial"
+    resume(config)
+    resume(config, redo=("r_2",))
+    (folder / "earlier_attempts" / "r_1").mkdir()
+    (folder / "runs" / "r_1").rename(folder / "earlier_attempts" / "r_1" / "1")
+    assert resume(config).done_count == 4
+    assert (folder / "runs" / "r_1" / "log.txt").read_text() == "attempt 1 at r_1\n"
+    assert (folder / "runs" / "r_2" / "log.txt").read_text() == "attempt 2 at r_2\n"
+    resume(config, redo=("r_1",))
+    logs = {each.relative_to(folder).as_posix(): each.read_text() for each in folder.glob("earlier_attempts/*/*/*")}
+    assert logs == {f"earlier_attempts/{run}/1/log.txt": f"attempt 1 at {run}\n" for run in ("r_1", "r_2")}
+
+
+def test_the_status_after_a_kill_has_a_run_that_was_executed_once_more_as_one_to_do(write_config: Write) -> None:
+    config = write_config()
+    folder = config.parent / "results" / "trial"
+    resume(config)
+    with (folder / "journal.jsonl").open("a") as journal:
+        journal.write('{"kind":"attempt_started","at":"2026-01-01T00:00:00.000Z","run":"r_2","attempt":2}\n')
+    status = read_status(folder)
+    assert (status.done, status.failed, status.todo) == (3, 0, 1)
+
+
+@pytest.mark.parametrize("how", ["Ctrl-C", "robot-runner stop"])
+def test_an_experiment_that_is_interrupted_before_it_begins_calls_nobody(write_config: Write, how: str) -> None:
+    class Interrupting(SilentObserver):
+        def notice(self, notice: Notice) -> None:
+            if isinstance(notice, ExperimentStarted) and how == "Ctrl-C":
+                signal.raise_signal(signal.SIGINT)
+            elif isinstance(notice, ExperimentStarted):
+                leave_request(notice.folder / ".stop")
+
+    config = write_config(
+        "def before_experiment(self): self.tell('before')\n"
+        "def after_experiment(self): self.tell('after')\n"
+        "def tell(self, what): Path(__file__).with_name(what).touch()"
+    )
+    finished = execute_experiment(prepare_or_refuse(config), Interrupting())
+    assert (finished.interrupted, finished.todo_count) == (True, 4)
+    assert not any(config.with_name(what).exists() for what in ("before", "after"))
+    assert read_status(finished.folder).finished_at is not None

@@ -6,6 +6,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.conftest import HEAD
 from tests.core.execution.conftest import execute_in
 
 from robot_runner.core.errors import ExecutionError
@@ -116,6 +117,42 @@ def test_what_before_run_and_continue_set_is_seen_in_the_next_run(execute: Execu
         """
     )
     assert [row["Energy"] for row in experiment.table] == ["1", "12", "23", "34"]
+
+
+@pytest.mark.long
+def test_a_fresh_interpreter_that_does_not_come_to_its_first_event_is_told_as_that(execute: Execute) -> None:
+    executed = execute(
+        """
+        event_deadline_in_s = 1
+        grace_in_s = 1
+        def before_run(self, context): pass
+        sys.argv[0].endswith("worker.py") and time.sleep(60)
+        """,
+        head=f"import sys, time\n{HEAD}",
+        table=ONE_RUN,
+        run_process="spawn",
+    )
+    because = "the run's process took longer than event_deadline_in_s = 1 s to begin its first event"
+    assert executed.finished.failures == (f"r_1: {because}",)
+
+
+@pytest.mark.parametrize("run_process", ["fork", "in_process"])
+@pytest.mark.parametrize("callback", ["before_run", "launch_mission"])
+def test_a_treatment_that_a_run_changes_is_that_of_the_plan_in_the_next(
+    execute: Execute, run_process: str, callback: str
+) -> None:
+    experiment = execute(
+        f"""
+        def {callback}(self, context): context.combination["Route"].append("dock")
+        def populate_run_data(self, context): return {{"Length": len(context.combination["Route"])}}
+        """,
+        run_process=run_process,
+        table="""\
+    def create_run_table(self):
+        return RunTableModel([Factor("Route", [["kitchen"]])], repetitions=2, data_columns=["Length"])
+""",
+    )
+    assert [(row["Route"], row["Length"]) for row in experiment.table] == [("['kitchen']", "2")] * 2
 
 
 def test_what_before_experiment_opened_is_closed_when_after_experiment_closes_it(execute: Execute) -> None:

@@ -19,9 +19,9 @@ from tests.long_cases import long_but
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import PluginError, StorageError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.events.early_end import MissionStopped, RunFailed
+from robot_runner.core.events.early_end import MissionStopped, RunFailed, RunInterrupted
 from robot_runner.core.events.window import MissionTimes
-from robot_runner.core.execution.interruption import InterruptGate, stop_signals_handled
+from robot_runner.core.execution.interruption import InterruptGate, Interruption, stop_signals_handled
 from robot_runner.core.execution.notices import AttemptFinished, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.processes import forked, leave_after
@@ -590,3 +590,11 @@ def test_a_thread_ends_a_mission_also_where_the_signal_that_tells_was_blocked_wh
         assert signal.SIGURG in signal.pthread_sigmask(signal.SIG_BLOCK, ())
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def test_a_request_to_stop_that_came_right_before_a_callback_ends_it_as_it_begins() -> None:
+    gate = InterruptGate()
+    with Interruption() as interruption:
+        interruption.request()
+        with interruption.passed_on(gate), pytest.raises(RunInterrupted):
+            gate.arm()

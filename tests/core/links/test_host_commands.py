@@ -16,7 +16,7 @@ from tests.core.links.ssh_server import SshServer
 
 from robot_runner.core.errors import CommandError, ConfigError, LinkError
 from robot_runner.core.links.declared_host import Host, Reboot, are_hosts
-from robot_runner.core.links.host_commands import DeclaredHosts
+from robot_runner.core.links.host_commands import opened_host
 from robot_runner.core.links.ssh_command import KeptConnection
 from robot_runner.testing import FakeClock, make_context
 
@@ -52,7 +52,7 @@ def context(tmp_path: Path) -> Iterator[RobotRunnerContext]:
 
 @pytest.fixture
 def host(declare: Callable[..., Host], context: RobotRunnerContext) -> HostCommands:
-    return DeclaredHosts({"robot": declare()}).open("robot", context)
+    return opened_host({"robot": declare()}, "robot", context)
 
 
 def warned(context: RobotRunnerContext) -> str:
@@ -224,11 +224,11 @@ def test_no_more_is_fetched_than_may_be(
     (tmp_path / "small").write_bytes(b"x" * 100_000)
     (tmp_path / "large").write_bytes(b"x" * 1_000_000)
     (tmp_path / "last").write_bytes(b"x" * 100_000)
-    host = DeclaredHosts({"robot": declare(largest_fetch_mb=0.5)}).open("robot", context)
+    host = opened_host({"robot": declare(largest_fetch_mb=0.5)}, "robot", context)
     files = host.fetch(*(f"{tmp_path}/{name}" for name in ("small", "large", "last")))
     assert [path.name for path in files] == ["small", "last"]
     assert f"{tmp_path}/large was not fetched whole: no more than 0.5 MB come of a run" in warned(context)
-    again = DeclaredHosts({"robot": declare(largest_fetch_mb=0.5)}).open("robot", context)
+    again = opened_host({"robot": declare(largest_fetch_mb=0.5)}, "robot", context)
     (tmp_path / "more").write_bytes(b"x" * 450_000)
     assert again.fetch(f"{tmp_path}/more") == []
     assert f"{tmp_path}/more was not fetched whole: no more than 0.5 MB come of a run" in warned(context)
@@ -248,9 +248,8 @@ def test_what_has_not_come_in_time_is_told_and_what_came_is_whole(
 
 
 def test_the_nearest_name_is_offered(context: RobotRunnerContext) -> None:
-    hosts = DeclaredHosts({"robot": Host(address="local")})
     with pytest.raises(LinkError) as raised:
-        hosts.open("robto", context)
+        opened_host({"robot": Host(address="local")}, "robto", context)
     assert "Did you mean 'robot'?" in raised.value.fix
     with pytest.raises(LinkError, match="there is no host 'robot'"):
         context.host("robot")
@@ -259,7 +258,7 @@ def test_the_nearest_name_is_offered(context: RobotRunnerContext) -> None:
 
 
 def test_all_commands_of_a_run_share_one_connection(server: SshServer, context: RobotRunnerContext) -> None:
-    host = DeclaredHosts({"robot": Host(address="robot", ssh_config=server.config)}).open("robot", context)
+    host = opened_host({"robot": Host(address="robot", ssh_config=server.config)}, "robot", context)
     host.run("true")
     before = (server.folder / "sshd.log").read_text().count("Accepted publickey")
     for _ in range(3):
@@ -270,7 +269,7 @@ def test_all_commands_of_a_run_share_one_connection(server: SshServer, context: 
 def test_a_connection_that_is_lost_fails_the_command_and_is_made_again(
     server: SshServer, context: RobotRunnerContext
 ) -> None:
-    host = DeclaredHosts({"robot": Host(address="robot", ssh_config=server.config)}).open("robot", context)
+    host = opened_host({"robot": Host(address="robot", ssh_config=server.config)}, "robot", context)
     host.run("true")
     timer = threading.Timer(0.5, server.cut)
     timer.start()
@@ -298,14 +297,14 @@ def test_a_connection_whose_master_is_still_ending_counts_as_lost(server: SshSer
 def test_a_command_may_end_as_ssh_does_where_the_connection_fails(
     server: SshServer, context: RobotRunnerContext
 ) -> None:
-    host = DeclaredHosts({"robot": Host(address="robot", ssh_config=server.config)}).open("robot", context)
+    host = opened_host({"robot": Host(address="robot", ssh_config=server.config)}, "robot", context)
     assert host.run("exit 255", check=False).exit_status == 255
 
 
 def test_a_host_that_cannot_be_reached_says_why(context: RobotRunnerContext, tmp_path: Path) -> None:
     config = tmp_path / "ssh_config"
     config.write_text(f"Host gone\n  HostName 127.0.0.1\n  Port 1\n  User {getpass.getuser()}\n")
-    host = DeclaredHosts({"gone": Host(address="gone", ssh_config=config)}).open("gone", context)
+    host = opened_host({"gone": Host(address="gone", ssh_config=config)}, "gone", context)
     with pytest.raises(LinkError, match=r"gone cannot be reached: .*Connection refused") as raised:
         host.run("true")
     assert "Start the SSH server there" in raised.value.fix

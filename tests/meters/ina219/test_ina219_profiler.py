@@ -5,6 +5,7 @@ import json
 import time
 
 import pytest
+from tests.meters.rehearsed import problems
 from tests.meters.scripted_meter import ScriptedMeter, frame
 
 from robot_runner.core.errors import LinkError, PluginError
@@ -50,10 +51,6 @@ def measure(tmp_path, clock):
 
 def steady(**script) -> ScriptedMeter:
     return ScriptedMeter(lambda _: 8.0, **script)
-
-
-def problems(context) -> list[str]:
-    return [finding.problem for finding in context.broker.findings]
 
 
 def test_a_meter_that_says_nothing_yields_no_value_and_a_warning(measure):

@@ -7,7 +7,7 @@ import itertools
 import json
 
 import pytest
-from tests.core.links.ssh_server import SshServer
+from tests.meters.rehearsed import InRealTime, problems
 from tests.meters.scripted_driver import HWMON, ScriptedFiles, ScriptedSampler, measured
 
 from robot_runner.core.errors import LinkError
@@ -157,10 +157,6 @@ def watts(value):
     return str(round(value * 1e6)), "613", "12400"
 
 
-def problems(context):
-    return [finding.problem for finding in context.broker.findings]
-
-
 def test_a_run_integrates_what_the_driver_on_another_computer_shows(tmp_path):
     noise = itertools.cycle((0.0, 0.002, 0.0, -0.002))
     context, host = measured(tmp_path, lambda moment: watts((8.0 if moment < 55.0 else 10.0) + next(noise)))
@@ -212,13 +208,6 @@ def test_a_driver_on_this_machine_is_read_in_a_thread(tree, tmp_path):
     assert 7.6 * 0.3 <= measures["Energy"] <= 7.6 * (clock.now() - begun)
 
 
-@pytest.fixture(scope="module")
-def server(tmp_path_factory):
-    started = SshServer(tmp_path_factory.mktemp("sshd"))
-    yield started
-    started.stop()
-
-
 def test_a_driver_on_the_robot_is_read_over_ssh(tree, tmp_path, server):
     folder = tree("hwmon/hwmon0", HWMON)
     clock = SystemClock()
@@ -242,7 +231,7 @@ def test_a_sensor_that_the_robot_does_not_have_fails_the_run_before_its_mission(
     context.resources.close()
 
 
-class TestIna219BehindADriver(ProfilerContract):
+class TestIna219BehindADriver(InRealTime, ProfilerContract):
     robot = None
     is_repeatable = False
     measuring_seconds = 0.2
@@ -257,9 +246,6 @@ class TestIna219BehindADriver(ProfilerContract):
 
     def make_plugin(self) -> Ina219:
         return Ina219(sysfs="auto", rate_hz=100.0)
-
-    def make_context(self, folder, plugin, *, run_seed=1):
-        return make_context(folder, plugin, robot=None, clock=SystemClock(), run_seed=run_seed)
 
 
 @pytest.mark.parametrize("micro_ohm", ["2000", "100000"])

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.core.links.ssh_server import SshServer
 from tests.meters.machine.computer_copy import ComputerCopy
 
 from robot_runner.core.config.preparation import prepare
@@ -26,6 +25,8 @@ from robot_runner.testing import ProfilerContract, make_context, rehearse
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+
+    from tests.core.links.ssh_server import SshServer
 
     from robot_runner.core.events.context import RobotRunnerContext
 
@@ -223,13 +224,6 @@ def test_parameters_that_cannot_be_are_refused() -> None:
         MachineWatch(load=0)
     with pytest.raises(PluginError, match="hosts is 'pi@robot'"):
         MachineWatch(hosts="pi@robot")
-
-
-@pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SshServer]:
-    started = SshServer(tmp_path_factory.mktemp("sshd"))
-    yield started
-    started.stop()
 
 
 @pytest.mark.long

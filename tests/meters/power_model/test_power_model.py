@@ -6,6 +6,7 @@ import json
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.meters.rehearsed import problems
 
 from robot_runner.core.errors import AnalysisError, PluginError
 from robot_runner.core.events.measure import Origin
@@ -56,10 +57,6 @@ def estimate(tmp_path):
         return context
 
     return execute
-
-
-def problems(context) -> list[str]:
-    return [finding.problem for finding in context.broker.findings]
 
 
 def test_each_term_counts_for_as_long_as_it_holds(estimate):

@@ -27,6 +27,7 @@ from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import Preparation, prepare
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.precision import rule_in_words
+from robot_runner.core.errors import errors_first
 from robot_runner.core.execution.probe import Probe, probe_experiment
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.words import shown_value
@@ -58,7 +59,7 @@ def execute(arguments: Namespace) -> int:
 
 def _judged(preparation: Preparation, probe: Probe) -> Preparation:
     """Return the preparation with what a probe of the profilers found; one that is silent refuses the experiment."""
-    findings = sorted([*preparation.findings, *probe.findings], key=lambda each: not each.is_error)
+    findings = errors_first([*preparation.findings, *probe.findings])
     is_refused = any(finding.is_error for finding in findings)
     return Preparation(None if is_refused else preparation.experiment, tuple(findings))
 

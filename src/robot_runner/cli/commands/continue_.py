@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from robot_runner.cli.console import shown_path
 from robot_runner.cli.parser import Parser, add_set, add_target
-from robot_runner.cli.target import folder_of_target, only_experiment
+from robot_runner.cli.target import target_or_only
 from robot_runner.core.config.operator_steps import Question, read_answers
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.experiment_status import continue_and_see, questions_of, read_status, require_waiting
@@ -33,7 +33,7 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Tell the experiment to go on, and see that it has taken the request."""
-    folder = folder_of_target(arguments.target or only_experiment("continue"), arguments.set)
+    folder = target_or_only("continue", arguments.target, arguments.set)
     status = read_status(folder.root)
     if status.is_paused or status.pause_is_requested:
         forget_requests(folder.pause)

@@ -56,9 +56,7 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Execute the demo in a folder of its own, and show its results."""
-    findings = link_findings(SIMULATED)
-    if findings:  # before anything is written
-        raise LinkError.of_findings(findings)
+    LinkError.refuse(link_findings(SIMULATED))  # before anything is written
     folder = _fresh(Path(arguments.folder).expanduser())
     config = folder / "demo.py"
     write_new_file(config, template("demo_config.py"), instead="Choose another folder.")

@@ -11,7 +11,7 @@ from argparse import Namespace
 from robot_runner.cli.console import shown_path
 from robot_runner.cli.parser import Parser, add_set, add_target
 from robot_runner.cli.screens.plain import continue_command
-from robot_runner.cli.target import folder_of_target, only_experiment
+from robot_runner.cli.target import target_or_only
 from robot_runner.core.execution.experiment_status import read_status, require_executed
 from robot_runner.core.storage.lock import leave_request
 
@@ -24,7 +24,7 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Leave the request, and say when it takes effect."""
-    folder = folder_of_target(arguments.target or only_experiment("pause"), arguments.set)
+    folder = target_or_only("pause", arguments.target, arguments.set)
     status = read_status(folder.root)
     require_executed(status, shown_path(folder.root), "There is nothing to pause")
     command = continue_command(folder.root)

@@ -109,7 +109,7 @@ def _add(arguments: Namespace, parser: Parser) -> int:
         environment={name: os.environ[name] for name in NAMES_A_ROBOT if name in os.environ},
         config_sha256=digest_of(config),
     )
-    awaited = awaited_by(queue, added, [each for each in queue.read()[0] if not each.has_ended])
+    awaited = awaited_by(queue, added, queue.read()[0])
     if arguments.json:
         print_json(_as_json(added, "waits", f"for {awaited or 'its turn'}"))
         return 0
@@ -151,7 +151,7 @@ def _list(*, is_json: bool) -> int:
     queue = ExperimentQueue()
     known, findings = queue.read()
     left = [each for each in known if not each.has_ended]
-    states = {each.number: _state(each, queue, left) for each in known}
+    states = {each.number: _state(each, queue, known) for each in known}
     if is_json:
         print_json(
             {
@@ -175,12 +175,12 @@ def _list(*, is_json: bool) -> int:
     return 0
 
 
-def _state(queued: QueuedExperiment, queue: ExperimentQueue, left: list[QueuedExperiment]) -> tuple[str, str]:
+def _state(queued: QueuedExperiment, queue: ExperimentQueue, known: list[QueuedExperiment]) -> tuple[str, str]:
     """Return what is the matter with an experiment in one word, and more of it in others."""
     if queued.has_ended:
         how = "done" if queued.exit_code == 0 else "failed"
         return how, f"at {queued.ended_at}{f': {queued.problem}' if queued.problem else ''}"
-    awaited = awaited_by(queue, queued, left)
+    awaited = awaited_by(queue, queued, known)
     changed = _changed(queued)
     if queue.is_taken(queued.number) and not awaited:
         return "executed", f"since {queued.began_at}{changed}"

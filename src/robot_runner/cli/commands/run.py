@@ -111,11 +111,11 @@ def under_given_names(findings: Sequence[Finding], arguments: Namespace) -> tupl
 def execute(arguments: Namespace) -> int:
     """Execute every run that is not done."""
     if not arguments.json:
-        return _prepare_and_execute(arguments)[0]
+        return prepare_and_execute(arguments)[0]
     # What is told on the way is not what a program reads.
     with redirect_stdout(sys.stderr):
         try:
-            code, facts = _prepare_and_execute(arguments)
+            code, facts = prepare_and_execute(arguments)
         except RobotRunnerError as error:
             show_findings(error.findings)
             code, facts = REFUSED, _refused(error.findings)
@@ -124,7 +124,7 @@ def execute(arguments: Namespace) -> int:
     return code
 
 
-def _prepare_and_execute(arguments: Namespace) -> tuple[int, dict[str, Any]]:
+def prepare_and_execute(arguments: Namespace) -> tuple[int, dict[str, Any]]:
     """Prepare the experiment and execute it on a screen; return the exit code, and how it went as plain data."""
     apply_shortcuts(arguments)
     with no_byte_code():

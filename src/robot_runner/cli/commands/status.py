@@ -17,7 +17,7 @@ from robot_runner.cli.console import UserConsole, output, print_facts, print_jso
 from robot_runner.cli.findings import as_json, print_odd, quality_in_words
 from robot_runner.cli.parser import Parser, add_json, add_set, add_target
 from robot_runner.cli.screens.plain import continue_command
-from robot_runner.cli.target import folder_of_target, only_experiment
+from robot_runner.cli.target import target_or_only
 from robot_runner.core.execution.experiment_history import Session
 from robot_runner.core.execution.experiment_status import ExperimentStatus, questions_of, read_status
 from robot_runner.core.words import counted, enumerated, one_line, shown_duration
@@ -34,9 +34,7 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Print how far the experiment is."""
-    status = read_status(
-        folder_of_target(arguments.target or only_experiment("status"), arguments.set, takes_older=True).root
-    )
+    status = read_status(target_or_only("status", arguments.target, arguments.set, takes_older=True).root)
     if arguments.json:
         print_json(_as_json(status))
     else:

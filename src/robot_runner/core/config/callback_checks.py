@@ -25,6 +25,7 @@ from robot_runner.core.events.manager import (
     Subscriber,
 )
 from robot_runner.core.events.measure import CONFIG_OWNER
+from robot_runner.core.links.commanded_topics import VELOCITIES
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.words import listed
 
@@ -39,6 +40,8 @@ def check_callbacks(loaded: LoadedConfig, parameters: Parameters, events: EventM
         found |= dict.fromkeys(_shared_generators(code, events))
     if is_simulated(parameters.robot):
         found |= dict.fromkeys(_sleeping_missions(code, events))
+    elif parameters.run_process is not RunProcess.IN_PROCESS:
+        found |= dict.fromkeys(_drives_without_standby(code, events))
     return [
         Finding.warning(loaded.where if owner == CONFIG_OWNER else f"plugin {owner}", problem, fix)
         for owner, problem, fix in found
@@ -240,6 +243,31 @@ def _sleeps(called: _CalledCode) -> bool:
             case _:
                 pass
     return False
+
+
+# Robots that are driven by the orchestrator: the process that stands by to stop one waits for the death of a run.
+
+_FIX_OF_DRIVE = "Drive in start_run or launch_mission: whatever is killed there, a process stands by to stop the robot."
+
+
+def _drives_without_standby(code: _LocalCode, events: EventManager) -> Iterator[tuple[str, str, str]]:
+    for event in (RobotRunnerEvents.BEFORE_RUN, RobotRunnerEvents.CONTINUE):
+        for each in events.subscribers(event):
+            if any(_commands_velocity(node, called) for called in code.called_by(each) for node in called.nodes):
+                problem = f"{event.callback_name} drives the robot in the orchestrator's process: "
+                problem += "where that is killed meanwhile, nobody stops the robot"
+                yield each.owner, problem, _FIX_OF_DRIVE
+
+
+def _commands_velocity(node: ast.AST, called: _CalledCode) -> bool:
+    match node:
+        case ast.Call(func=ast.Attribute(attr="publish"), args=[_, _, ast.Dict(keys=[])]):
+            return False  # to stand still
+        case ast.Call(func=ast.Attribute(attr="publish"), args=[_, message_type, *_]):
+            name = message_type.value if isinstance(message_type, ast.Constant) else called.named(message_type)
+            return isinstance(name, str) and name.replace("/msg/", "/") in VELOCITIES
+        case _:
+            return False
 
 
 # Files that each run writes under one name: that of the last run replaces all others.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import os
 import shutil
@@ -24,7 +23,15 @@ from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.design_findings import listed_elsewhere
 from robot_runner.core.design.precision import precision_findings
 from robot_runner.core.design.run_table_model import RunTable, RunTableModel
-from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, StorageError, did_you_mean
+from robot_runner.core.errors import (
+    SLIP,
+    ConfigError,
+    Finding,
+    RobotRunnerError,
+    StorageError,
+    did_you_mean,
+    nearest,
+)
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 from robot_runner.core.events.measure import CONFIG_OWNER, ROBOT, Measure, MeasureColumns
 from robot_runner.core.late_annotations import names_in
@@ -43,17 +50,16 @@ from robot_runner.core.words import counted
 
 def check_columns(columns: MeasureColumns) -> list[Finding]:
     """Warn of each column of the config's own that is nearly called like a plugin's measure that has no column."""
-    left_out = {each.name.casefold(): each for each in columns.declared if not each.is_in_table}
+    left_out = {each.name: each for each in columns.declared if not each.is_in_table}
     findings = []
     for column in columns.in_table:
         if column.owner != CONFIG_OWNER or column.measure != Measure(column.name):  # one with a unit is meant as it is
             continue
-        for near in difflib.get_close_matches(column.name.casefold(), left_out, n=1, cutoff=_ALIKE):
-            meant, name = left_out[near], column.name
-            problem = f"no plugin yields {name!r}, and {meant.owner}'s {meant.name!r} has no column"
+        name, near = column.name, nearest(column.name, left_out, SLIP)
+        if near is not None:
+            problem = f"no plugin yields {name!r}, and {left_out[near].owner}'s {near!r} has no column"
             own = f"If the config publishes {name!r}, declare it: Measure({name!r}, unit, meaning)."
-            fix = f"Did you mean {meant.name!r}? {own}"
-            findings.append(Finding.warning("data_columns", problem, fix))
+            findings.append(Finding.warning("data_columns", problem, f"Did you mean {near!r}? {own}"))
     return findings
 
 
@@ -115,9 +121,6 @@ def check_repeat_until(
 
 # Misspelt attributes and callbacks: a name that is nearly one of ours was meant to be it.
 
-#: How alike two names are before one is taken for a slip of the other (1.0: equal).
-_ALIKE = 0.85
-
 
 def check_names(loaded: LoadedConfig) -> list[Finding]:
     """Return a finding for each public name of the config that nearly is a parameter or a callback."""
@@ -134,7 +137,7 @@ def check_names(loaded: LoadedConfig) -> list[Finding]:
         found = inspect.getattr_static(loaded.config, name, None)  # a property may need what only a run has
         is_method = callable(found) or isinstance(found, classmethod)
         ours = callbacks if is_method else parameters
-        meant = next(iter(difflib.get_close_matches(name.casefold(), ours, n=1, cutoff=_ALIKE)), None)
+        meant = nearest(name, ours, SLIP)
         if meant is not None and meant not in names - inherited:
             findings.append(_misspelt(loaded, name, meant, is_method=is_method))
     return findings

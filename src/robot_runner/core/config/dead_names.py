@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import ast
-import difflib
 import inspect
 import re
 from collections.abc import Iterator
-from types import CodeType
 
 from robot_runner.core.config.loader import LoadedConfig
 from robot_runner.core.config.parameters import PARAMETERS, ExperimentConfig
 from robot_runner.core.config.source import tree_of
-from robot_runner.core.errors import Finding
+from robot_runner.core.errors import Finding, nearest
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
-from robot_runner.core.late_annotations import names_in
+from robot_runner.core.late_annotations import names_in, names_read_by
 
 #: What to use for a method: names that earlier tools have for it, or that people guess.
 _METHODS = {
@@ -127,7 +125,7 @@ def _used_names(loaded: LoadedConfig) -> set[str] | None:
             used |= set(_read_by(node))
     for each in type(loaded.config).__mro__:  # a base class from an installed package may call what is defined here
         if each not in ExperimentConfig.__mro__:
-            used |= {name for attribute in vars(each).values() for name in _names_in(attribute)}
+            used |= {name for attribute in vars(each).values() for name in names_read_by(attribute)}
     return used
 
 
@@ -158,22 +156,16 @@ def _registers(decorator: ast.expr) -> bool:
     return not (isinstance(decorator, ast.Name) and decorator.id in {"staticmethod", "classmethod", "property"})
 
 
-def _names_in(attribute: object) -> Iterator[str]:
-    code: CodeType | None = getattr(inspect.unwrap(attribute) if callable(attribute) else None, "__code__", None)
-    if code is not None:
-        yield from code.co_names
-
-
 def _fix_of_method(name: str) -> str:
     plain = _HUMP.sub("_", name).casefold()
     if plain in _FIX_OF_METHOD:
         return _FIX_OF_METHOD[plain]
     words = [word for word in plain.split("_") if word not in _FILLING]
     is_event = {*words} <= _MOMENTS | _SUBJECTS and bool({*words} & _MOMENTS) and bool({*words} & _SUBJECTS)
-    near = difflib.get_close_matches("_".join(words), EVENTS_BY_CALLBACK, n=1, cutoff=0.0 if is_event else _ALIKE)
-    if not near:
+    near = nearest("_".join(words), EVENTS_BY_CALLBACK, 0.0 if is_event else _ALIKE)
+    if near is None:
         return ""
-    return f"No event is called so: did you mean {near[0]!r}? There are {', '.join(EVENTS_BY_CALLBACK)}."
+    return f"No event is called so: did you mean {near!r}? There are {', '.join(EVENTS_BY_CALLBACK)}."
 
 
 def _fix_of_attribute(name: str) -> str:
@@ -181,5 +173,5 @@ def _fix_of_attribute(name: str) -> str:
     guessed = _FIX_OF_ATTRIBUTE.get(plain) or _FIX_OF_ATTRIBUTE.get(_UNIT_OF_TIME.sub("", plain))
     if guessed:
         return guessed
-    near = difflib.get_close_matches(plain, PARAMETERS, n=1, cutoff=_ALIKE)
-    return f"No static parameter is called so: did you mean {near[0]!r}?" if near else ""
+    near = nearest(plain, PARAMETERS, _ALIKE)
+    return f"No static parameter is called so: did you mean {near!r}?" if near is not None else ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import inspect
 import os
@@ -204,7 +205,7 @@ def raised_in(path: Path, when: str) -> Iterator[None]:
         raise ConfigError(
             f"the config raised {type(error).__name__} {when}: {error}{_before(error)}",
             where=place_in(path, error),
-            fix=_fix_of(error) or misspelt_keyword(path, error) or "Mend this line.",
+            fix=_fix_of(error) or _fix_of_import(error) or misspelt_keyword(path, error) or "Mend this line.",
         ) from error
 
 
@@ -235,6 +236,10 @@ def _placed(path: Path, error: RobotRunnerError) -> tuple[Finding, ...]:
 
 #: Where `os.environ` looks a variable up: that module is frozen into newer Pythons.
 _OF_OS = {os.__file__, "<frozen os>"}
+_NOT_IN_MODULE = re.compile(r"cannot import name '(?P<name>\w+)' from '(?P<module>[\w.]+)'")
+#: Where configs import from, by names: none of them is imported before a config has looked for a name in the wrong one.
+_DOORS = tuple(f"robot_runner{each}" for each in ("", ".plugins", ".plugins.profilers", ".plugins.systems", ".designs",
+                                                  ".adaptive", ".analysis"))  # fmt: skip
 
 
 def _fix_of(error: BaseException) -> str:
@@ -249,6 +254,18 @@ def _fix_of(error: BaseException) -> str:
     if isinstance(error, AttributeError) and error.name and error.obj is not None:
         return did_you_mean(error.name, dir(error.obj), "")
     return ""
+
+
+def _fix_of_import(error: BaseException) -> str:
+    told = _NOT_IN_MODULE.search(str(error)) if isinstance(error, ImportError) else None
+    if told is None:
+        return ""
+    name, module = told["name"], told["module"]
+    doors = _DOORS if module.partition(".")[0] == "robot_runner" else ()
+    homes = [door for door in doors if name in dir(importlib.import_module(door))]
+    if homes:
+        return f"It is elsewhere: from {homes[0]} import {name}"
+    return did_you_mean(name, dir(sys.modules[module]), "")
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from robot_runner.core.design.numeric_range import is_whole
 from robot_runner.core.errors import Finding, did_you_mean
 
 #: What can be told of.
@@ -95,7 +96,7 @@ def _malformed(where: str, notify: Notify) -> Iterator[Finding]:
             if each not in NOTIFIED_OF:
                 yield Finding.error(where, f"on holds {each!r}", did_you_mean(str(each), NOTIFIED_OF))
     every = notify.every
-    if every is not None and (isinstance(every, bool) or not isinstance(every, int) or every < 1):
+    if every is not None and (not is_whole(every) or every < 1):
         yield Finding.error(where, f"every is {every!r}", "Give a whole number of runs, 1 or more.")
     source = notify.url_from
     if _is_address(source):

@@ -10,7 +10,7 @@ from typing import Any
 from robot_runner.core.config.operator_steps import ANSWER_TYPES, OperatorStep, Question
 from robot_runner.core.design.columns import name_findings
 from robot_runner.core.design.factor import Factor
-from robot_runner.core.design.numeric_range import is_number
+from robot_runner.core.design.numeric_range import is_number, is_whole
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import Finding, did_you_mean
 from robot_runner.core.words import counted, enumerated, listed
@@ -51,7 +51,7 @@ def _step_findings(at: str, step: OperatorStep, names: Mapping[str, int]) -> Ite
             if not isinstance(each, Question):
                 yield Finding.error(at, f"ask holds {each!r}, of type {type(each).__name__}", "Give Question(...).")
     every = step.every
-    if every is not None and (isinstance(every, bool) or not isinstance(every, int) or every < 1):
+    if every is not None and (not is_whole(every) or every < 1):
         yield Finding.error(at, f"every is {every!r}", "Give a whole number of runs, 1 or more.")
     given = [rule for rule in _RULES if getattr(step, rule)]
     if len(given) > 1:

@@ -96,7 +96,7 @@ class Question:
         if self.choices:
             return self._chosen(said)
         value = as_measure_value(self.name, self._typed(said), where=self.name)
-        if isinstance(value, int | float) and not isinstance(value, bool):
+        if is_number(value):
             if self.low is not None and value < self.low:
                 raise self._refusal(f"{said} is below {self.low} {self.unit}".rstrip())
             if self.high is not None and value > self.high:

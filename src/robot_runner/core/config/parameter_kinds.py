@@ -12,7 +12,7 @@ from robot_runner.core.config.authors import Author, authors_from_text, is_licen
 from robot_runner.core.config.notify import Notify
 from robot_runner.core.config.operator_steps import OperatorStep
 from robot_runner.core.design.analysis_plan import AnalysisPlan
-from robot_runner.core.design.numeric_range import is_number
+from robot_runner.core.design.numeric_range import is_number, is_whole
 from robot_runner.core.design.precision import Precision
 from robot_runner.core.events.window import is_phase_name
 from robot_runner.core.links.declared_host import are_hosts, named_hosts
@@ -62,10 +62,6 @@ class Kind:
         )
 
 
-def _is_integer(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
 def _is_any(value: Any) -> bool:
     return value is any or (isinstance(value, str) and value.casefold() == "any")
 
@@ -89,7 +85,7 @@ def _names_from_text(text: str) -> list[str]:
 
 def whole(least: int, what: str) -> Kind:
     """Return the kind of whole numbers from `least` on; `what` says of what, as in " of milliseconds"."""
-    return Kind(f"a whole number{what}, {least} or more", lambda value: _is_integer(value) and value >= least, int)
+    return Kind(f"a whole number{what}, {least} or more", lambda value: is_whole(value) and value >= least, int)
 
 
 def choice(choices: type[Enum]) -> Kind:
@@ -133,7 +129,7 @@ CLUSTER = Kind(
     lambda value: isinstance(value, str) and _SCHEDULER.fullmatch(value) is not None,
 )
 ROS_GENERATION = Kind(
-    "", lambda value: _is_integer(value) and value in {1, 2}, lambda text: int(text) if text.isdigit() else text
+    "", lambda value: is_whole(value) and value in {1, 2}, lambda text: int(text) if text.isdigit() else text
 ).or_any("1, 2, any or None")
 ROS_DISTRIBUTION = Kind("", _is_text).or_any('the name of a ROS distribution, such as "noetic", any or None')
 SECONDS = Kind("a positive number of seconds", lambda value: is_number(value) and value > 0, float)
@@ -175,7 +171,7 @@ CLAIMS = Kind(
 _MOST_WORKERS = 10_000  # each is made ready before the first run: a slip would fill the memory
 WORKERS = Kind(
     f'a whole number, 1 to {_MOST_WORKERS:,}, or "auto"',
-    lambda value: value == "auto" or (_is_integer(value) and 1 <= value <= _MOST_WORKERS),
+    lambda value: value == "auto" or (is_whole(value) and 1 <= value <= _MOST_WORKERS),
     lambda text: int(text) if text.strip().isdecimal() else text.strip().casefold(),
 )
 OPERATOR_STEPS = instances(OperatorStep, "a list of OperatorStep(...)")

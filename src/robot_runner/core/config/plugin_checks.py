@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
-import inspect
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import islice
 from math import prod
-from types import CodeType
 from typing import Any, TypeVar
 
 from robot_runner.core.config.loader import LoadedConfig, place_in
@@ -17,9 +14,10 @@ from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.entry_points import EntryPoint, entry_points
-from robot_runner.core.errors import Finding, RobotRunnerError, did_you_mean
+from robot_runner.core.errors import SLIP, Finding, RobotRunnerError, did_you_mean, nearest
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 from robot_runner.core.events.measure import Measure
+from robot_runner.core.late_annotations import code_of, names_read_by
 from robot_runner.core.plugin import Circumstances, Plugin, refused_name
 from robot_runner.core.treatments import Treatment, bind, built_with, factors_of
 
@@ -132,9 +130,6 @@ def failed_check(where: str, error: BaseException, what: str = "the check") -> F
 
 # Methods that are nearly called like one of ours, and that nobody calls: a robot would not be made safe.
 
-#: How alike two names are before one is taken for a slip of the other (1.0: equal).
-_ALIKE = 0.85
-
 
 def misspelt_callbacks(plugin: Plugin) -> list[Finding]:
     """Return a warning for each method that its author meant to be called, by its name, and that nothing calls.
@@ -145,10 +140,10 @@ def misspelt_callbacks(plugin: Plugin) -> list[Finding]:
     own = [each for each in kinds if each.__module__.partition(".")[0] != "robot_runner"]
     written = {name for kind in own for name in _methods_of(kind)}
     ours = {*EVENTS_BY_CALLBACK, *(name for kind in kinds if kind not in own for name in _methods_of(kind))}
-    called = {name for kind in own for each in vars(kind).values() for name in _names_in(_code_of(each))}
+    called = {name for kind in own for each in vars(kind).values() for name in names_read_by(each)}
     found = []
     for name in sorted(written - ours - called):
-        for meant in difflib.get_close_matches(name.casefold(), ours - written, n=1, cutoff=_ALIKE):
+        if (meant := nearest(name, ours - written, SLIP)) is not None:
             fix = f"Did you mean {meant!r}? Otherwise begin the name with '_'."
             where = f"{type(plugin).__name__}.{name}"
             found.append(Finding.warning(where, "nothing calls this method of the plugin", fix))
@@ -156,20 +151,7 @@ def misspelt_callbacks(plugin: Plugin) -> list[Finding]:
 
 
 def _methods_of(kind: type) -> Iterator[str]:
-    yield from (name for name, each in vars(kind).items() if not name.startswith("_") and _code_of(each) is not None)
-
-
-def _code_of(attribute: object) -> CodeType | None:
-    bare = attribute.__func__ if isinstance(attribute, classmethod | staticmethod) else attribute
-    return getattr(inspect.unwrap(bare) if callable(bare) else None, "__code__", None)
-
-
-def _names_in(code: CodeType | None) -> Iterator[str]:
-    """Yield the names that a function reads, and those that functions in it read."""
-    if code is not None:
-        yield from code.co_names
-        for each in code.co_consts:
-            yield from _names_in(each if isinstance(each, CodeType) else None)
+    yield from (name for name, each in vars(kind).items() if not name.startswith("_") and code_of(each) is not None)
 
 
 def _listed(loaded: LoadedConfig, findings: list[Finding]) -> Iterable[Plugin]:

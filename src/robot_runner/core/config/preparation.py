@@ -33,7 +33,7 @@ from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.precision import most_repetitions
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.design.warm_up import WarmUp
-from robot_runner.core.errors import ConfigError, DesignError, Finding, LinkError, StorageError
+from robot_runner.core.errors import ConfigError, DesignError, Finding, LinkError, StorageError, errors_first
 from robot_runner.core.events.manager import EventManager
 from robot_runner.core.events.measure import (
     OPERATOR_OWNER,
@@ -156,7 +156,7 @@ def prepare(
     if is_for_here:
         findings += _check_machine(loaded, parameters, plugins, complete, events if looks_at_graph else None)
     # What a check has found that another one came upon is told once.
-    ordered = tuple(sorted(dict.fromkeys(findings), key=lambda finding: not finding.is_error))
+    ordered = tuple(errors_first(dict.fromkeys(findings)))
     if any(finding.is_error for finding in ordered) or parameters is None or model is None:
         return Preparation(None, ordered)
     experiment = Experiment(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 from itertools import filterfalse
 from pathlib import Path
@@ -89,15 +89,11 @@ def registration_content(
 
 def _combinations(model: RunTableModel) -> dict[str, list[list[str]]]:
     """Return what a full factorial leaves out; else the combinations, as other designs leave out nearly everything."""
-    kept = list(map(_texts, model.combinations_of(model.factors)))
+    kept = [each.texts for each in model.combinations_of(model.factors)]
     if not model.is_full_factorial or any(factor.when for factor in model.factors):
         return {"combinations": list(map(list, kept))}
-    every = map(_texts, full_factorial(model.factors))
+    every = (each.texts for each in full_factorial(model.factors))
     return {"excluded": list(map(list, filterfalse(set(kept).__contains__, every)))}
-
-
-def _texts(combination: Mapping[str, Any]) -> tuple[str, ...]:
-    return tuple(map(str, combination.values()))
 
 
 def _digest(path: Path) -> str:

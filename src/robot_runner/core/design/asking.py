@@ -7,7 +7,7 @@ was taken down asks the same question, and gets the same answer. An answer that 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -94,6 +94,9 @@ class AdaptiveDesign(Protocol):
     @property
     def measures(self) -> Sequence[str]:
         """The measures that it decides by."""
+
+    def repetition_findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+        """Say why it cannot be with so many repetitions of each combination."""
 
     def asking(self, factors: Sequence[Factor], is_allowed: IsAllowed, repetitions: int) -> Asking:
         """Return what decides.

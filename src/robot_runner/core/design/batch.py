@@ -8,6 +8,7 @@ from math import isfinite
 from types import MappingProxyType
 from typing import Any, Self
 
+from robot_runner.core.design.factor import texts_of
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder
 
 #: What the role of a batch is called that confirms what the runs before have found.
@@ -38,8 +39,7 @@ class BatchRun:
     @classmethod
     def of(cls, run: PlannedRun) -> Self:
         """Return what is kept of a planned run."""
-        texts = {name: str(treatment) for name, treatment in run.combination.items()}
-        return cls(run.run_id, texts, run.repetition, run.block)
+        return cls(run.run_id, texts_of(run.combination), run.repetition, run.block)
 
     def as_mapping(self) -> dict[str, Any]:
         """Return the run as plain data, without what is as in most runs."""

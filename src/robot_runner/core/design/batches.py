@@ -7,7 +7,6 @@ and by repetitions, which are added while it is executed until it is precise: th
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
@@ -18,13 +17,13 @@ from typing import Any
 from robot_runner.core.design.asking import Decision
 from robot_runner.core.design.batch import Batch, BatchRun, plain_treatment
 from robot_runner.core.design.columns import REPETITION, numbered_run_id
-from robot_runner.core.design.factor import Combination, Factor, factor_places
+from robot_runner.core.design.factor import Combination, Factor, factor_places, texts_of
 from robot_runner.core.design.growing import Begun, GrownDesign, typed
 from robot_runner.core.design.listed_runs import run_findings
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, arranged
 from robot_runner.core.design.run_table_model import RunTable, RunTableModel
 from robot_runner.core.design.warm_up import WarmUp, with_warm_ups
-from robot_runner.core.errors import DesignError, Finding
+from robot_runner.core.errors import DesignError
 
 #: The kind of the journal's record of an extension: the batch that it added; the first one has the plan before it, too.
 EXTENDED = "extended"
@@ -188,7 +187,7 @@ def _own_treatment(own: Factor | None, name: str, recorded: Any) -> Any:
             if own is not None and plain_treatment(made := typed(own, text)) == recorded:
                 return made
         problem = f"the config has no treatment {text!r} any more, which runs of the experiment have"
-        raise DesignError.of_findings([Finding.error(f"factor {name!r}", problem, "Put it back into the config.")])
+        raise DesignError(problem, where=f"factor {name!r}", fix="Put it back into the config.")
     return recorded
 
 
@@ -261,7 +260,7 @@ def next_batch(
         factors=_plain(design.factors),
         runs=[BatchRun.of(run) for run in with_warm_ups(runs, warm_up, first=warm_ups + 1)],
         chosen=design.chosen,
-        defaults={name: str(treatment) for name, treatment in design.defaults.items()},
+        defaults=texts_of(design.defaults),
         at=at,
     )
 
@@ -270,14 +269,10 @@ def missing_runs(runs: Iterable[PlannedRun], design: GrownDesign) -> Iterator[tu
     """Yield each run that is missing, as its combination and repetition, in the order as written."""
     names = [factor.name for factor in design.factors]
     places = factor_places(names)
-    there: defaultdict[tuple[str, ...], set[int]] = defaultdict(set)
-    for run in runs:
-        if not run.is_warm_up:
-            treatments = {**design.defaults, **run.combination}
-            there[tuple(str(treatments[name]) for name in names)].add(run.repetition)
+    there = design.repetitions_of(runs)
     wanted = []
     for combination in design.combinations:
-        taken = there[tuple(str(combination[name]) for name in names)]
+        taken = there[design.texts_of(combination)]
         free = (each for each in count(1) if each not in taken)
         numbers = [next(free) for _ in range(design.repetitions - len(taken))]
         wanted += [(number, Combination(places, tuple(combination[name] for name in names))) for number in numbers]

@@ -67,7 +67,7 @@ class ChosenCombinations:
 
 @runtime_checkable
 class _DescribedDesign(Protocol):
-    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+    def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
         """Say why the design cannot be: all findings at once, before anything is made."""
 
     def as_mapping(self) -> Mapping[str, Any]:
@@ -124,9 +124,9 @@ class FullFactorial:
         4
     """
 
-    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+    def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
         """Say nothing: every combination of any factors can be."""
-        del factors, repetitions
+        del factors
         yield from ()
 
     def as_mapping(self) -> Mapping[str, Any]:
@@ -153,18 +153,16 @@ def grown_choice(
         DesignError: it would choose others, so that the runs that there are would not belong to the design.
     """
     places = factor_places(factor.name for factor in factors)
-    runs = list(planned)
-    found = _by_texts(run.combination for run in runs)
+    found = _by_texts(run.combination for run in planned)
     texts, own_texts = ({factor.name: set(factor.texts) for factor in each} for each in (factors, own))
     if texts != own_texts:
         there, found = found, {}
         has_more = texts.keys() == own_texts.keys() and all(own_texts[name] <= texts[name] for name in texts)
-        repetitions = max(run.repetition for run in runs)
         if (
             has_more
             and all(factor.range is None for factor in own)
             and isinstance(design, CombinationDesign)
-            and not any(design.findings(factors, repetitions))
+            and not any(design.findings(factors))
         ):
             found = _by_texts(design.choose(factors, allowed_of(factors)).combinations)
         if not there.keys() <= found.keys():

@@ -7,10 +7,12 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from math import log10, prod
 
+from robot_runner.core.design.asking import AdaptiveDesign
 from robot_runner.core.design.columns import REPETITION, WARM_UP, column_name, name_findings
 from robot_runner.core.design.design import CombinationDesign, Design, FullFactorial
-from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.factor import Factor, factor_name
 from robot_runner.core.design.factor_conditions import condition_findings
+from robot_runner.core.design.numeric_range import is_whole
 from robot_runner.core.design.warm_up import warm_up_of
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
@@ -70,9 +72,11 @@ def design_findings(
         yield Finding.error("design", f"{design!r} is of type {type(design).__name__}", fix)
     elif known:
         if blocks is not None and not isinstance(design, CombinationDesign):
-            problem = f"blocks={_name_of(blocks)!r}, and the design makes blocks of its own"
+            problem = f"blocks={factor_name(blocks)!r}, and the design makes blocks of its own"
             yield Finding.error("blocks", problem, "Leave blocks out.")
-        yield from design.findings(known, max(repeated, 1))
+        yield from design.findings(known)
+        if isinstance(design, AdaptiveDesign):
+            yield from design.repetition_findings(known, max(repeated, 1))
 
 
 def _factor_findings(factors: object) -> Iterator[Finding]:
@@ -95,7 +99,7 @@ def _factor_findings(factors: object) -> Iterator[Finding]:
 
 
 def _repetition_findings(repetitions: object, factors: Sequence[Factor]) -> Iterator[Finding]:
-    if isinstance(repetitions, bool) or not isinstance(repetitions, int):
+    if not is_whole(repetitions):
         problem = f"{repetitions!r} is of type {type(repetitions).__name__}"
         yield Finding.error("repetitions", problem, "Give a whole number from 1.")
     elif repetitions < 1:
@@ -148,14 +152,14 @@ _SEED_BITS = 1024
 
 def is_seed(value: object) -> bool:
     """Return whether an order can come from a value: Python takes -1 for 1, so that two seeds would give one order."""
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1 << _SEED_BITS
+    return is_whole(value) and 0 <= value < 1 << _SEED_BITS
 
 
 def order_findings(seed: object, blocks: object, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
     """Say what is wrong with the seed and the blocks."""
     if seed is not None and not is_seed(seed):
         problem = f"{seed!r} is of type {type(seed).__name__}"
-        if isinstance(seed, int) and not isinstance(seed, bool):
+        if is_whole(seed):
             problem = f"the seed has {seed.bit_length():,} bits" if seed > 0 else f"the seed is {seed}"
         yield Finding.error("seed", problem, "Give a whole number from 0, or leave it out.")
     if blocks is None:
@@ -163,14 +167,10 @@ def order_findings(seed: object, blocks: object, factors: Sequence[Factor], repe
     known = [factor.name for factor in factors]
     if repetitions > 1:
         known.append(REPETITION)
-    name = _name_of(blocks)
+    name = factor_name(blocks)
     if name not in known:
         fix = "Give repetitions=2 or more, or name a factor." if name == REPETITION else did_you_mean(str(name), known)
         yield Finding.error("blocks", f"there is nothing called {name!r} to make blocks of", fix)
-
-
-def _name_of(blocks: object) -> object:
-    return blocks.name if isinstance(blocks, Factor) else blocks
 
 
 def size_findings(factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from copy import deepcopy
 from dataclasses import dataclass, field
 from itertools import islice, product, repeat
 from math import prod
@@ -332,6 +334,34 @@ class Combination(Mapping[str, Any]):
 
     def __str__(self) -> str:
         return ", ".join(f"{name}={treatment!r}" for name, treatment in self.items())
+
+    def of_one_run(self) -> Combination:
+        """Return the same for a single run: a list, say, that its callbacks change is as planned in all others."""
+        return Combination(self._places, tuple(map(_of_one_run, self.treatments)))
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """The treatments as text, in the order of the factors: what tells it from the others of a design."""
+        return tuple(map(str, self.treatments))
+
+
+def _of_one_run(treatment: Any) -> Any:
+    try:
+        hash(treatment)
+    except TypeError:  # what can be changed cannot be hashed
+        with suppress(Exception):  # a stranger's object
+            return deepcopy(treatment)
+    return treatment
+
+
+def texts_of(combination: Mapping[str, Any]) -> dict[str, str]:
+    """Return the treatment of each factor as text, as the journal and the run table have it."""
+    return {name: str(treatment) for name, treatment in combination.items()}
+
+
+def factor_name(given: Any) -> Any:
+    """Return the name of a factor that was given by it or itself; whatever else was given is returned as it is."""
+    return given.name if isinstance(given, Factor) else given
 
 
 def factor_places(names: Iterable[str]) -> dict[str, int]:

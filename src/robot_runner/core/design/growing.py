@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -81,8 +81,8 @@ class Begun:
         counted = []
         for run in self.runs:
             if not run.is_warm_up:
-                seen[_texts(run)] += 1
-            counted.append(run if run.is_warm_up else run._replace(repetition=seen[_texts(run)]))
+                seen[run.combination.texts] += 1
+            counted.append(run if run.is_warm_up else run._replace(repetition=seen[run.combination.texts]))
         return counted
 
     @property
@@ -108,6 +108,19 @@ class GrownDesign:
     repetitions: int
     defaults: Mapping[str, Any]
     chosen: Mapping[str, Sequence[str]]
+
+    def texts_of(self, combination: Mapping[str, Any]) -> tuple[str, ...]:
+        """Return the treatments of a combination as text, in the order of the factors, defaults where it lacks some."""
+        treatments = {**self.defaults, **combination}
+        return tuple(str(treatments[factor.name]) for factor in self.factors)
+
+    def repetitions_of(self, runs: Iterable[PlannedRun]) -> defaultdict[tuple[str, ...], set[int]]:
+        """Return which repetitions of each combination are among runs, by its `texts_of`; what warms up is none."""
+        found: defaultdict[tuple[str, ...], set[int]] = defaultdict(set)
+        for run in runs:
+            if not run.is_warm_up:
+                found[self.texts_of(run.combination)].add(run.repetition)
+        return found
 
 
 def grown_design(begun: Begun, config: RunTableModel, added: Additions) -> GrownDesign:
@@ -171,7 +184,7 @@ class _Growing:
         if self._begun.is_by_hand:
             return 1
         if isinstance(self._config, ListedRunTableModel):
-            return max(Counter(map(_texts, self._config.plan())).values())
+            return max(Counter(run.combination.texts for run in self._config.plan()).values())
         return self._config.repetitions
 
     def _written(self, name: str, texts: Sequence[str]) -> tuple[str, ...]:
@@ -326,9 +339,5 @@ def _only(factor: Factor, own: Factor | None, chosen: Sequence[str]) -> Factor:
     return factor.with_treatments(kept)
 
 
-def _texts(run: PlannedRun) -> tuple[str, ...]:
-    return tuple(map(str, run.combination.treatments))
-
-
 def _distinct(combinations: Iterable[Combination]) -> list[Combination]:
-    return list({tuple(map(str, each.treatments)): each for each in combinations}.values())
+    return list({each.texts: each for each in combinations}.values())

@@ -66,6 +66,11 @@ class Hypothesis:
         object.__setattr__(self, "contrast", weights)
         object.__setattr__(self, "within", None if within is None else float(within))
 
+    @property
+    def is_contrast(self) -> bool:
+        """Whether it claims something of a weighted sum of means; else that its factors have an effect."""
+        return self.contrast is not None or self.within is not None
+
     def as_mapping(self) -> dict[str, Any]:
         """Return the hypothesis as plain data; what it does not have is left out."""
         plain: dict[str, Any] = {

@@ -112,6 +112,11 @@ def is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
+def is_whole(value: object) -> TypeGuard[int]:
+    """Return whether a value is a whole number, and no boolean."""
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
 def _digits(value: float) -> int:
     """Return how many digits a number has behind the point, as Python writes it."""
     exponent = Decimal(repr(value)).normalize().as_tuple().exponent

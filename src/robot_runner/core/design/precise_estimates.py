@@ -12,7 +12,7 @@ from typing import Any
 
 from robot_runner.core.design.asking import Decision, Told
 from robot_runner.core.design.batches import REPEATED, missing_runs
-from robot_runner.core.design.factor import Combination, Factor
+from robot_runner.core.design.factor import Combination, Factor, texts_of
 from robot_runner.core.design.growing import GrownDesign
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.design.planned_runs import PlannedRun
@@ -282,7 +282,7 @@ class UntilPrecise:
         )
 
     def _next(self, runs: Sequence[PlannedRun], repetitions: int) -> Iterator[tuple[Combination, int]]:
-        combinations = {tuple(map(str, run.combination.treatments)): run.combination for run in runs}
+        combinations = {run.combination.texts: run.combination for run in runs}
         design = GrownDesign(tuple(self._factors), list(combinations.values()), repetitions, {}, {})
         return missing_runs(runs, design)
 
@@ -295,7 +295,7 @@ def _observed(told: Sequence[Told], measure: str) -> Iterator[Observed]:
     """Yield what each run yielded; those that were excluded are left out."""
     for each in told:
         if not each.is_excluded or each.is_doubtful:
-            treatments = {name: str(treatment) for name, treatment in each.run.combination.items()}
+            treatments = texts_of(each.run.combination)
             yield Observed(each.run.run_id, treatments, each.run.repetition, each.values.get(measure), each.run.batch)
 
 

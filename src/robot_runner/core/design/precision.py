@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any, Self
 
+from robot_runner.core.design.numeric_range import is_whole
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 from robot_runner.core.words import counted, exact, has_true_zero
 
@@ -179,7 +180,7 @@ def _findings(measure: object, half_width: object, number: float, at_most: objec
     if not (math.isfinite(number) and number > 0):
         fix = "Give a share of the mean ('2 %'), or a number above 0 in the measure's unit ('5 J')."
         yield Finding.error(where, f"half_width is {half_width!r}", fix)
-    if isinstance(at_most, bool) or not isinstance(at_most, int):
+    if not is_whole(at_most):
         yield Finding.error(where, f"at_most is {at_most!r}", "Give a whole number of repetitions.")
     elif not LEAST_REPETITIONS <= at_most <= _MOST_REPETITIONS:
         fix = f"Give {LEAST_REPETITIONS} to {_MOST_REPETITIONS} repetitions, all runs of a combination together."

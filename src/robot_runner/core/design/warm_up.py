@@ -8,6 +8,7 @@ from itertools import chain, islice, repeat
 
 from robot_runner.core.design.columns import numbered_warm_up_id
 from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.numeric_range import is_whole
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
@@ -80,7 +81,7 @@ def warm_up_of(given: object) -> WarmUp | None:
         return None
     if isinstance(given, WarmUp):
         return given
-    if isinstance(given, bool) or not isinstance(given, int):
+    if not is_whole(given):
         problem = f"{given!r} is of type {type(given).__name__}"
         raise DesignError(problem, where="warm_up", fix='Give a number of runs, or WarmUp(2, per="Task").')
     return WarmUp(given)
@@ -127,7 +128,7 @@ def with_warm_ups_again(
 
 
 def _findings(runs: object, per: object, each_session: object) -> Iterator[Finding]:
-    if isinstance(runs, bool) or not isinstance(runs, int):
+    if not is_whole(runs):
         problem = f"the number of runs is {runs!r}, of type {type(runs).__name__}"
         yield Finding.error("warm_up", problem, "Give a whole number from 1.")
     elif not 1 <= runs <= _MOST_RUNS:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -56,13 +56,6 @@ class StartedProgram(Protocol):
     @property
     def pid(self) -> int:
         """Its process id."""
-
-
-class HostDoor(Protocol):
-    """What a context opens hosts by."""
-
-    def open(self, name: str, context: RobotRunnerContext) -> HostAccess:
-        """Return the host of this name; its connection is kept until the run ends."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +172,7 @@ class RobotRunnerContext(ExperimentContext):
     owner: str
     times: MissionTimes = field(repr=False)
     broker: MeasureBroker = field(repr=False)
-    hosts: HostDoor = field(repr=False)
+    hosts: Callable[[str, RobotRunnerContext], HostAccess] = field(repr=False)
     attempts_left: int = 0
     ending: Ending = field(default_factory=EndingInPlace, repr=False)
     usual_origin: Origin = field(default=Origin.MEASURED, repr=False)
@@ -278,7 +271,7 @@ class RobotRunnerContext(ExperimentContext):
         Raises:
             LinkError: the config names no such host; the nearest is named.
         """
-        return self.hosts.open(name, self)
+        return self.hosts(name, self)
 
     def share(self, **values: object) -> None:
         """Pass key-value pairs on to the subscribers of the following events (`plugin_data`), and to the screen.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -16,8 +17,8 @@ from robot_runner.core.words import exact
 #: What a cell of the run table can hold. None is a missing value: an empty cell.
 MeasureValue = int | float | bool | str | None
 
-#: A larger number is a slip, and no table reader could take it.
-_MOST_BITS = 1024
+#: A larger number is a slip, and readers of the table would take it for an infinite one.
+_LARGEST = sys.float_info.max
 
 
 class Origin(Enum):
@@ -200,18 +201,25 @@ def as_measure_value(name: str, value: object, *, where: str) -> MeasureValue:
             return text or None
     elif isinstance(plain, Integral):
         number = int(plain)
-        if number.bit_length() <= _MOST_BITS:
+        if abs(number) <= _LARGEST:
             return number
         problem = f"a whole number of {number.bit_length()} bits"
-        fix = f"Give one of {_MOST_BITS} bits at most, or a float."
+        fix = f"Give one of {_LARGEST:.1e} at most, as a float is."
     elif isinstance(plain, Real):
-        if math.isfinite(real := float(plain)):
+        if math.isfinite(real := _as_float(plain)):
             return real
         problem, fix = f"{real}, which is not a finite number", "Give None where there is no value."
     else:
         problem = f"{shown(value)}, which is of type {type(value).__name__}"
         fix = "Give a number, a bool, a string, or None for a missing value."
     raise MeasureError(f"measure {name!r} got {problem}", where=where, fix=fix)
+
+
+def _as_float(number: Real) -> float:
+    try:
+        return float(number)
+    except OverflowError:  # a fraction that no float is as large as
+        return math.inf
 
 
 def shown(value: object) -> str:

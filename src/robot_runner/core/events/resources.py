@@ -22,7 +22,7 @@ class Halting(Protocol):
     """What may have set something in motion: all of these are halted before any of what was opened is closed."""
 
     def halt(self) -> None:
-        """Command a standstill, and wait for nothing; what fails of it is told when it is closed."""
+        """Command a standstill, ask for the end of goals, and wait for neither; what fails is told as it is closed."""
 
 
 R = TypeVar("R", bound=Closable)

@@ -18,18 +18,11 @@ from robot_runner.core.config.parameters import RunProcess
 from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents, methods_of
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.execution.executor import begin_run
-from robot_runner.core.execution.patience import Patience, Steps
+from robot_runner.core.execution.patience import Steps
 from robot_runner.core.execution.places import Watch
 from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.storage.layout import ExperimentFolder
-
-
-def execute_aside(
-    experiment: Experiment, task: RunTask, mission: Callable[..., object], watch: Watch, **asked: Any
-) -> RunOutcome:
-    """Go through the steps of `executed_aside` while nothing else goes on, and return how that went."""
-    return Patience(watch.interruption).follow(executed_aside(experiment, task, mission, watch, **asked))
 
 
 def executed_aside(

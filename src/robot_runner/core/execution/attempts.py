@@ -30,7 +30,7 @@ from robot_runner.core.execution.patience import Steps
 from robot_runner.core.execution.places import Place, Watch
 from robot_runner.core.execution.run_records import failure_fields
 from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder, PendingRun, Report, RunOutcome, RunTask
-from robot_runner.core.links.commanded_topics import MAY_BE_MOVING
+from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, MOVING_ROBOT
 from robot_runner.core.treatments import bind, factors_of, values_of
 from robot_runner.core.words import plain
 
@@ -147,7 +147,7 @@ class Attempts:
             if kind == "guard" and fields["action"] == GuardAction.STOP.value:
                 ongoing.stopped_by = "a guard"
             if kind in {"finding", "failure"} and MAY_BE_MOVING in fields["problem"]:
-                ongoing.stopped_by = "a robot that may be moving"
+                ongoing.stopped_by = MOVING_ROBOT
 
         def report_own(kind: str, fields: dict[str, Any]) -> None:
             builder.take(kind, fields)

@@ -22,7 +22,7 @@ from robot_runner.core.execution.places import Place, Watch
 from robot_runner.core.execution.task import AttemptStatus, PendingRun, RunTask
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.links.declared_host import Host, Reboot
-from robot_runner.core.links.host_commands import DeclaredHosts, HostCommands, Shell
+from robot_runner.core.links.host_commands import HostCommands, Shell, opened_host
 from robot_runner.core.storage.lock import forget_requests, is_requested
 
 _log = logging.getLogger(__name__)
@@ -78,7 +78,7 @@ class BetweenRuns:
             is_cleared: whether a callback has asked the user already whether the first run may start.
         """
         yield from self._pause_where_requested(run)
-        if finished is not None and self._is_semi:
+        if finished is not None and self._is_semi and not self._ongoing.is_interrupted:
             is_cleared = self._ongoing.events.user_has_continued(
                 finished,
                 run,
@@ -220,7 +220,7 @@ def _restarted(name: str, host: Host, context: RobotRunnerContext) -> dict[str, 
         LinkError: it refused, did not go away, or did not come back in time.
         ConditionError: it was not ready in time.
     """
-    access = DeclaredHosts({name: host}).open(name, context)
+    access = opened_host({name: host}, name, context)
     began = access.run(_BOOT, check=False, timeout_s=_ASKED).output.strip()
     shell = access.shell
     told = time.monotonic()

@@ -13,7 +13,7 @@ from robot_runner.core.config.local_modules import editable_code
 from robot_runner.core.design.batches import as_configured, described_design
 from robot_runner.core.design.precision import rules_as_mapping
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
-from robot_runner.core.execution.given_values import changed_values, given_values
+from robot_runner.core.execution.given_values import changed_values, given_values, is_reordered
 from robot_runner.core.execution.recovery import config_files
 from robot_runner.core.plugin import Plugin, described_circumstances, installed_plugins
 from robot_runner.core.secret_names import hidden_settings
@@ -21,6 +21,7 @@ from robot_runner.core.storage.git_repository import LARGEST_DIFF, repository_st
 from robot_runner.core.storage.guarded_files import MissingFileError, make_folder, read_bytes, replace
 from robot_runner.core.storage.input_files import kept_contents
 from robot_runner.core.storage.journal import read_journal, utc_now
+from robot_runner.core.storage.layout import next_in
 from robot_runner.core.storage.manifest import describe_host, describe_software, is_damaged, read_manifest
 from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.core.treatments import factors_of
@@ -156,7 +157,7 @@ def _described_pairs(manifest: Mapping[str, Any]) -> Iterator[tuple[str, Any, An
 
 
 def change_findings(experiment: Experiment, manifest: Mapping[str, Any]) -> Iterator[Finding]:
-    """Yield a warning where an execution has another machine or software than the first, or a clock that was set back.
+    """Yield a warning where the machine, software, the order of values, or the clock is another than before.
 
     A single-board computer without a clock of its own starts in the past until it has reached a time server.
     """
@@ -166,7 +167,13 @@ def change_findings(experiment: Experiment, manifest: Mapping[str, Any]) -> Iter
         problem = f"the machine or its software is not what the experiment began with: {listed(pairs, _NAMED)}"
         fix = "Go on where it began if runs are to be compared; the manifest and the report tell the difference."
         yield Finding.warning(where, problem, fix)
-    latest = max((str(each.get("started_at", "")) for each in manifest["executions"]), default="")
+    for name, pair in (now.get("changed_values") or {}).items():
+        if is_reordered(pair):
+            problem = f"the order of {name} was {pair['was']!r}, and is {pair['is']!r} now"
+            fix = "What is made of a set has another order in each process: where it matters, settle it by sorted(...)."
+            yield Finding.warning(str(experiment.config_path), problem, fix)
+    stamps = ("started_at", "finished_at")
+    latest = max(str(each.get(stamp) or "") for each in manifest["executions"] for stamp in stamps)
     if latest > str(now.get("started_at", "")):  # of one form and length, texts are ordered as times
         problem = (
             f"this machine's clock shows {now.get('started_at')}, and the experiment was executed at {latest} already"
@@ -244,7 +251,7 @@ def keep_config_files(experiment: Experiment) -> None:
         contents = kept_contents(experiment.inputs, experiment.config_path.parent, kept) | contents
         if not kept.exists() or not all(_holds(target, content, root) for target, content in contents.items()):
             if kept.exists():
-                kept.rename(_free(experiment.folder.earlier_configs, root))
+                kept.rename(next_in(experiment.folder.earlier_configs, root))
             for target, content in contents.items():
                 make_folder(target.parent, root)
                 replace(target, content, root)
@@ -258,11 +265,6 @@ def _holds(target: Path, content: bytes, root: Path) -> bool:
         return read_bytes(target, root) == content
     except MissingFileError:
         return False
-
-
-def _free(folder: Path, root: Path) -> Path:
-    make_folder(folder, root)
-    return folder / str(1 + sum(1 for _ in folder.iterdir()))
 
 
 def _analysis(experiment: Experiment) -> dict[str, Any] | None:

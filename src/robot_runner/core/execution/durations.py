@@ -7,7 +7,6 @@ import time
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from robot_runner.core.execution.mission_knowledge import (
 from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.links.declared_host import Reboot
 from robot_runner.core.plugin import Plugin
-from robot_runner.core.storage.journal import last_records
+from robot_runner.core.storage.journal import last_records, seconds_of
 from robot_runner.core.words import counted, enumerated, shown_duration
 
 #: The records that tell of durations.
@@ -173,11 +172,11 @@ class Durations:
             case "clock_set":
                 self._clock_set += record["seconds"]
             case "attempt_started":
-                at = _seconds(record["at"]) - self._clock_set
+                at = seconds_of(record["at"]) - self._clock_set
                 self.begin(record.get("combination") or {}, at, record["run"], record.get("place", ""))
             case "attempt_finished" if not record.get("is_amended"):  # which only adds what was published later
-                is_last = record.get("is_last", True)
-                self.end(_seconds(record["at"]) - self._clock_set, record["status"], is_last=is_last, run=record["run"])
+                at = seconds_of(record["at"]) - self._clock_set
+                self.end(at, record["status"], is_last=record.get("is_last", True), run=record["run"])
 
     def plan(self, combinations: Iterable[Mapping[str, Any]], *, follows: str = "") -> None:
         """Take down which runs are to come, and whether more may follow, until the experiment is precise."""
@@ -367,7 +366,3 @@ def _waits(parameters: Parameters) -> Iterator[str]:
     restarted = [name for name, host in parameters.hosts.items() if host.reboot is not Reboot.NEVER]
     if restarted:
         yield f"starting {enumerated(restarted)} anew"
-
-
-def _seconds(stamp: str) -> float:
-    return datetime.fromisoformat(stamp).timestamp()

@@ -221,6 +221,7 @@ class _Supervision:
         self._keeper = keeper
         self._standby = standby
         self._builder = builder
+        self._builder.event = ""  # that of the orchestrator is over
         self._parameters = parameters
         self._grace = parameters.grace_in_s
         self._watch = watch
@@ -336,7 +337,12 @@ class _Supervision:
         if run_deadline is not None and now >= run_deadline:
             self.stop(f"the run took longer than run_deadline_in_s = {self._parameters.run_deadline_in_s:g} s")
         elif event_deadline is not None and now >= event_deadline:
-            self.stop(f"the event took longer than event_deadline_in_s = {self._parameters.event_deadline_in_s:g} s")
+            limit = f"longer than event_deadline_in_s = {self._parameters.event_deadline_in_s:g} s"
+            self.stop(
+                f"the event took {limit}"
+                if self._builder.event
+                else f"the run's process took {limit} to begin its first event"
+            )
         elif self._leave_by is not None and now >= self._leave_by[0] and not self._because:
             self.stop(f"{self._leave_by[1]}; {self._builder.event} had not ended grace_in_s = {self._grace:g} s later")
         if self._give_up_at is not None and now >= self._give_up_at:

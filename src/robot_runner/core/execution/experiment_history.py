@@ -16,14 +16,12 @@ from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import Quality, quality_of_value
 from robot_runner.core.execution.durations import TimeLeft
 from robot_runner.core.execution.places import InFlight
-from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.cells import ENDS, RunStatus
 from robot_runner.core.storage.executed_runs import EXCLUSION_KINDS, ExcludedRuns
-from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.storage.journal import read_journal, seconds_of
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.run_table_reading import read_described_table
 from robot_runner.core.storage.run_table_rows import RunTableRows
-from robot_runner.core.storage.table_columns import TableLayout
-from robot_runner.core.storage.table_schema import read_schema
 
 #: What is written before a session begins, or by other commands after one has ended: no session lasts until then.
 _BETWEEN_SESSIONS = EXCLUSION_KINDS | {EXTENDED, PREPARED}
@@ -127,7 +125,7 @@ class ExperimentHistory:
             StorageError: it cannot be read.
         """
         if files.run_table.exists() and files.schema.exists():
-            self.take_rows(read_run_table(files.run_table, TableLayout.of_schema(read_schema(files.schema))))
+            self.take_rows(read_described_table(files))
             return
         known = self._ends | self._since_table
         self.statuses = {run: known[run] for run in (*self._begun, *known) if run in known}
@@ -156,7 +154,7 @@ class ExperimentHistory:
     @property
     def since_left(self) -> float:
         """How long ago the time left was estimated, s."""
-        return max(0.0, time.time() - datetime.fromisoformat(self._left_at).timestamp())
+        return max(0.0, time.time() - seconds_of(self._left_at))
 
     @property
     def in_flight(self) -> tuple[InFlight, ...]:
@@ -236,6 +234,7 @@ class ExperimentHistory:
 
     def _take_attempt_started(self, record: Mapping[str, Any]) -> None:
         self._in_flight[record["run"]] = InFlight(record["run"], record.get("place", ""))
+        self._since_table[record["run"]] = RunStatus.RUNNING  # to do again where it comes to no end, whatever it was
         self._take_left(record)
         if record.get("repetition") != 0:  # a warm-up run comes before each session, whatever the table's order
             self._begun.pop(record["run"], None)
@@ -247,10 +246,9 @@ class ExperimentHistory:
             self._in_flight[run.run] = replace(run, event=record["event"])
 
     def _take_attempt_finished(self, record: Mapping[str, Any]) -> None:
-        ends = {"done": RunStatus.DONE, "failed": RunStatus.FAILED}
         if self.waiting_for is not None and self.waiting_for["next_run"] == record["run"]:  # others end elsewhere
             self.waiting_for = None
-        self._ends[record["run"]] = self._since_table[record["run"]] = ends.get(record["status"], RunStatus.TODO)
+        self._ends[record["run"]] = self._since_table[record["run"]] = ENDS.get(record["status"], RunStatus.TODO)
         self.failures[record["run"]] = record["failure"] or ""
         told = {
             name: quality_of_value(each["value"], each.get("doubts", ())) for name, each in record["measures"].items()

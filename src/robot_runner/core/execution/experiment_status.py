@@ -214,6 +214,10 @@ def questions_of(status: ExperimentStatus) -> list[Question]:
     return [Question.from_mapping(facts) for facts in asked]
 
 
+def _left(status: ExperimentStatus) -> int:
+    return status.todo + status.failed
+
+
 def require_executed(status: ExperimentStatus, where: str, what: str) -> None:
     """Let only an experiment pass that somebody executes.
 
@@ -221,7 +225,7 @@ def require_executed(status: ExperimentStatus, where: str, what: str) -> None:
         ExecutionError: nobody does.
     """
     if status.holder is None:
-        fix = f"{what}; `robot-runner run` with its config goes on."
+        fix = f"{what}; {'`robot-runner run` with its config goes on' if _left(status) else 'all its runs are done'}."
         raise ExecutionError("the experiment is not being executed", where=where, fix=fix)
 
 
@@ -232,8 +236,8 @@ def require_waiting(status: ExperimentStatus, where: str) -> None:
         ExecutionError: it does not; says what it does.
     """
     if status.holder is None:
-        left = status.todo + status.failed
-        fix = "Start it with `robot-runner run` and its config: it resumes." if left else "All its runs are done."
+        can_go_on = "Start it with `robot-runner run` and its config: it resumes."
+        fix = can_go_on if _left(status) else "All its runs are done."
         raise ExecutionError("the experiment is not being executed", where=where, fix=fix)
     if not status.is_waiting_for_user:
         doing = f"executes {status.current_run}" if status.current_run else "is between two runs"

@@ -32,6 +32,7 @@ from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.events.condition import Condition
 from robot_runner.core.secret_names import REDACTED, is_secret_name, without_environment_secrets
 from robot_runner.core.storage.layout import home_folder
+from robot_runner.core.storage.manifest import last_execution
 from robot_runner.core.treatments import Bindable, Treatment, given_to
 from robot_runner.core.vain_parameters import CONFIG_MODULE
 
@@ -261,8 +262,7 @@ def changed_values(experiment: Experiment, manifest: Mapping[str, Any]) -> dict[
 
 def last_given(manifest: Mapping[str, Any]) -> Mapping[str, Any] | None:
     """Return what the experiment was given last, by its manifest; None where an earlier version recorded nothing."""
-    executions = manifest.get("executions") or [{}]
-    given = manifest.get("given_to_extension", executions[-1].get("given"))
+    given = manifest.get("given_to_extension", last_execution(manifest).get("given"))
     return given if isinstance(given, dict) else None
 
 
@@ -288,7 +288,7 @@ def accept_given(experiment: Experiment, manifest: dict[str, Any]) -> None:
 
     Where other static parameters are set now than were then, it is not compared.
     """
-    settings = (manifest.get("executions") or [{}])[-1].get("deviations") or {}
+    settings = last_execution(manifest).get("deviations") or {}
     is_set_alike = settings.keys() == experiment.overrides.keys()
     manifest["given_to_extension"] = given_values(experiment) if is_set_alike else None
 
@@ -297,15 +297,16 @@ def _differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[tu
     for name in dict.fromkeys([*now, *before]):
         pair = {which: given[name] for which, given in (("was", before), ("is", now)) if name in given}
         is_left_out = bool({LEFT_OUT, REDACTED}.intersection(map(str, pair.values())))
-        if not is_left_out and (len(pair) == 1 or not _are_same(pair["was"], pair["is"])):
+        if not is_left_out and (len(pair) == 1 or pair["was"] != pair["is"]):
             yield name, pair
 
 
-def _are_same(was: Any, is_now: Any) -> bool:
-    """Whether two values are the same; a list that was made of a set has another order in each process."""
+def is_reordered(pair: Mapping[str, Any]) -> bool:
+    """Return whether a value that has changed is a list of texts in another order, as one that was made of a set is."""
+    was, is_now = pair.get("was"), pair.get("is")
     if isinstance(was, list) and isinstance(is_now, list) and all(isinstance(each, str) for each in (*was, *is_now)):
         return sorted(was) == sorted(is_now)
-    return bool(was == is_now)
+    return False
 
 
 def _steady(

@@ -84,6 +84,14 @@ def stop_signals_handled(handler: Callable[[int, FrameType | None], None]) -> It
             signal.signal(number, before)
 
 
+def ignore_broken_pipes() -> None:
+    """Have writing to a pipe that nobody reads raise, as Python does, and not end this process.
+
+    A config may have asked for the latter, as filters do: a run whose orchestrator was killed would close nothing.
+    """
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+
+
 class InterruptGate:
     """Lets a stop request end a callback, and never the closing of what callbacks opened.
 
@@ -106,6 +114,7 @@ class InterruptGate:
         What one of them does not end is told to `held_up`. Call it in the main thread of the run's process.
         """
         begin_run_of_its_own()
+        ignore_broken_pipes()
         for number in STOP_SIGNALS:
             signal.signal(number, _of_this_process(self._take_signal))
         signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
@@ -221,6 +230,7 @@ class Interruption:
         return self._reader
 
     def __enter__(self) -> Self:
+        ignore_broken_pipes()
         self._reader, self._writer = os.pipe()
         os.set_blocking(self._writer, False)
         os.set_blocking(self._reader, False)
@@ -239,6 +249,8 @@ class Interruption:
     def passed_on(self, gate: InterruptGate) -> Iterator[None]:
         """While this lasts, stop requests are passed on to callbacks that this process executes itself."""
         self._gate = gate
+        if self._count:  # one came right before
+            gate.request()
         try:
             yield
         finally:

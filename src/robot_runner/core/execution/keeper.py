@@ -13,8 +13,8 @@ to its turn. The keeper can: it does nothing else. Three pipes connect the proce
 Asked to stop, the keeper sends SIGTERM to the run, twice (`ASK_AGAIN`), and kills it when it has not ended after the
 grace. Once the run has ended in whatever way, the keeper kills the rest of its process group and its orphans. Where the
 run had no time to make its systems safe, another process that the keeper forks, the *standby*, does it (`standby.py`).
-If the keeper itself dies, the system sends SIGTERM to the run (Linux), and the orchestrator, if there is one, does the
-keeper's work.
+The run begins only once that one is there. If the keeper itself dies, the system sends SIGTERM to the run (Linux), and
+the orchestrator, if there is one, does the keeper's work.
 """
 
 from __future__ import annotations
@@ -42,6 +42,8 @@ _NUMBER_BYTES = 8
 _PIPE_BYTES = 1 << 20
 #: How long the keeper waits for processes that it has killed, s: one that waits for a broken disk cannot be reaped.
 _REAPING = 5.0
+#: How long after the grace a run may take that nobody waits for any more, and its keeper with all that it keeps, s.
+_MARGIN, _KEEPING = 10.0, 60.0
 #: How long it waits until it looks again, s.
 _LOOK = 0.01
 #: A poll cannot wait longer than 24 days: after a day it begins anew, s.
@@ -139,6 +141,7 @@ class Keeper:
 
     def __exit__(self, *raised: object) -> None:
         _in_flight.discard(self)
+        self.look()
         # A run that is still alive (the disk is full, say, and we cannot go on) must not wait for a reader.
         os.close(self.records)
         os.close(self._requests)  # and is ended by this
@@ -146,6 +149,10 @@ class Keeper:
         if self._has_told:  # all that the run started has ended: nobody has to wait until the keeper is gone, too
             _leaving.append(self)
         else:
+            if not (
+                processes.ends(self.run or self._pid, self.grace + _MARGIN) and processes.ends(self._pid, _KEEPING)
+            ):
+                self.give_up()  # stopped, say: the system asks its run to stop then
             self.reap()
 
     def let_go(self) -> None:
@@ -246,6 +253,7 @@ class _KeeperProcess:
         self._mark = mark
         self._kill_at: float | None = None
         self._ask_again_at: float | None = None
+        self._may_begin, self._let_begin = -1, -1
 
     def keep(self) -> None:
         """Start the run, watch over it until it has ended, end what it left behind, and tell how it ended."""
@@ -253,11 +261,17 @@ class _KeeperProcess:
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # where it is ignored, the system says of no child how it ended
         processes.use_no_streams()
         processes.adopt_orphans()
+        if self._standby is not None:
+            self._may_begin, self._let_begin = os.pipe()
         self._fork_run()
         if self._standby is not None:
-            ours = [self._requests, self._tell, self._report.descriptor]
+            ours = [self._requests, self._tell, self._report.descriptor, self._may_begin, self._let_begin]
             # It may outlive us, and is not of the run: the mark is not its own.
             self._standby.begin(self._run, let_go=[*ours, self._mark.descriptor])
+            os.close(self._may_begin)
+            with suppress(BrokenPipeError):  # somebody has killed the run
+                os.write(self._let_begin, b".")
+            os.close(self._let_begin)
         self._report.close()  # the run's alone from here on
         status = self._watch()
         processes.kill_group(self._run, self._spared)
@@ -288,8 +302,17 @@ class _KeeperProcess:
         os.close(self._tell)
         os.close(self._requests)
         self._mark.sign()
-        if os.getppid() == keeper:  # else it died before the system would have told us
+        # Else it died before the system would have told us, or before somebody stood by.
+        if os.getppid() == keeper and self._is_stood_by():
             self._start(self._report)
+
+    def _is_stood_by(self) -> bool:
+        """Wait, in the run, until its standby is there, if it has one; return whether it will be."""
+        if self._standby is None:
+            return True
+        os.close(self._let_begin)
+        with os.fdopen(self._may_begin, "rb", buffering=0) as may_begin:
+            return bool(may_begin.read(1))
 
     def _watch(self) -> int:
         """Return how the run ended, as `os.waitpid` does; obey requests, and kill it when the grace is over."""
@@ -305,6 +328,7 @@ class _KeeperProcess:
                 self._ask_again_at = None
                 os.kill(self._run, signal.SIGTERM)
             if self._kill_at is not None and time.monotonic() >= self._kill_at:
+                os.kill(self._run, signal.SIGKILL)  # a callback may have moved it to another group
                 processes.kill_group(self._run, self._spared)
                 self._kill_at = time.monotonic() + self._grace
         return status

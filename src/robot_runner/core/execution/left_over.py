@@ -128,14 +128,14 @@ def await_left_over(folder: ExperimentFolder, grace: float) -> Finding | None:
     """
     began = time.monotonic()
     slots = [folder.at_slot(number) for number in folder.used_slots()]
-    alive = [slot for slot in slots if _is_alive(slot)]
+    alive = [slot for slot in slots if is_alive(slot)]
     was_alive = bool(alive)
     for slot in alive:
         _ask_to_stop(slot)
-    _wait(lambda: not any(map(_is_alive, alive)), grace)
+    _wait(lambda: not any(map(is_alive, alive)), grace)
     seconds = time.monotonic() - began
     killed = sorted(pid for slot in slots for pid in end_left_over(slot))
-    if was_alive and not _wait(lambda: not any(map(_is_alive, alive)), _DYING):
+    if was_alive and not _wait(lambda: not any(map(is_alive, alive)), _DYING):
         raise ExecutionError(
             "a run of an earlier execution is still alive, and cannot be ended from here",
             where=str(folder.root),
@@ -210,7 +210,7 @@ def _wait(is_so: Callable[[], bool], seconds: float) -> bool:
     return True
 
 
-def _is_alive(folder: ExperimentFolder) -> bool:
+def is_alive(folder: ExperimentFolder) -> bool:
     """Whether a keeper, a run, or what they forked is alive; what may outlive its run does not count."""
     if not _is_locked(folder):
         return False

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import EventManager, RobotRunnerEvents
 from robot_runner.core.events.measure import CONFIG_OWNER
@@ -68,7 +69,7 @@ class MissionKnowledge:
             return None
         if said is None:
             return None
-        if isinstance(said, bool) or not isinstance(said, int | float) or not 0 <= said < math.inf:
+        if not is_number(said) or said < 0:
             self._doubt(where, f"the method returned {said!r}, which is not a number of seconds")
             return None
         return float(said)

@@ -35,6 +35,7 @@ from robot_runner.core.execution.probe import Probe, probe_profilers, probed_pro
 from robot_runner.core.execution.progress_manager import ProgressManager
 from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.execution.side_by_side import SideBySide
+from robot_runner.core.execution.standby import goes_on
 from robot_runner.core.execution.task import RunTask
 from robot_runner.core.storage.claim_locks import HeldClaims
 from robot_runner.core.storage.lock import forget_requests, is_requested
@@ -103,7 +104,7 @@ def execute_experiment(
     name = experiment.parameters.experiment_name
     with (
         Interruption() as interruption,
-        HeldClaims(held, name, experiment.folder.root, wait if waits_for_claims else None) as holding,
+        HeldClaims(held, name, experiment.folder.root, wait if waits_for_claims else None, goes_on) as holding,
         ProgressManager(experiment, resumption, probe if probed else None, prepare) as progress,
     ):
         told = (*findings, *holding.findings)
@@ -175,6 +176,9 @@ class _Orchestrator:
     def _execute_between_events(self, findings: Sequence[Finding]) -> None:
         try:
             with closing(self._places):
+                self._tend()
+                if self._interruption.is_requested:  # while the table was read, say: nothing was opened yet
+                    return
                 returned = self._ongoing.events.emit_to_experiment(RobotRunnerEvents.BEFORE_EXPERIMENT)
                 self._execute_runs(is_cleared=any(value is True for value in returned))
         except BaseException as error:

@@ -10,11 +10,12 @@ from typing import Any
 
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.parameters import Parameters
-from robot_runner.core.errors import ExecutionError, Finding
+from robot_runner.core.errors import ExecutionError, Finding, errors_first
 from robot_runner.core.events.manager import RUN_EVENTS, EventManager, RobotRunnerEvents
 from robot_runner.core.events.measure import MeasureColumn, PublishedMeasure
-from robot_runner.core.execution.aside import execute_aside
+from robot_runner.core.execution.aside import executed_aside
 from robot_runner.core.execution.interruption import Interruption
+from robot_runner.core.execution.patience import Patience
 from robot_runner.core.execution.places import Watch
 from robot_runner.core.execution.task import AttemptStatus, RunFailure, RunOutcome, RunTask, seed_of_run
 from robot_runner.core.links.connect import is_simulated
@@ -103,7 +104,7 @@ class Probe:
         Raises:
             ExecutionError: one did not; all findings are listed, errors first.
         """
-        ordered = sorted(self.findings, key=lambda finding: not finding.is_error)
+        ordered = errors_first(self.findings)
         if ordered and ordered[0].is_error:
             raise ExecutionError.of_findings(ordered)
 
@@ -231,7 +232,7 @@ def _probed(profiler: Profiler, experiment: Experiment, outcome: RunOutcome) -> 
 def _tried(
     experiment: Experiment, profilers: Sequence[Profiler], window: float, task: RunTask, interruption: Interruption
 ) -> RunOutcome:
-    return execute_aside(
+    steps = executed_aside(
         experiment,
         replace(task, run_id=_RUN),
         lambda: time.sleep(window),
@@ -240,3 +241,4 @@ def _tried(
         profilers=profilers,
         events=_PROBED,
     )
+    return Patience(interruption).follow(steps)

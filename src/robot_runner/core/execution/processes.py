@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import select
 import signal
 import sys
 import threading
@@ -203,5 +204,35 @@ def is_killed(pid: int) -> bool:
     try:
         os.kill(pid, signal.SIGKILL)
     except (PermissionError, ProcessLookupError):
+        return False
+    return True
+
+
+def ends(pid: int, seconds: float | None = None) -> bool:
+    """Wait until a process has ended, as a zombie too; return whether it has within so many seconds."""
+    if hasattr(os, "pidfd_open"):
+        try:
+            descriptor = os.pidfd_open(pid)
+        except ProcessLookupError:
+            return True
+        poll = select.poll()
+        poll.register(descriptor, select.POLLIN)
+        has_ended = bool(poll.poll(None if seconds is None else seconds * 1000))
+        os.close(descriptor)
+        return has_ended
+    deadline = None if seconds is None else time.monotonic() + seconds
+    while _is_alive(pid):  # macOS
+        if deadline is not None and time.monotonic() >= deadline:
+            return False
+        time.sleep(_LOOK)
+    return True
+
+
+def _is_alive(pid: int) -> bool:
+    with suppress(ChildProcessError):
+        return os.waitpid(pid, os.WNOHANG) == (0, 0)
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
         return False
     return True

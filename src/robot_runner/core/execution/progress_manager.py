@@ -12,6 +12,7 @@ from typing import Any, Self
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.treatment_makers import PREPARED, known_treatments
 from robot_runner.core.design.batches import described_design
+from robot_runner.core.design.factor import texts_of
 from robot_runner.core.errors import Finding, StorageError
 from robot_runner.core.execution.begun_experiment import begun_manifest, made_folder, refuse_unfit_treatments
 from robot_runner.core.execution.circumstances import keep_config
@@ -20,15 +21,22 @@ from robot_runner.core.execution.durations import Durations, TimeLeft, durations
 from robot_runner.core.execution.left_over import await_left_over
 from robot_runner.core.execution.notices import NextDecided
 from robot_runner.core.execution.probe import Probe
-from robot_runner.core.execution.recovered_table import RecoveredTable, TableOnDisk, texts_of
+from robot_runner.core.execution.recovered_table import RecoveredTable, TableOnDisk
 from robot_runner.core.execution.recovery import Resumption, selected_places, with_session_warm_ups
-from robot_runner.core.execution.run_facts import CALLED, ReportedFacts, UnreadFactors, large_log, missing_measures
+from robot_runner.core.execution.run_facts import (
+    CALLED,
+    ReportedFacts,
+    UnreadFactors,
+    large_log,
+    left_logs,
+    missing_measures,
+)
 from robot_runner.core.execution.standby import await_standby
 from robot_runner.core.execution.table_recovery import recover_table
 from robot_runner.core.execution.task import AttemptStatus, PendingRun, RunOutcome, RunTask, seed_of_run
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import Journal, utc_now
-from robot_runner.core.storage.layout import drop_empty_log, keep_log, put_earlier_attempt_away
+from robot_runner.core.storage.layout import drop_empty_log, keep_log, put_earlier_attempt_away, remove_half_written
 from robot_runner.core.storage.lock import ExperimentLock, forget_requests
 from robot_runner.core.storage.manifest import write_manifest
 from robot_runner.core.storage.run_table_rows import RunTableRows
@@ -77,6 +85,7 @@ class ProgressManager:
             self._lock = opened.enter_context(ExperimentLock(self._folder.lock))
             opened.callback(forget_requests, self._folder.pause, self._folder.stop)  # of no use to the next session
             forget_requests(self._folder.pause, self._folder.stop)  # of one that was killed
+            remove_half_written(self._folder)
             left_over = await_left_over(self._folder, self._experiment.parameters.grace_in_s)
             self._findings += [each for each in (left_over, await_standby(self._folder)) if each is not None]
             accept_changes = self._resumption.accept_changes
@@ -97,10 +106,8 @@ class ProgressManager:
             self._manifest |= prepared
             self._durations = self._expected_durations()
             probed = self._probed()
-            for run_id, slot in recovered.unfinished.items():  # the orchestrator died: what it printed is still its log
-                if slot:
-                    keep_log(self._folder.at_slot(slot), run_id)
-                self._left_behind.add(run_id)
+            self._findings += left_logs(self._folder, recovered.unfinished)
+            self._left_behind.update(recovered.unfinished, recovered.put_back_attempts())
             self._journal = opened.enter_context(Journal(self._folder.journal, self._lock.others_hold))
             recovered.keep_deviations(self._journal, self._manifest)
             if prepared:
@@ -249,7 +256,7 @@ class ProgressManager:
             run_number=run.number,
             run_count=self.run_count,
             attempt=self._attempts[run.run_id],
-            combination=self._rows.combination(run.place),
+            combination=self._rows.combination(run.place).of_one_run(),
             repetition=self._rows.repetition(run.place),
             experiment_seed=self.seed,
             run_seed=seed_of_run(self.seed, run.run_id),
@@ -311,7 +318,7 @@ class ProgressManager:
             self._findings += large_log(self._folder.log(task.run_id))
         self._durations.end(time.monotonic(), outcome.status.value, is_last=is_last, run=task.run_id)
         self._findings += [*outcome.findings, *missing_measures(self._experiment, task, outcome)]
-        if outcome.status is AttemptStatus.FAILED and is_last:
+        if outcome.status is AttemptStatus.FAILED:  # also where it is to be tried again: something may come in between
             self._failed[task.run_id] = str(outcome.failure)
         self._keep_outcome(task, outcome, {"is_last": is_last})
         return self._unread.take(task, outcome)

@@ -17,9 +17,10 @@ from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.design.run_table_model import RunTable
 from robot_runner.core.errors import Finding, StorageError
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome
-from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.cells import ENDS
 from robot_runner.core.storage.executed_runs import DONE_BEFORE, EXCLUSION_KINDS, ExcludedRuns
 from robot_runner.core.storage.journal import Journal, journal_lines, parsed_record, utc_now
+from robot_runner.core.storage.layout import put_attempt_back, runs_put_away
 from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 from robot_runner.core.storage.table_schema import describe_columns, write_schema
@@ -122,15 +123,6 @@ def run_of(journal: Path, line: bytes) -> str:
     """Return the run that a line of the journal is about."""
     found = _RUN.match(line)
     return found[1].decode() if found else str(parsed_record(journal, line)["run"])
-
-
-def texts_of(combination: Mapping[str, Any]) -> dict[str, str]:
-    """Return the treatments of a run as the journal keeps them."""
-    return {name: str(treatment) for name, treatment in combination.items()}
-
-
-#: The status in the run table of a run whose attempt ended in this way.
-ENDS = {AttemptStatus.DONE.value: RunStatus.DONE, AttemptStatus.FAILED.value: RunStatus.FAILED}
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,6 +228,19 @@ class RecoveredTable:
         for name, measure in record["measures"].items():
             if doubts := measure.get("doubts"):
                 self.reasons[name][record["run"]] = tuple(doubts)
+
+    def put_back_attempts(self) -> Iterator[str]:
+        """Put back what was put away for attempts of which none has begun, as who was to begin it was killed.
+
+        Yields:
+            the runs that have their folder again.
+        """
+        folder = self.experiment.folder
+        for run_id in runs_put_away(folder):
+            place = self.rows.place_of(run_id)
+            has_ended = place is not None and self.rows.status(place) in ENDS.values()
+            if has_ended and put_attempt_back(folder, run_id, self.attempts[run_id]):
+                yield run_id
 
     def keep_deviations(self, journal: Journal, manifest: dict[str, Any]) -> None:
         """Record what was changed by hand: in the journal, and for readers of the manifest."""

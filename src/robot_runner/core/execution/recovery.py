@@ -21,7 +21,7 @@ from robot_runner.core.design.run_table_model import RunTable
 from robot_runner.core.design.selection import Chosen, RunChooser
 from robot_runner.core.design.warm_up import WarmUp, with_warm_ups_again
 from robot_runner.core.errors import ExecutionError, Finding
-from robot_runner.core.execution.given_values import changed_values
+from robot_runner.core.execution.given_values import changed_values, is_reordered
 from robot_runner.core.secret_names import is_same_setting, shown_settings
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.guarded_files import read_bytes
@@ -143,10 +143,14 @@ def _contradictions(
 ACCEPT = "--accept-changes"
 
 _CONFIG_FIX = f"Undo the change, accept it ({ACCEPT}), or choose another experiment_name."
-_FROM_OUTSIDE = ", and comes from outside the file, such as from an environment variable"
+_FROM_OUTSIDE = ", and comes from outside the file, such as from an environment variable, or from hash()"
 _TABLE_FIX = (
     f"Undo the change (--table journal does, in runs that are done), let the table count ({ACCEPT}), or choose another "
     "experiment_name."
+)
+_PLAN_FIX = (
+    "Nobody changed the table: create_run_table may plan otherwise in each process, as from random numbers, or from "
+    f"the order of a set, which sorted() settles. Mend it, or let the table count ({ACCEPT})."
 )
 
 
@@ -197,23 +201,30 @@ def _earlier_name(experiment: Experiment, manifest: Mapping[str, Any]) -> str | 
 
 
 def table_differences(
-    path: Path, plan: RunTable, rows: RunTableRows, accepted: Container[tuple[str, str, str]] = ()
+    path: Path,
+    plan: RunTable,
+    rows: RunTableRows,
+    accepted: Container[tuple[str, str, str]] = (),
+    *,
+    is_as_written: bool = False,
 ) -> Iterator[Finding]:
     """Yield each cell in which the run table on disk differs from the plan, and each run that only one of them has.
 
-    Cells of which run, column and text are `accepted` were told before.
+    Cells of which run, column and text are `accepted` were told before. A table that `is_as_written` by us has been
+    changed by nobody.
     """
+    fix = _PLAN_FIX if is_as_written else _TABLE_FIX
     if len(plan) == len(rows) and all(map(is_, plan, rows.planned)):  # as nearly always, and many times faster
         return
     planned = {run.run_id: run for run in plan}
     for found in rows.planned:
         run = planned.pop(found.run_id, None)
         if run is None:
-            yield Finding.error(f"{path}, run {found.run_id}", "the plan has no such run", _TABLE_FIX)
+            yield Finding.error(f"{path}, run {found.run_id}", "the plan has no such run", fix)
         else:
-            yield from _different_cells(path, run, found, accepted, has_repetition=rows.layout.has_repetition)
+            yield from _different_cells(path, run, found, accepted, fix, has_repetition=rows.layout.has_repetition)
     for run_id in planned:
-        yield Finding.error(f"{path}, run {run_id}", "the table lacks this run of the plan", _TABLE_FIX)
+        yield Finding.error(f"{path}, run {run_id}", "the table lacks this run of the plan", fix)
 
 
 def _different_cells(
@@ -221,6 +232,7 @@ def _different_cells(
     run: PlannedRun,
     found: PlannedRun,
     accepted: Container[tuple[str, str, str]],
+    fix: str,
     *,
     has_repetition: bool,
 ) -> Iterator[Finding]:
@@ -231,7 +243,7 @@ def _different_cells(
     for name, is_now, value in pairs:
         if is_now is not value and str(is_now) != str(value) and (run.run_id, name, str(is_now)) not in accepted:
             where = f"{path}, run {run.run_id}, column {name!r}"
-            yield Finding.error(where, f"the table has {is_now!r}, the plan {value!r}", _TABLE_FIX)
+            yield Finding.error(where, f"the table has {is_now!r}, the plan {value!r}", fix)
 
 
 #: The method of a config that makes its design; that of the earlier tools, too.
@@ -285,9 +297,12 @@ def _changed_settings(before: Mapping[str, str], now: Mapping[str, str]) -> Iter
 def _changed_values(
     experiment: Experiment, manifest: Mapping[str, Any], settings: Collection[str], why: str
 ) -> Iterator[Finding]:
-    """Yield each value that has changed; those set with `--set` are compared as settings."""
+    """Yield each value that has changed; those set with `--set` are compared as settings.
+
+    A list that was made of a set has another order in each process: nobody can undo that, and a warning tells it.
+    """
     for name, pair in changed_values(experiment, manifest).items():
-        if name not in settings:
+        if name not in settings and not is_reordered(pair):
             was, is_now = (repr(pair[each]) if each in pair else "not given" for each in ("was", "is"))
             where = f"{experiment.config_path}, {name}"
             yield Finding.error(where, f"the value was {was} and is {is_now}{why}", _CONFIG_FIX)

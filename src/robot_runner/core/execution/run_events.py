@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import closing, contextmanager
+from functools import partial
 from typing import Any
 
 from robot_runner.core.config.experiment import Experiment
@@ -23,7 +24,7 @@ from robot_runner.core.execution.systems_state import Care, SystemsState
 from robot_runner.core.execution.task import Report, RunTask
 from robot_runner.core.links.commanded_topics import hear_commanded
 from robot_runner.core.links.connect import is_simulated, open_clock
-from robot_runner.core.links.host_commands import DeclaredHosts
+from robot_runner.core.links.host_commands import opened_host
 from robot_runner.core.plugin import System, usual_origin
 from robot_runner.core.storage.journal import utc_now
 
@@ -65,7 +66,7 @@ def run_contexts(
     broker = MeasureBroker(task.run_id, experiment.columns, report, task.measures, task.shared)
     times = MissionTimes(clock, report, experiment.parameters.phases)
     run_path = experiment.folder.run(task.run_id)
-    hosts = DeclaredHosts(experiment.parameters.hosts)
+    hosts = partial(opened_host, experiment.parameters.hosts)
     plugins = {plugin.name: plugin for plugin in experiment.plugins}
     made: dict[str, RobotRunnerContext] = {}
 

@@ -19,7 +19,7 @@ from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import RUN_EVENTS, RobotRunnerEvents
 from robot_runner.core.events.measure import CONFIG_OWNER, OPERATOR_OWNER
 from robot_runner.core.execution.task import AttemptStatus, Report, RunOutcome, RunTask
-from robot_runner.core.storage.layout import ExperimentFolder, keep_refused
+from robot_runner.core.storage.layout import ExperimentFolder, keep_log, keep_refused, keep_unknown_log
 from robot_runner.core.storage.manifest import described_programs
 
 #: The kind of the record that says that a program was called, and which other one names a program.
@@ -203,6 +203,25 @@ def missing_measures(experiment: Experiment, task: RunTask, outcome: RunOutcome)
         if column.owner != OPERATOR_OWNER  # a person is asked before some runs only
         if found is None or found.value is None
     ]
+
+
+def left_logs(folder: ExperimentFolder, unfinished: Mapping[str, int]) -> list[Finding]:
+    """Keep what the runs of an execution that was killed had printed, and warn of what is of no run that is known.
+
+    Args:
+        folder: the experiment's.
+        unfinished: the runs whose attempts did not come to a recorded end, each with its slot; 0 is on another machine.
+
+    Raises:
+        StorageError: it cannot be moved.
+    """
+    for run_id, slot in unfinished.items():
+        if slot and not folder.log(run_id).exists():  # else what was printed is of a later run: the journal is older
+            keep_log(folder.at_slot(slot), run_id)
+    kept = [keep_unknown_log(folder.at_slot(slot)) for slot in folder.used_slots()]
+    problem = "a run printed this of which the journal does not tell that it was begun"
+    fix = "Where an older journal was put back, restore the newer one from a backup before you go on."
+    return [Finding.warning(str(log), problem, fix) for log in kept if log is not None]
 
 
 def large_log(log: Path) -> list[Finding]:

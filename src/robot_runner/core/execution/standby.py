@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import fcntl
 import os
-import select
 import signal
 import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, suppress
 from copy import copy as shallow_copy
+from pathlib import Path
 from typing import Any, NoReturn
 
 from robot_runner.core.config.experiment import Experiment
@@ -24,8 +24,8 @@ from robot_runner.core.errors import ExecutionError, Finding, LinkError, Storage
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.events.resources import Resources
-from robot_runner.core.execution.left_over import has_locked
-from robot_runner.core.execution.processes import forked, settle_streams
+from robot_runner.core.execution.left_over import has_locked, is_alive
+from robot_runner.core.execution.processes import ends, forked, settle_streams
 from robot_runner.core.execution.run_events import made_safe, run_contexts
 from robot_runner.core.execution.run_records import failure_fields
 from robot_runner.core.execution.systems_state import Care, SystemsState
@@ -35,6 +35,7 @@ from robot_runner.core.links.connect import connect_robot, is_simulated, join_be
 from robot_runner.core.plugin import System
 from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, remove
 from robot_runner.core.storage.layout import ExperimentFolder, print_to_log
+from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.lock_files import open_to_lock, was_open_to_strangers
 from robot_runner.core.treatments import factors_of
 from robot_runner.core.words import enumerated
@@ -50,7 +51,7 @@ _RETRYING, _AGAIN = 15.0, 0.5
 _DYING = 5.0
 #: Enough for any process's id.
 _DIGITS = 20
-#: Where the system does not tell of a process's end, we look this often, s.
+#: How often we look whether another process has ended, s.
 _LOOK = 0.02
 
 
@@ -84,7 +85,7 @@ class Standby:
 
     def wait(self, seconds: float = _LONGEST) -> None:
         """Wait until the process of `begin` has ended, once the run is dead; kill it where it hangs."""
-        if hangs := not _ends(self._pid, seconds):
+        if hangs := not ends(self._pid, seconds):
             with suppress(ProcessLookupError):
                 os.kill(self._pid, signal.SIGKILL)
         with suppress(ChildProcessError):  # reaped by who reaps all
@@ -107,7 +108,7 @@ class Standby:
             self.state.set(Care.RUN)
             self.begin(run)
             deadline = time.monotonic() + _LONGEST
-            while not _ends(self._pid, 0.0) and time.monotonic() < deadline:
+            while not ends(self._pid, 0.0) and time.monotonic() < deadline:
                 yield _LOOK
             self.wait(0.0)
 
@@ -145,7 +146,7 @@ class Standby:
                 for system in self._systems:
                     with suppress(Exception):
                         system.stand_by(connection.contexts(system.name))
-                _ends(run)
+                ends(run)
                 if self.state.care is Care.RUN:
                     self._act(connection)
         finally:
@@ -228,6 +229,15 @@ class _Connection:
         self._resources.close()
 
 
+def goes_on(root: Path) -> bool:
+    """Return whether anything of an experiment that nobody executes is alive: a run, or who makes its systems safe."""
+    folder = ExperimentFolder.found_at(root)
+    with suppress(OSError, StorageError):  # of a folder that cannot be looked at, that is not known
+        slots = map(folder.at_slot, folder.used_slots())
+        return not holder_of(folder.lock) and any(is_alive(slot) or _locked_by(slot) is not None for slot in slots)
+    return False
+
+
 def await_standby(folder: ExperimentFolder) -> Finding | None:
     """Wait until nobody of an earlier execution makes its systems safe; kill who does so for too long.
 
@@ -308,33 +318,3 @@ def standby_of(experiment: Experiment, task: RunTask) -> Standby | None:
     if is_simulated(robot) or (robot is None and not systems):
         return None
     return Standby(systems, experiment, task)
-
-
-def _ends(pid: int, seconds: float | None = None) -> bool:
-    """Wait until a process has ended, as a zombie too; return whether it has within so many seconds."""
-    if hasattr(os, "pidfd_open"):
-        try:
-            descriptor = os.pidfd_open(pid)
-        except ProcessLookupError:
-            return True
-        poll = select.poll()
-        poll.register(descriptor, select.POLLIN)
-        has_ended = bool(poll.poll(None if seconds is None else seconds * 1000))
-        os.close(descriptor)
-        return has_ended
-    deadline = None if seconds is None else time.monotonic() + seconds
-    while _is_alive(pid):  # macOS
-        if deadline is not None and time.monotonic() >= deadline:
-            return False
-        time.sleep(_LOOK)
-    return True
-
-
-def _is_alive(pid: int) -> bool:
-    with suppress(ChildProcessError):
-        return os.waitpid(pid, os.WNOHANG) == (0, 0)
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return True

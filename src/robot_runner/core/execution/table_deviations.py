@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID
+from robot_runner.core.design.factor import texts_of
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import Finding, Severity
-from robot_runner.core.execution.recovered_table import ENDS, Deviation, texts_of
-from robot_runner.core.storage.cells import RunStatus, csv_text, measure_text
+from robot_runner.core.execution.recovered_table import Deviation
+from robot_runner.core.storage.cells import ENDS, RunStatus, csv_text, measure_text
 from robot_runner.core.storage.executed_runs import ExcludedRuns
 from robot_runner.core.storage.run_table_reading import run_table_in
 from robot_runner.core.storage.run_table_rows import RunTableRows

@@ -7,7 +7,6 @@ ended since are added. Any other file is compared with the journal, run by run.
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -17,6 +16,7 @@ from typing import Any
 
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.design.columns import EXCLUDED, STATUS
+from robot_runner.core.design.factor import texts_of
 from robot_runner.core.design.run_table_model import RunTable
 from robot_runner.core.errors import Finding, Severity, StorageError
 from robot_runner.core.execution.recovered_table import (
@@ -26,7 +26,6 @@ from robot_runner.core.execution.recovered_table import (
     TableHistory,
     lacks_runs,
     run_of,
-    texts_of,
     with_later_batches,
 )
 from robot_runner.core.execution.recovery import (
@@ -49,15 +48,14 @@ from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import unrecorded_in_words, unrecorded_runs
 from robot_runner.core.storage.guarded_files import (
     MissingFileError,
-    make_folder,
     open_to_read,
     open_to_write,
     read_blocks,
 )
 from robot_runner.core.storage.journal import journal_lines, parsed_record
-from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.layout import next_in
+from robot_runner.core.storage.run_table_reading import digest_of, read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows
-from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.core.storage.table_columns import ColumnDescription, TableLayout, former_measures
 from robot_runner.core.storage.table_schema import read_schema
 
@@ -163,7 +161,8 @@ class _Recovery:
     def _refuse_unaccepted(self, rows: RunTableRows) -> None:
         if next(table_differences(self._path, self._plan, rows), None) is not None:  # as nearly never
             accepted = {(*cell, is_now) for cell, is_now in self._last_ends()[1].items()}
-            refuse_differences(table_differences(self._path, self._plan, rows, accepted))
+            is_ours = self._history.written == digest_of(self._path)
+            refuse_differences(table_differences(self._path, self._plan, rows, accepted, is_as_written=is_ours))
 
     def _unrecorded(self, rows: RunTableRows) -> list[str]:
         """Return the runs that are done and of which the journal has no end: it is older than the table, or missing.
@@ -348,10 +347,8 @@ class _Recovery:
         return table
 
     def _put_aside(self) -> None:
-        folder = self._experiment.folder.earlier_tables
         root = self._experiment.folder.root
-        make_folder(folder, root)
-        self._aside = folder / f"{1 + sum(1 for _ in folder.iterdir())}.csv"
+        self._aside = next_in(self._experiment.folder.earlier_tables, root).with_suffix(".csv")
         with open_to_read(self._path) as table, open_to_write(self._aside, root) as kept:
             shutil.copyfileobj(table, kept)
 
@@ -376,16 +373,6 @@ def _has_content(path: Path) -> bool:
         return any(block.strip() for block in read_blocks(path))
     except MissingFileError:
         return False
-
-
-def digest_of(path: Path) -> str:
-    """Return the SHA-256 of a file, in hexadecimal digits.
-
-    Raises:
-        StorageError: it cannot be read.
-    """
-    with storage_errors(path, "read"), open_to_read(path) as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _schema_of(path: Path) -> tuple[tuple[ColumnDescription, ...], tuple[Finding, ...]]:

@@ -8,8 +8,12 @@ from collections.abc import Callable, Sequence
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Advertiser, Message, RobotLink
 
+#: A robot carries out a command of these types until the next one; one without any field stops it.
+VELOCITIES = frozenset({"geometry_msgs/Twist", "geometry_msgs/TwistStamped"})
 #: What stands in a finding or a failure where nobody could stop a robot: no further run begins then.
 MAY_BE_MOVING = "THE ROBOT MAY BE MOVING"
+#: What an experiment is said to be stopped by then.
+MOVING_ROBOT = "a robot that may be moving"
 #: What is to be done about it.
 STOP_BY_HAND = (
     "Stop it by hand, and start the experiment again: it resumes. A watchdog on the robot stops it when the laptop "

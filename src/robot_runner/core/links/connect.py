@@ -245,7 +245,11 @@ def robot_namespace(context: RobotRunnerContext, namespace: str = "") -> str:
     Raises:
         LinkError: there is no such robot.
     """
-    own = "" if context.robot is None else resolved_robot(context.robot)[1].namespace
+    return _below("" if context.robot is None else resolved_robot(context.robot)[1].namespace, namespace)
+
+
+def _below(own: str, namespace: str) -> str:
+    """Return a namespace below that of a robot, which may be none."""
     return f"{namespace_prefix(own)}{namespace_prefix(namespace)}" if own else namespace
 
 
@@ -272,7 +276,7 @@ def open_robot(robot: str, *, namespace: str = "", seed: int = 1) -> Iterator[tu
     kind, name = resolved_robot(robot)
     with closing(Resources()) as resources:
         clock = kind.open_clock(name, resources=resources, seed=seed)
-        within = f"{namespace_prefix(name.namespace)}{namespace_prefix(namespace)}" if name.namespace else namespace
+        within = _below(name.namespace, namespace)
         link = kind.open_robot(name, resources=resources, clock=clock, seed=seed, namespace=within)
         resources.open("robot", lambda: link)
         yield link, clock

@@ -10,6 +10,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
+from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import ConfigError, Finding, LinkError
 from robot_runner.core.events.condition import Condition
 
@@ -97,7 +98,7 @@ class Host:
             yield Finding.error(where, refused.problem, refused.fix)
         for name in ("fetch_within_s", "largest_fetch_mb", "back_within_s"):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < float("inf"):
+            if not is_number(value) or value <= 0:
                 yield Finding.error(where, f"{name} is {value!r}", f"Give {name} a number above 0.")
         if not isinstance(self.ssh_config, Path | None):
             yield Finding.error(where, f"ssh_config is {self.ssh_config!r}", "Name a file.")

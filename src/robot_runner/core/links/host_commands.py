@@ -237,21 +237,15 @@ def _whole_lines(text: str) -> str:
     return text if not text or text.endswith("\n") else f"{text}\n"
 
 
-@dataclass(frozen=True, slots=True)
-class DeclaredHosts:
-    """The hosts of a config, as a run's context opens them."""
+def opened_host(hosts: Mapping[str, Host], name: str, context: RobotRunnerContext) -> HostCommands:
+    """Return the host of this name; all who ask in a run share its connection.
 
-    hosts: Mapping[str, Host]
-
-    def open(self, name: str, context: RobotRunnerContext) -> HostCommands:
-        """Return the host of this name; all who ask in a run share its connection.
-
-        Raises:
-            LinkError: the config names no such host; the nearest is named.
-        """
-        host = self.hosts.get(name)
-        if host is None:
-            fix = did_you_mean(name, self.hosts) or f"Name it in the config: hosts = {{{name!r}: 'pi@robot'}}."
-            raise LinkError(f"there is no host {name!r}", where="hosts", fix=fix)
-        opened = context.resources.open(f"host {name}", lambda: _OpenedHost(open_shell(host), host.most_bytes))
-        return HostCommands(name, host, opened, context)
+    Raises:
+        LinkError: the config names no such host; the nearest is named.
+    """
+    host = hosts.get(name)
+    if host is None:
+        fix = did_you_mean(name, hosts) or f"Name it in the config: hosts = {{{name!r}: 'pi@robot'}}."
+        raise LinkError(f"there is no host {name!r}", where="hosts", fix=fix)
+    opened = context.resources.open(f"host {name}", lambda: _OpenedHost(open_shell(host), host.most_bytes))
+    return HostCommands(name, host, opened, context)

@@ -42,6 +42,10 @@ _WORDS = {status.value.casefold(): status for status in RunStatus} | dict.fromke
 )
 
 
+#: The status of a run whose last attempt ended so, as the journal says; one whose attempt was interrupted is to do.
+ENDS = {"done": RunStatus.DONE, "failed": RunStatus.FAILED}
+
+
 def status_of_word(word: str) -> RunStatus | None:
     """Return the status that is written so, whatever the case of its letters, or None."""
     return _WORDS.get(word.strip().casefold())

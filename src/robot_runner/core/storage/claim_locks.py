@@ -30,6 +30,7 @@ _TRIES, _BETWEEN = 50, 0.01
 _HAVE_IT_WAIT = (
     "Have this one wait: `robot-runner queue add`, or `run --wait`; or end the other with Ctrl-C in its terminal."
 )
+_AWAIT_ITS_END = "It ends by itself: try again in a moment, or have this one wait: `robot-runner run --wait`."
 _NAME_A_FOLDER = "Set XDG_STATE_HOME to a folder of your own."
 
 
@@ -80,6 +81,8 @@ class HeldClaims:
         folder: its folder, likewise.
         wait: called with who holds the claims where others do, again and again; it waits a moment and returns, or
             raises. None where the experiment is refused then.
+        goes_on: returns whether anything of the experiment in a folder goes on though nobody executes it: where that
+            was killed, the system has let go of its claims, and its run may still be closed, or its robot stopped.
 
     Attributes:
         findings: that claims could not be held, as their files cannot be locked; others are not kept out then.
@@ -94,10 +97,12 @@ class HeldClaims:
         experiment: str,
         folder: Path,
         wait: Callable[[Sequence[Finding]], None] | None = None,
+        goes_on: Callable[[Path], bool] = lambda _: False,
     ) -> None:
         self._claims = sorted(claims)
         self._signature = ClaimHolder(experiment, str(folder), os.getpid())
         self._wait = wait
+        self._goes_on = goes_on
         self._held = ExitStack()
         self.findings: list[Finding] = []
 
@@ -136,6 +141,11 @@ class HeldClaims:
         if not is_mine:
             holder = _holder(descriptor)
             yield Finding.error("claims", f"{claim} is in use by {holder.in_words()}", _HAVE_IT_WAIT)
+            return
+        before = _holder(descriptor)
+        if before.folder != self._signature.folder and self._goes_on(Path(before.folder)):
+            problem = f"{claim} is in use by what is left of {before.in_words()}, which was killed"
+            yield Finding.error("claims", problem, _AWAIT_ITS_END)
             return
         with suppress(OSError):  # on a full disk nobody learns who holds it, and others are kept out all the same
             sign(descriptor, replace(self._signature, since=utc_now()))

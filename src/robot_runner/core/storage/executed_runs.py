@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from bisect import bisect_left
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,8 +11,8 @@ from typing import Any
 from robot_runner.core.design.columns import EXCLUDED, REPETITION, STATUS
 from robot_runner.core.errors import Finding
 from robot_runner.core.storage.cells import RunStatus, measure_text
-from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.storage.run_table_reading import digest_of
 from robot_runner.core.storage.run_table_rows import RunTableRows
 from robot_runner.core.words import counted, listed
 
@@ -223,9 +222,8 @@ def edited_findings(journal: Path, table: Path, rows: RunTableRows) -> Iterator[
     written = ""
     for record in read_journal(journal, kinds={"table_written"}):
         written = record.get("sha256", "")
-    with open_to_read(table) as file:
-        if hashlib.file_digest(file, "sha256").hexdigest() == written:
-            return  # as nearly always: nothing else of the journal is read
+    if digest_of(table) == written:
+        return  # as nearly always: nothing else of the journal is read
     known: dict[str, dict[str, str]] = {}
     for record in read_journal(journal, kinds={"attempt_started", "attempt_finished", "deviation"}):
         match record["kind"]:

@@ -21,6 +21,7 @@ from robot_runner.core.errors import Finding, StorageError
 from robot_runner.core.storage.declared_shapes import faults_of
 from robot_runner.core.storage.guarded_files import TEXT_LIMIT, read_bytes, read_json, replace
 from robot_runner.core.storage.system_refusals import storage_errors
+from robot_runner.core.words import listed
 
 #: The name of the index, beside the config.
 INDEX = "input_files.json"
@@ -256,7 +257,7 @@ def input_changes(inputs: Sequence[InputFile], kept: Path) -> Iterator[Finding]:
         was = known.get(str(each.path))
         if was is not None and _is_another(was, each):
             fix = "Undo the change, accept it (--accept-changes), or choose another experiment_name."
-            yield Finding.error(str(each.path), "the file is another one than the runs before have read", fix)
+            yield Finding.error(str(each.path), _change_in_words(was, each, kept), fix)
 
 
 def _is_another(was: KeptInput, each: InputFile) -> bool:
@@ -264,6 +265,29 @@ def _is_another(was: KeptInput, each: InputFile) -> bool:
         path, members = _files_of(each)
         now = _described(each, path, members)
     return bool(members) and (now["size"], now["sha256"]) != (was["size"], was["sha256"])
+
+
+def _change_in_words(was: KeptInput, each: InputFile, kept: Path) -> str:
+    path, members = _files_of(each)
+    copy = _copy_of(was, kept)
+    changes: list[str] = []
+    if copy is not None and members != [path]:
+        with storage_errors(each.path, "read"):
+            changes = _changes_in(path, members, copy, _copies_of(was, kept))
+    kind = "folder" if path.is_dir() else "file"
+    return listed(changes) or f"the {kind} is another one than the runs before have read"
+
+
+def _changes_in(path: Path, members: Sequence[Path], copy: Path, copies: Sequence[Path]) -> list[str]:
+    """Return which of the files of an input are not as their copies are."""
+    found = {os.path.relpath(member, path.parent): member for member in members}
+    known = {os.path.relpath(member, copy.parent): member for member in copies}
+    changed = [name for name in found.keys() & known if _file_digest(found[name]) != _file_digest(known[name])]
+    return [
+        *(f"{name} is another one than the runs before have read" for name in sorted(changed)),
+        *(f"{name} is new since the runs before" for name in sorted(found.keys() - known)),
+        *(f"{name}, which the runs before have read, is not there" for name in sorted(known.keys() - found)),
+    ]
 
 
 def _files_of(each: InputFile) -> tuple[Path, list[Path]]:

@@ -8,6 +8,7 @@ import shutil
 import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
+from datetime import datetime
 from functools import lru_cache
 from io import BytesIO
 from itertools import chain
@@ -28,7 +29,7 @@ from robot_runner.core.storage.guarded_files import (
 )
 from robot_runner.core.storage.lock_files import is_at
 from robot_runner.core.storage.record_shapes import RECORDS, Record
-from robot_runner.core.storage.system_refusals import fsync_file, storage_error
+from robot_runner.core.storage.system_refusals import fsync_file, storage_error, storage_errors
 
 #: `Journal.append` writes the kind first, so that a line's kind is known without parsing it.
 _BEGINNING = '{"kind":"'
@@ -44,6 +45,11 @@ def utc_now() -> str:
     """Return the present moment in UTC: ISO 8601 with milliseconds, as in `2026-01-31T12:00:00.250Z`."""
     second, nanosecond = divmod(time.time_ns(), 1_000_000_000)
     return f"{_up_to_second(second)}.{nanosecond // 1_000_000:03d}Z"
+
+
+def seconds_of(stamp: str) -> float:
+    """Return a moment that `utc_now` told, in seconds since 1970."""
+    return datetime.fromisoformat(stamp).timestamp()
 
 
 def _line_of(record: dict[str, Any]) -> bytes:
@@ -273,7 +279,7 @@ def last_records(path: Path, *, kinds: Collection[str], within: int = _LAST_BYTE
     """
     beginnings = tuple(f'{_BEGINNING}{kind}"'.encode() for kind in kinds)
     try:
-        with open_to_read(path) as file:
+        with storage_errors(path, "read"), open_to_read(path) as file:
             beginning = max(0, file.seek(0, os.SEEK_END) - within)
             file.seek(beginning)
             if beginning:
@@ -281,8 +287,6 @@ def last_records(path: Path, *, kinds: Collection[str], within: int = _LAST_BYTE
             lines = [line for line in file if line.startswith(beginnings) and line.endswith(b"}\n")]
     except MissingFileError:
         return
-    except OSError as error:
-        raise storage_error(path, "read", error) from error
     for line in lines:
         yield parsed_record(path, line)
 

@@ -15,12 +15,15 @@ from pathlib import Path
 from typing import Any
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.storage.guarded_files import make_folder, open_descriptor, open_to_append
+from robot_runner.core.storage.guarded_files import make_folder, open_descriptor, open_to_append, remove
 from robot_runner.core.storage.masked_log import MaskedText, mask_log
 from robot_runner.core.storage.system_refusals import storage_errors
 
 _RUNS = "runs"
 _MANIFEST = "manifest.json"
+_LOG = "log.txt"
+#: Among earlier attempts, those at a run that is not known: no run can be called so.
+_UNKNOWN = "unknown run"
 
 
 class _Member:
@@ -140,7 +143,7 @@ class ExperimentFolder:
 
     def log(self, run_id: str) -> Path:
         """Return the file that takes everything that a run's callbacks printed, once it has ended."""
-        return self.run(run_id) / "log.txt"
+        return self.run(run_id) / _LOG
 
     def refused(self, run_id: str) -> Path:
         """Return the file of values that the run table could not take."""
@@ -219,11 +222,41 @@ def keep_log(folder: ExperimentFolder, run_id: str) -> None:
     Raises:
         StorageError: it cannot be moved.
     """
-    with storage_errors(folder.log(run_id), "written"):
-        if _size(folder.current_log) > 0:
-            make_folder(folder.run(run_id), folder.root)
+    _keep_log(folder, folder.log(run_id))
+
+
+def keep_unknown_log(folder: ExperimentFolder) -> Path | None:
+    """Put away what was printed by a run that nobody knows any more, or the next one would go on with its log.
+
+    Returns:
+        where it is now; None where nothing was printed.
+
+    Raises:
+        StorageError: it cannot be moved.
+    """
+    kept = _free(folder.earlier_attempts / _UNKNOWN / "1") / _LOG
+    return kept if _keep_log(folder, kept) else None
+
+
+def _keep_log(folder: ExperimentFolder, kept: Path) -> bool:
+    """Move what was printed last, if anything was; return whether it was."""
+    with storage_errors(kept, "written"):
+        if has_printed := _size(folder.current_log) > 0:
+            make_folder(kept.parent, folder.root)
             mask_log(folder.current_log, folder.root)
-            folder.current_log.replace(folder.log(run_id))
+            folder.current_log.replace(kept)
+    return has_printed
+
+
+def remove_half_written(folder: ExperimentFolder) -> None:
+    """Remove what a killed process has written by half; call it where only this process can write these files.
+
+    Raises:
+        StorageError: it cannot be removed.
+    """
+    for path in (folder.run_table, folder.schema, folder.manifest):
+        for half in folder.root.glob(f".{path.name}.*.tmp"):
+            remove(half, folder.root)
 
 
 def drop_empty_log(folder: ExperimentFolder) -> None:
@@ -263,6 +296,35 @@ def put_earlier_attempt_away(folder: ExperimentFolder, run_id: str, attempt: int
             kept = _free(folder.earlier_attempts / run_id / str(attempt))
             make_folder(kept.parent, folder.root)
             left.rename(kept)
+
+
+def next_in(folder: Path, root: Path) -> Path:
+    """Return the place for what is kept next in a folder whose members are numbered; the folder is made if missing.
+
+    Raises:
+        StorageError: it cannot be made.
+    """
+    make_folder(folder, root)
+    return folder / str(1 + sum(1 for _ in folder.iterdir()))
+
+
+def runs_put_away(folder: ExperimentFolder) -> list[str]:
+    """Return the runs of which earlier attempts were put away."""
+    return [path.name for path in folder.earlier_attempts.iterdir()] if folder.earlier_attempts.exists() else []
+
+
+def put_attempt_back(folder: ExperimentFolder, run_id: str, attempt: int) -> bool:
+    """Put the last attempt at a run back that was put away, where no other one has begun since; return whether it was.
+
+    Raises:
+        StorageError: it cannot be moved.
+    """
+    put_away = folder.earlier_attempts / run_id / str(attempt)
+    with storage_errors(put_away, "moved"):
+        if folder.run(run_id).exists() or not put_away.exists():
+            return False
+        put_away.rename(folder.run(run_id))
+    return True
 
 
 def _free(wanted: Path) -> Path:

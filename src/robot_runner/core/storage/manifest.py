@@ -98,6 +98,12 @@ def read_manifest(path: Path) -> dict[str, Any]:
     return manifest
 
 
+def last_execution(manifest: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return what a manifest has of the last time that its experiment was executed; nothing where it was not."""
+    found: Mapping[str, Any] = (manifest.get("executions") or [{}])[-1]
+    return found
+
+
 def _packages() -> dict[str, str]:
     # The names of the folders tell name and version; reading each package's metadata would take a hundred times longer.
     found: dict[str, str] = {}

@@ -63,7 +63,7 @@ def spare(path: Path, pid: int) -> None:
 
 def outliving(path: Path) -> frozenset[int]:
     """Return those processes of the file at `path` that are alive: the same ones, by when they started."""
-    return frozenset(pid for pid, started in _read(path) if _is_alive(pid) and _start_of(pid) == started)
+    return frozenset(pid for pid, started in _read(path) if is_alive(pid) and _start_of(pid) == started)
 
 
 def is_spared(pid: int, spared: frozenset[int]) -> bool:
@@ -87,7 +87,7 @@ def _read(path: Path) -> Iterator[tuple[int, str]]:
 
 def program_name(pid: int) -> str | None:
     """Return the name of a process's program without its arguments; empty where it is not known, None if it is dead."""
-    if not _is_alive(pid) or process_stat(pid)[:1] == ["Z"]:
+    if not is_alive(pid) or process_stat(pid)[:1] == ["Z"]:
         return None
     with suppress(OSError):
         return Path(f"/proc/{pid}/comm").read_text(errors="replace").strip()
@@ -100,7 +100,8 @@ def _start_of(pid: int) -> str:
     return stat[_STARTED] if stat else ""
 
 
-def _is_alive(pid: int) -> bool:
+def is_alive(pid: int) -> bool:
+    """Return whether there is a process of this number."""
     try:
         os.kill(pid, 0)
     except PermissionError:  # another user's

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -21,7 +22,7 @@ from robot_runner.core.errors import StorageError, nearest
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.run_table_rows import RunRow, RunTableRows
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import storage_error, storage_errors
 from robot_runner.core.storage.table_columns import MARKS, TableLayout
 from robot_runner.core.storage.table_decoders import (
     CellDecoder,
@@ -35,9 +36,12 @@ from robot_runner.core.storage.table_decoders import (
     TableFindings,
     TextDecoder,
 )
+from robot_runner.core.storage.table_schema import read_schema
 
 if TYPE_CHECKING:
     from _csv import Reader as CsvReader
+
+    from robot_runner.core.storage.layout import ExperimentFolder
 
 
 # The first line of a run table's file: which heading belongs to which column, in any order.
@@ -150,6 +154,15 @@ def read_run_table(path: Path, layout: TableLayout, planned: Sequence[PlannedRun
         return run_table_in(file, path, layout, planned)
 
 
+def read_described_table(folder: ExperimentFolder) -> RunTableRows:
+    """Read the run table of an experiment, with the columns that its schema describes.
+
+    Raises:
+        StorageError: one of the two cannot be read.
+    """
+    return read_run_table(folder.run_table, TableLayout.of_schema(read_schema(folder.schema)))
+
+
 def run_table_in(file: TextIO, path: Path, layout: TableLayout, planned: Sequence[PlannedRun] = ()) -> RunTableRows:
     """Read a run table from its text, as `read_run_table` does from the file at `path`."""
     csv.field_size_limit(max(csv.field_size_limit(), _LONGEST_CELL))
@@ -159,6 +172,16 @@ def run_table_in(file: TextIO, path: Path, layout: TableLayout, planned: Sequenc
         file.seek(0)
         reading = _Reading(layout, TableFindings(path), planned, decimal_comma=delimiter == ";")
         return reading.read(file, delimiter)
+
+
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 of the file of a run table, in hexadecimal digits, as the journal has it of what was written.
+
+    Raises:
+        StorageError: it cannot be read.
+    """
+    with storage_errors(path, "read"), open_to_read(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 class _Reading:

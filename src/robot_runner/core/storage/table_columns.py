@@ -210,10 +210,8 @@ class TableLayout:
     def __post_init__(self) -> None:
         counts = Counter(self.columns)
         clashes = [name for name, count in counts.items() if count > 1]
-        if clashes:
-            fix = "Rename the factor, or choose other measures with data_columns."
-            findings = [Finding.error("run table", f"two columns are called {name!r}", fix) for name in clashes]
-            raise DesignError.of_findings(findings)
+        fix = "Rename the factor, or choose other measures with data_columns."
+        DesignError.refuse(Finding.error("run table", f"two columns are called {name!r}", fix) for name in clashes)
 
     @classmethod
     def of_model(

@@ -40,7 +40,8 @@ PAGE = os.sysconf("SC_PAGE_SIZE")
 CORES = os.sysconf("SC_NPROCESSORS_ONLN")
 OPTIONS_WITH_VALUE = ("-X", "-W")  # of Python
 INTERPRETERS = ("python", "perl", "ruby", "node", "sh", "bash", "dash")
-RESCAN = 1.0  # seconds between two looks for new processes
+RESCAN = 1.0  # seconds between two looks at what may still turn into another program
+FRESH = 2  # looks that are taken at a process at once, with each sample: it may not have been given its program yet
 YOUNG = 5  # looks during which a process may still turn into another program
 PREFIX = "robot-runner-samples-"
 MOST = 1 << 18  # bytes of /proc/stat: those of a computer with hundreds of cores
@@ -137,9 +138,9 @@ class Processes:
 
     def counters(self, now: float) -> "list[str]":
         """Return the counters of each process that matches."""
-        if now >= self.next_scan:
-            self.next_scan = now + RESCAN
-            self.scan()
+        is_due = now >= self.next_scan
+        self.next_scan = now + RESCAN if is_due else self.next_scan
+        self.scan(YOUNG if is_due else FRESH)
         found = []
         for pid, places in self.matched.items():
             fields = first_bytes(f"/proc/{pid}/stat").rpartition(b")")[2].split()
@@ -152,13 +153,15 @@ class Processes:
                     found.append(f"{place}:{rest}:{children:.3f}")
         return found
 
-    def scan(self) -> None:
-        """Look for processes that match; one that has been looked at often enough keeps its program."""
-        self.ages = {pid: self.ages.get(pid, 0) + 1 for pid in os.listdir("/proc") if pid.isdigit()}
+    def scan(self, looks: int) -> None:
+        """Look for processes that match; one that has been looked at so often keeps its program."""
+        new = FRESH - 1 if not self.ages else 0  # what is there at first has its program
+        self.ages = {pid: self.ages.get(pid, new) for pid in os.listdir("/proc") if pid.isdigit()}
         for pid in [pid for pid in self.matched if pid not in self.ages]:
             del self.matched[pid]
         for pid, age in self.ages.items():
-            if age <= YOUNG:
+            if age < looks:
+                self.ages[pid] += 1
                 self.matched.pop(pid, None)
                 places = self.places(pid)
                 if places:
@@ -274,10 +277,7 @@ class Loop:
         elif kind == "recover":
             recover(rest[0])
         elif kind == "leftovers":
-            say(
-                "paths",
-                *[path for folder in folders() for path in glob.glob(os.path.join(folder, PREFIX + rest[0] + "-*"))],
-            )
+            say("paths", *[path for each in folders() for path in glob.glob(f"{each}/{PREFIX}{rest[0]}-*")])
         elif kind == "discard":
             discard(rest[0])
             say("discarded", rest[0])

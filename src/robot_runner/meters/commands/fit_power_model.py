@@ -22,9 +22,7 @@ from robot_runner.cli.templating import write_new_file
 from robot_runner.core.errors import did_you_mean
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.run_table_reading import read_run_table
-from robot_runner.core.storage.table_columns import TableLayout
-from robot_runner.core.storage.table_schema import read_schema
+from robot_runner.core.storage.run_table_reading import read_described_table
 from robot_runner.core.words import counted, listed, shown_duration
 from robot_runner.meters.power_model.power_model import PowerModel
 
@@ -86,7 +84,7 @@ def _split(text: str | None) -> list[str]:
 
 
 def _done_runs(folder: ExperimentFolder) -> list[str]:
-    rows = read_run_table(folder.run_table, TableLayout.of_schema(read_schema(folder.schema)))
+    rows = read_described_table(folder)
     places = (place for place in range(len(rows)) if rows.excluded(place) is None and not rows.is_warm_up(place))
     return [rows.run_id(place) for place in places if rows.status(place) is RunStatus.DONE]
 

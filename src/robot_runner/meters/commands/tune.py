@@ -47,9 +47,7 @@ def execute(arguments: Namespace) -> int:
 
 
 def _set(machine: Machine, wishes: Wishes) -> None:
-    findings = [finding for finding in machine.findings("this machine", wishes) if finding.is_error]
-    if findings:
-        raise ConfigError.of_findings(findings)
+    ConfigError.refuse(finding for finding in machine.findings("this machine", wishes) if finding.is_error)
     if wishes.governor is not None or wishes.turbo is not None:
         machine.apply(wishes, owner=None)
     if wishes.drops_caches:

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+from robot_runner.core.design.numeric_range import is_whole
 from robot_runner.core.errors import Finding, PluginError, StorageError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.plugin import Circumstances, Plugin, System
@@ -78,7 +79,7 @@ class Tune(System):
         if scope not in _SCOPES:
             raise PluginError(f"scope is {scope!r}", where=self.name, fix=did_you_mean(scope, _SCOPES))
         check_list(self.name, cores=cores)
-        odd = [core for core in cores if isinstance(core, bool) or not isinstance(core, int) or core < 0]
+        odd = [core for core in cores if not is_whole(core) or core < 0]
         if odd:
             raise PluginError(f"there is no core {odd[0]!r}", where=self.name, fix="Number the cores from 0.")
         self.wishes = Wishes(governor, turbo, tuple(dict.fromkeys(cores)), drop_caches)
