@@ -106,6 +106,22 @@ def test_an_error_of_any_kind_ends_a_goal_that_is_sent() -> None:
     assert dialect.clients[0].sent[-1].is_over
 
 
+def test_a_goal_is_cancelled_also_where_the_graph_cannot_tell_whether_its_server_is_there() -> None:
+    dialect = Dialect()
+    goals = goals_of(dialect)
+    sent = send(goals)
+    (client,) = dialect.clients
+    cancelled: list[SentGoal] = []
+
+    def fail() -> bool:
+        raise LinkError("the graph cannot be listed", where="/count")
+
+    client.is_served, client.cancel = fail, lambda goal, timeout: cancelled.append(goal)
+    sent.ask_for_end(1.0)
+    assert cancelled == [sent]
+    assert not sent.is_over
+
+
 def test_what_a_goal_is_cannot_be_overtaken_by_that_it_was_accepted() -> None:
     sent = SentGoal("/count", lambda event, seconds: None, lambda _: None)
     sent.note(GoalStatus.EXECUTING)

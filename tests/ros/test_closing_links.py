@@ -148,6 +148,42 @@ def test_whatever_fails_at_one_goal_every_other_is_cancelled_and_the_robot_is_st
     assert transport.published[-1]["linear"]["x"] == 0.0
 
 
+class SlowServer:
+    """The server of an action that answers to the request to end a goal once another server was asked, too."""
+
+    def __init__(self, action, asked, other):
+        self.action, self.asked, self.other = action, asked, other
+        self.is_late = False
+
+    def send(self, _goal, sent, _timeout):
+        sent.key = self.action
+
+    def cancel(self, sent, _timeout):
+        self.asked.set()
+        self.is_late = not self.other.wait(PATIENCE) or self.is_late
+        sent.lose(LinkError("it ended", where=sent.key, fix="None."))
+
+    def is_served(self):
+        return True
+
+    def close(self):
+        pass
+
+
+@pytest.mark.parametrize("links", [1, 2])
+def test_the_end_of_every_goal_is_asked_for_before_any_server_is_awaited(links):
+    resources = Resources()
+    first, second = threading.Event(), threading.Event()
+    servers = {"/first": SlowServer("/first", first, second), "/second": SlowServer("/second", second, first)}
+    for number, action in enumerate(servers):
+        transport = NotingTransport()
+        transport.actions.client = lambda name, *_: servers[name]
+        opened = partial(GraphLink, lambda transport=transport: transport)
+        resources.open(f"link {number % links}", opened).send_goal(action, FIBONACCI, {"order": 1})
+    resources.close()
+    assert not any(server.is_late for server in servers.values())
+
+
 def test_who_closes_a_link_that_another_thread_closes_goes_on_once_the_robot_was_told_to_stand_still(link, transport):
     link.publish("cmd_vel", TWIST, {"linear": {"x": 0.2}})
     is_stopping, may_stop = threading.Event(), threading.Event()

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import queue
-import subprocess
-import sys
 import threading
 import time
 from contextlib import closing
-from pathlib import Path
 
 import pytest
 from tests.ros.dds_domain import LOOPBACK, claim_domain
+from tests.ros.other_node import OtherNode
 
 from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.events.context import SystemClock
@@ -21,40 +17,16 @@ from robot_runner.ros.dds_link import open_dds_link
 
 DOMAIN = claim_domain()
 FIBONACCI = "example_interfaces/Fibonacci"
-NODE = Path(__file__).with_name("bare_action_node.py")
 
 
-class OtherNode:
-    def __init__(self):
-        command = [sys.executable, str(NODE), str(DOMAIN)]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        self.said = queue.Queue()
-        self.reader = threading.Thread(target=self._read, daemon=True)
-        self.reader.start()
-        self.until(lambda fact: "ready" in fact)
-
-    def _read(self):
-        for line in self.process.stdout:
-            self.said.put(json.loads(line))
-
-    def until(self, is_so, timeout=60.0):
-        deadline = time.monotonic() + timeout
-        while True:
-            fact = self.said.get(timeout=max(0.01, deadline - time.monotonic()))
-            if is_so(fact):
-                return fact
-
-    def close(self):
-        self.process.terminate()
-        self.process.wait(60)
-        self.reader.join(60)
-        self.process.stdout.close()
+def other_node():
+    return OtherNode("bare_action_node.py", str(DOMAIN))
 
 
 @pytest.fixture
 def other(monkeypatch):
     monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
-    with closing(OtherNode()) as node:
+    with closing(other_node()) as node:
         yield node
 
 
@@ -92,7 +64,7 @@ def test_what_a_foreign_server_refuses_or_does_not_answer_is_named_in_time(link)
 
 @pytest.mark.long
 def test_two_servers_of_one_name_are_refused(link):
-    with closing(OtherNode()):
+    with closing(other_node()):
         deadline = time.monotonic() + 20.0
         while len(link.publishers("count/_action/status")) < 2 and time.monotonic() < deadline:
             time.sleep(0.02)

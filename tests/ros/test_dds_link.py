@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 import queue
-import subprocess
-import sys
 import threading
 import time
 from contextlib import ExitStack
-from pathlib import Path
 
 import pytest
 from tests.ros.dds_domain import LOOPBACK, claim_domain
+from tests.ros.other_node import OtherNode
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
@@ -27,38 +25,11 @@ from robot_runner.ros import dds_reception, dds_transport, graph_look
 
 DOMAIN = claim_domain()
 STRING = "std_msgs/String"
-NODE = Path(__file__).with_name("bare_node.py")
 
 
-class OtherNode:
-    """The other process; what it says is looked through with a deadline."""
-
-    def __init__(self, **options):
-        chosen = {"domain": DOMAIN, "gid_bytes": 16, "reliable": True, "type_hashes": True, "tells_service": True}
-        chosen |= options
-        command = [sys.executable, str(NODE), json.dumps(chosen)]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        self.said = queue.Queue()
-        self.reader = threading.Thread(target=self._read, daemon=True)
-        self.reader.start()
-        self.until(lambda fact: "ready" in fact)
-
-    def _read(self):
-        for line in self.process.stdout:
-            self.said.put(json.loads(line))
-
-    def until(self, is_so, timeout=60.0):
-        deadline = time.monotonic() + timeout
-        while True:
-            fact = self.said.get(timeout=max(0.01, deadline - time.monotonic()))
-            if is_so(fact):
-                return fact
-
-    def close(self):
-        self.process.terminate()
-        self.process.wait(60)
-        self.reader.join(60)
-        self.process.stdout.close()
+def other_node(**options):
+    chosen = {"domain": DOMAIN, "gid_bytes": 16, "reliable": True, "type_hashes": True, "tells_service": True}
+    return OtherNode("bare_node.py", json.dumps(chosen | options))
 
 
 @pytest.fixture(autouse=True)
@@ -77,7 +48,7 @@ def closing():
 @pytest.fixture
 def other(closing):
     def start(**options):
-        node = OtherNode(**options)
+        node = other_node(**options)
         closing.callback(node.close)
         return node
 

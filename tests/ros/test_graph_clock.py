@@ -8,6 +8,7 @@ import pytest
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import Clock
+from robot_runner.core.links.robot import GraphEndpoint
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros import graph_clock
 from robot_runner.ros.graph_clock import GraphClock
@@ -81,3 +82,34 @@ def test_a_clock_that_stands_still_ends_a_sleep(link, monkeypatch):
     tell(link, 7.0)
     with pytest.raises(LinkError, match=r"stood still at 7\.000 s"):
         clock.sleep(1.0)
+
+
+def test_two_nodes_that_tell_a_time_fail_the_run_and_only_one_is_believed_from_then_on(link):
+    clock = GraphClock(link)
+    link.known_publishers["/clock"] = [GraphEndpoint(node, "rosgraph_msgs/Clock") for node in ("/gazebo", "/player")]
+    for seconds in (100.0, 5.0, 100.1):
+        tell(link, seconds)
+    with pytest.raises(LinkError, match="/gazebo and /player tell the graph's time") as caught:
+        tell(link, 5.1)
+    assert "/clock" in caught.value.where
+    failed_at = clock.now()
+    for seconds in (100.2, 5.2, 100.3, 5.3):
+        tell(link, seconds)
+    assert clock.now() == pytest.approx(failed_at + 0.2)
+
+
+def test_a_simulator_that_was_reset_may_lose_messages(link):
+    clock = GraphClock(link)
+    for seconds in (100.0, 0.0, 3.0, 10.0, 40.0, 80.0, 110.0):
+        tell(link, seconds)
+    assert clock.now() == 210.0
+
+
+def test_a_simulator_that_is_reset_stands_still_and_is_reset_later_is_one_node(link, monkeypatch):
+    clock = GraphClock(link)
+    now = [0.0]
+    monkeypatch.setattr(graph_clock.time, "monotonic", lambda: now[0])
+    for wall, seconds in ((0.0, 3.0), (0.1, 0.0), (1.7, 1.6), (8.0, 0.0), (8.1, 0.1)):
+        now[0] = wall
+        tell(link, seconds)
+    assert clock.now() == pytest.approx(4.7)

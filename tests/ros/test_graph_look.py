@@ -82,6 +82,16 @@ def test_what_a_plugin_needs_may_name_its_types_as_ros_2_does():
     assert finding.problem == "the service '/dock' is of the type std_srvs/Trigger, not std_srvs/Empty"
 
 
+def test_a_robot_that_offers_an_action_and_nothing_else_is_on_the_graph():
+    link = FakeRobotLink(FakeClock())
+    link.known_topics = {}
+    needs = {"plugin": [GraphNeed.action("/pick", "example_interfaces/Fibonacci")]}
+    (absent,) = graph_look._findings(link, needs)
+    assert "no robot is on the graph" in absent.problem
+    link.offer_action("pick", "example_interfaces/Fibonacci", lambda _: {})
+    assert list(graph_look._findings(link, needs)) == []
+
+
 class GraphLook:
     @pytest.fixture
     def robot(self):

@@ -46,6 +46,8 @@ def test_an_unknown_host_is_named(monkeypatch):
     def unknown(*_, **__):
         raise socket.gaierror(-2, "Name or service not known")
 
+    with pytest.raises(LinkError, match=r"'turtle\.\.lab', is not known"):
+        Master("http://turtle..lab:11311").check()
     monkeypatch.setattr(socket, "getaddrinfo", unknown)
     with pytest.raises(LinkError, match="'turtle', is not known"):
         Master("http://turtle:11311").check()

@@ -6,36 +6,23 @@ import errno
 import socket
 import threading
 import time
-from contextlib import ExitStack
 from importlib import import_module
 from types import SimpleNamespace
 
 import pytest
 from tests.ros.ros1_master import quiet_about_rospy
-from tests.ros.test_ros1_link import execute
+from tests.ros.test_ros1_link import execute, opened
 from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros import ros1_publisher
-from robot_runner.ros.ros1_link import open_ros1_link
+
+__all__ = ["opened"]
 
 TWIST, STRING = "geometry_msgs/Twist", "std_msgs/String"
 
 pytestmark = pytest.mark.filterwarnings("ignore")
-
-
-@pytest.fixture
-def opened(master_uri):
-    with ExitStack() as closing:
-
-        def open_link(namespace=""):
-            link = open_ros1_link({"master": master_uri}, SystemClock(), namespace)
-            closing.callback(link.close)
-            return link
-
-        yield open_link
 
 
 def publisher_of(topic):

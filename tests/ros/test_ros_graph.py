@@ -94,7 +94,7 @@ def test_a_node_that_is_not_there_yields_no_value_and_a_warning(measure):
     assert context.measures["CPU_camera"] is None
     problems = [finding.problem for finding in context.broker.findings]
     assert "node /camera is not on the graph" in problems
-    assert "no process node:/camera was seen; new ones are looked for once a second" in problems
+    assert "no process node:/camera was seen; new ones are looked for every 0.05 s" in problems
 
 
 def test_nodes_of_a_simulated_robot_have_no_processes():

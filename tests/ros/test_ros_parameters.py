@@ -290,6 +290,29 @@ def test_who_stands_by_puts_back_what_the_run_left_and_keeps_the_file_where_it_c
     assert list(state.iterdir()) == []
 
 
+def test_whatever_fails_at_one_node_the_others_are_put_back(tmp_path, state):
+    before, wanted = {"speed": 0.2}, {"speed": 1.0}
+    left({"/arm": wanted, "/planner": wanted}, {"/arm": before, "/planner": before})
+    plugin = RosParameters({"planner": wanted})
+    run = Run(tmp_path, plugin)
+    arm, planner = (ParameterNode(run.link, name, dict(wanted)) for name in ("/arm", "/planner"))
+    write = plugin.write
+
+    def fail(link, node, values):
+        if node == "/planner":  # the first one
+            raise RuntimeError("context is not valid")
+        write(link, node, values)
+
+    plugin.write = fail
+    plugin.make_safe(run.context)
+    assert arm.values == before
+    assert len(list(state.iterdir())) == 1
+    plugin.write = write
+    plugin.make_safe(run.context)
+    assert planner.values == before
+    assert list(state.iterdir()) == []
+
+
 def test_a_robot_that_is_off_at_the_end_is_put_right_before_the_next_run(tmp_path, state):
     plugin = RosParameters({"planner": {"speed": 1.0}})
     run = Run(tmp_path / "first", plugin)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import os
 import socket
 import threading
@@ -56,9 +57,18 @@ def test_nobody_at_the_port_is_said():
     assert "rosbridge_server" in caught.value.fix
 
 
-def test_an_unknown_host_is_said():
-    with pytest.raises(LinkError, match=r"'no-such-robot.invalid' is not known"):
-        open_rosbridge_link("rosbridge://no-such-robot.invalid:9090", SystemClock())
+@pytest.mark.parametrize("scheme", ["rosbridge", "rosbridge+tls"])
+@pytest.mark.parametrize("host", ["no-such-robot.invalid", "robot..lab"])
+def test_an_unknown_host_is_said(scheme, host):
+    with pytest.raises(LinkError, match=f"'{host}' is not known"):
+        open_rosbridge_link(f"{scheme}://{host}:9090", SystemClock())
+
+
+@pytest.mark.parametrize("host", ["robot:0", "::1:9090"])
+def test_what_cannot_be_an_address_is_said(host):
+    with pytest.raises(LinkError, match="cannot be the address of a rosbridge") as caught:
+        RosbridgeAddress.parse(f"rosbridge://{host}")
+    assert "rosbridge://[fd00::7]:9090 (IPv6)" in caught.value.fix
 
 
 def test_a_web_server_is_no_rosbridge():
@@ -169,6 +179,7 @@ def test_a_status_message_is_the_error():
 
 def test_without_rosapi_the_graph_cannot_be_listed():
     with closing(RosbridgeServer(has_rosapi=False)) as server:
+        server._rosapi.nodes[0] = "/bridge"
         with pytest.raises(LinkError, match="which generation") as caught:
             linked(server)
         assert "?ros=1" in caught.value.fix
@@ -177,6 +188,32 @@ def test_without_rosapi_the_graph_cannot_be_listed():
                 link.topics()
             server.offer("/lamp", TRIGGER, lambda _: {"success": True})
             assert link.call("lamp", TRIGGER)["success"]
+
+
+@pytest.mark.parametrize("generation", [1, 2])
+def test_without_rosapi_the_server_s_own_node_tells_the_generation(generation):
+    with closing(RosbridgeServer(generation=generation, has_rosapi=False)) as server, closing(linked(server)) as link:
+        assert link.encoding is server.encoding
+
+
+@pytest.mark.parametrize("generation", [1, 2])
+def test_a_robot_is_stopped_and_reached_anew_while_rosapi_hangs(generation, monkeypatch):
+    monkeypatch.setattr(rosbridge_types, "ANSWER", 0.3)
+    with closing(RosbridgeServer(generation=generation)) as server, closing(linked(server)) as robot:
+        heard = []
+        robot.subscribe("cmd_vel", "geometry_msgs/Twist", lambda message: heard.append(message["linear"]["x"]))
+        link = linked(server)
+        link.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
+        until(lambda: heard == [0.2])
+        server._rosapi.hangs = True
+        with pytest.raises(LinkError, match="rosapi does not answer: the service does not answer within"):
+            link.publishers("odom")
+        link.close()
+        until(lambda: heard == [0.2, 0.0])
+        with closing(linked(server)) as standby:  # as after a run that was killed
+            standby.publish("cmd_vel", "geometry_msgs/Twist", {})
+        until(lambda: heard[2:] == [0.0, 0.0])
+        server._rosapi.hangs = False
 
 
 @pytest.mark.parametrize("generation", [1, 2])
@@ -198,15 +235,16 @@ def test_a_server_that_knows_fewer_compressions_is_heard(generation, compression
         assert (again["data"], again["header"]["stamp"]) == (b"\x00\xff", stamp)
 
 
+@pytest.mark.parametrize("field", ["", "float32[2] limits", "string[] words"])
 @pytest.mark.parametrize("generation", [1, 2])
-def test_a_type_that_only_the_robot_knows_is_asked_of_it(generation, tmp_path):
+def test_a_type_that_only_the_robot_knows_is_asked_of_it(generation, field, tmp_path):
     (tmp_path / "my_robot" / "msg").mkdir(parents=True)
     (tmp_path / "my_robot" / "msg" / "Arm.msg").write_text(
-        "float64[] angles\nfloat32[2] limits\nuint8[] key\ngeometry_msgs/Point[] path\nstring name\n"
+        f"float64[] angles\nuint8[] key\ngeometry_msgs/Point[] path\nstring name\n{field}\n"
     )
-    arm = {
+    values = {"": {}, "float32[2] limits": {"limits": [1.0, 2.0]}, "string[] words": {"words": ["a", ""]}}
+    arm = values[field] | {
         "angles": [0.5, 1.5],
-        "limits": [1.0, 2.0],
         "key": b"ab",
         "path": [{"x": 1.0, "y": 0.0, "z": 0.0}],
         "name": "a",
@@ -218,6 +256,33 @@ def test_a_type_that_only_the_robot_knows_is_asked_of_it(generation, tmp_path):
         until(lambda: heard)
         assert heard == [arm]
         assert "float64[] angles" in link.definition("my_robot/Arm")
+
+
+def test_what_is_too_big_for_a_server_is_said(server):
+    with closing(linked(server)) as link:
+        link._transport._session._lose("received 1009 (message too big)")
+        with pytest.raises(LinkError, match="message too big") as caught:
+            link.publish("chatter", STRING, {"data": "a"})
+    assert "Send less at once" in caught.value.fix
+
+
+@pytest.mark.parametrize("generation", [1, 2])
+def test_of_a_topic_that_is_there_the_robot_tells_the_whole_definition_so_that_its_bytes_are_read(generation, tmp_path):
+    (tmp_path / "my_robot" / "msg").mkdir(parents=True)
+    (tmp_path / "my_robot" / "msg" / "Arm.msg").write_text("float64[2] angles\nHand hand\nint64 count\n")
+    (tmp_path / "my_robot" / "msg" / "Hand.msg").write_text("geometry_msgs/Point place\nstring[] fingers\n")
+    hand = {"place": {"x": math.inf, "y": -0.5, "z": 0.0}, "fingers": ["ä", ""]}
+    arm = {"angles": [-math.inf, 1e-320], "hand": hand, "count": 2**53 + 1}
+    with closing(RosbridgeServer(generation=generation, types=[tmp_path])) as server, closing(linked(server)) as link:
+        server.publish("/arm", "my_robot/Arm", arm)
+        heard, raw = [], []
+        link.subscribe("arm", "my_robot/Arm", heard.append)
+        link.subscribe_raw("arm", "my_robot/Arm", raw.append)
+        server.publish("/arm", "my_robot/Arm", arm)
+        until(lambda: heard and raw)
+        assert heard == [arm]
+        known = TypeCatalogue.of(generation, extra=[tmp_path])
+        assert known.deserialise("my_robot/Arm", raw[0].data, link.encoding) == arm
 
 
 def test_a_service_type_that_a_robot_of_ros_2_lacks_does_not_end_its_rosapi(monkeypatch):
@@ -293,7 +358,7 @@ def test_an_orientation_left_out_of_a_type_that_only_the_robot_knows_has_ros_def
 )
 def test_a_byte_of_a_type_that_only_the_robot_knows_has_a_sign_in_ros_1_and_none_in_ros_2(generation, level):
     told = {"fieldnames": ["one", "all"], "fieldtypes": ["byte", "byte"], "fieldarraylen": [-1, 0]}
-    rosapi = SimpleNamespace(details=lambda *_: [{"type": "my_robot/Level", **told}])
+    rosapi = SimpleNamespace(details=lambda *_: [{"type": "my_robot/Level", **told}], raw_definitions=dict)
     types = rosbridge_types.RobotTypes(rosapi, RosbridgeAddress.parse(f"rosbridge://robot?ros={generation}"))
     shape = types.shape("my_robot/Level")
     assert completed(shape, level, where="level") == level

@@ -8,6 +8,7 @@ import time
 from contextlib import ExitStack, closing, suppress
 
 import pytest
+from tests.ros.test_rosbridge_security import lab, served
 from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.errors import LinkError
@@ -17,6 +18,8 @@ from robot_runner.core.links.robot import Qos
 from robot_runner.ros import rosbridge_actions, rosbridge_frames
 from robot_runner.ros.rosbridge_link import open_rosbridge_link
 from robot_runner.testing import RosbridgeServer
+
+__all__ = ["lab"]
 
 STRING, TWIST, TRIGGER = "std_msgs/String", "geometry_msgs/Twist", "std_srvs/Trigger"
 FIBONACCI = "example_interfaces/Fibonacci"
@@ -110,9 +113,11 @@ def test_last_words_that_cannot_be_said_to_one_robot_are_said_to_the_others(serv
     assert [operation["topic"] for operation in link._transport._stops()] == ["/bob/cmd_vel"]
 
 
-def test_a_server_that_takes_nothing_is_given_up_while_a_message_is_sent(monkeypatch):
+@pytest.mark.parametrize("by_tls", [False, True])
+def test_a_server_that_takes_nothing_is_given_up_while_a_message_is_sent(by_tls, lab, monkeypatch):
     monkeypatch.setattr(rosbridge_frames, "_SENDING", 0.5)
-    with closing(RosbridgeServer()) as server, ExitStack() as leaving:
+    certificate = lab.certificate("slow", "127.0.0.1") if by_tls else None
+    with served(certificate) as server, ExitStack() as leaving:
         listening = leaving.enter_context(socket.create_server(("127.0.0.1", 0)))
         is_stopped = threading.Event()
 
@@ -128,7 +133,8 @@ def test_a_server_that_takes_nothing_is_given_up_while_a_message_is_sent(monkeyp
             threading.Thread(target=forward, args=(far, near), kwargs={"stops": False}, daemon=True).start()
 
         threading.Thread(target=take, daemon=True).start()
-        url = f"rosbridge://127.0.0.1:{listening.getsockname()[1]}"
+        address = f"127.0.0.1:{listening.getsockname()[1]}"
+        url = f"rosbridge+tls://{address}?ca={lab.ca}" if by_tls else f"rosbridge://{address}"
         link = open_rosbridge_link(url, SystemClock())
         link.advertise("chatter", STRING)
         is_stopped.set()

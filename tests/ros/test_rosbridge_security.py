@@ -204,7 +204,9 @@ def test_rosauth_is_satisfied_by_the_secret_and_refuses_without(monkeypatch):
     with served(secret=SECRET) as server:
         server.offer("/lamp", "std_srvs/Trigger", lambda _: {"success": True})
         assert works(f"{server.url}?rosauth_env=ROSAUTH_SECRET")
-        assert "connection is lost" in refusal(server.url)
+        told = refusal(server.url)
+        assert "connection is lost" in told
+        assert "?rosauth_env=" in told
         monkeypatch.setenv("ROSAUTH_SECRET", SECRET[::-1])
         told = refusal(f"{server.url}?rosauth_env=ROSAUTH_SECRET")
         assert "does not take our authentication by rosauth" in told

@@ -106,6 +106,7 @@ class LinkGoals:
         self._lock = threading.Lock()
         self._clients: dict[tuple[str, str], ActionClient] = {}
         self._goals: list[SentGoal] = []
+        self._asking: dict[SentGoal, threading.Thread] = {}
         self._is_closed = False
 
     def send(
@@ -135,6 +136,14 @@ class LinkGoals:
             raise
         return sent
 
+    def ask_for_ends(self) -> None:
+        """Ask for the end of all goals that are not over at once, and wait for no server; `close` tells what fails."""
+        with self._lock:
+            for goal in self._open_goals():
+                if goal not in self._asking:
+                    self._asking[goal] = threading.Thread(target=_ask, args=(goal,), name="end of a goal", daemon=True)
+                    self._asking[goal].start()
+
     def close(self) -> None:
         """Cancel the goals that are not over, wait for it shortly, and leave the actions.
 
@@ -145,12 +154,11 @@ class LinkGoals:
         faults: list[LinkError] = []
         with self._lock:
             self._is_closed = True
-            # In ROS 1 to cancel one that has no key yet is to cancel those of all clients.
-            open_goals = [goal for goal in self._goals if goal.key and not goal.is_over]
+            open_goals = self._open_goals()
             clients = list(self._clients.values())
-        for goal in open_goals:  # all are asked before any is waited for
-            with suppress(Exception):  # it is asked again, and said then
-                goal.ask_for_end(CLOSING_SECONDS)
+        self.ask_for_ends()
+        for asking in list(self._asking.values()):
+            asking.join(max(0.0, deadline - time.monotonic()))
         for goal in open_goals:
             try:
                 goal.cancel(timeout=max(0.1, deadline - time.monotonic()))
@@ -162,6 +170,10 @@ class LinkGoals:
             first = faults[0]
             problem = f"a goal that is not over could not be cancelled: {first.problem}"
             raise LinkError(problem, where=first.where, fix=f"See that the robot stands still. {first.fix}") from first
+
+    def _open_goals(self) -> list[SentGoal]:
+        # In ROS 1 to cancel one that has no key yet is to cancel those of all clients.
+        return [goal for goal in self._goals if goal.key and not goal.is_over]
 
     def _client(self, action: str, action_type: str, timeout: float) -> ActionClient:
         with self._lock:
@@ -180,6 +192,11 @@ class LinkGoals:
         if stale is not None:
             _leave(stale)
         return chosen
+
+
+def _ask(goal: SentGoal) -> None:
+    with suppress(Exception):  # it is asked again, and told then
+        goal.ask_for_end(CLOSING_SECONDS)
 
 
 def _leave(client: ActionClient) -> None:

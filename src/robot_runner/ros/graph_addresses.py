@@ -189,6 +189,8 @@ class RosbridgeAddress:
         'ws://robot:9090/'
         >>> RosbridgeAddress.parse("rosbridge+tls://robot:443").uri
         'wss://robot:443/'
+        >>> RosbridgeAddress.parse("rosbridge://[fd00::7]").place
+        '[fd00::7]:9090'
     """
 
     host: str
@@ -215,7 +217,7 @@ class RosbridgeAddress:
             problem = f"the address of the rosbridge at {host} has a user or a password in it, which would be recorded"
             fix = "Name the variable that holds it: rosbridge+tls://host?user=NAME&password_env=VARIABLE."
             raise LinkError(problem, where=_WHERE, fix=fix)
-        if parts.scheme not in {_SCHEME, *_TLS_PORTS} or not host or parts.fragment:
+        if parts.scheme not in {_SCHEME, *_TLS_PORTS} or not host or port == 0 or parts.fragment:
             raise _malformed(text)
         options = dict(parse_qsl(parts.query, keep_blank_values=True))
         check_options("rosbridge", options, _ROSBRIDGE_OPTIONS)
@@ -226,10 +228,14 @@ class RosbridgeAddress:
         return cls(host, port, parts.path or "/", generation, distro, _paths(options), security)
 
     @property
+    def place(self) -> str:
+        """Host and port, as an address has them."""
+        return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
+
+    @property
     def uri(self) -> str:
         """The address of its WebSocket."""
-        host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"{'wss' if self.security.is_tls else 'ws'}://{host}:{self.port}{self.path}"
+        return f"{'wss' if self.security.is_tls else 'ws'}://{self.place}{self.path}"
 
 
 def _generation(text: str | None, distro: str | None) -> int | None:
@@ -243,7 +249,7 @@ def _generation(text: str | None, distro: str | None) -> int | None:
 
 
 def _malformed(text: str) -> LinkError:
-    fix = f"Write it as in {_SCHEME}://robot:{_DEFAULT_PORT}."
+    fix = f"Write it as in {_SCHEME}://robot:{_DEFAULT_PORT}, or {_SCHEME}://[fd00::7]:{_DEFAULT_PORT} (IPv6)."
     return LinkError(f"{text!r} cannot be the address of a rosbridge", where=_WHERE, fix=fix)
 
 

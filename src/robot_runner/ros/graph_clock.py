@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
+from contextlib import suppress
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.robot import Message, RobotLink
+from robot_runner.core.links.robot import GraphEndpoint, Message, RobotLink
+from robot_runner.core.words import enumerated
 
 _TOPIC = "/clock"
 _TYPE = "rosgraph_msgs/Clock"
@@ -14,10 +17,16 @@ _TYPE = "rosgraph_msgs/Clock"
 _PATIENCE = 5.0
 #: A clock that goes back by more than this, s, began again; less are messages that overtook each other.
 _RESET = 0.5
+#: A clock that went back, regained this part of it in one step, and goes back again within so long, s, is that of two
+#: nodes: a simulator that was reset and then stood still for a moment does the first two.
+_REGAINED = 0.5
+_TOGETHER = 5.0
 
 
 class GraphClock:
     """A clock that shows what the graph's own clock showed last; it must be started before it is used.
+
+    Where two nodes tell the time, the run fails, and from then on what the later one tells is not believed.
 
     Attributes:
         is_simulated: always: a graph publishes its time because it is not that of the world.
@@ -34,12 +43,15 @@ class GraphClock:
     is_simulated = True
 
     def __init__(self, link: RobotLink, *, fix: str = "Start the simulation.") -> None:
+        self._link = link
         self._fix = fix
         self._changed = threading.Condition()
         self._now = 0.0
         self._shown = 0.0
         self._offset = 0.0
+        self._went_back, self._went_back_at, self._has_regained = 0.0, 0.0, False
         self._is_known = False
+        self._are_several = False
         self._subscription = link.subscribe(_TOPIC, _TYPE, self._take)
 
     def start(self) -> None:
@@ -91,9 +103,32 @@ class GraphClock:
         stamp = message["clock"]
         shown = stamp["sec"] + stamp["nanosec"] / 1e9
         with self._changed:
-            if shown < self._shown - _RESET:  # from where it stands, time goes on with the simulator's new one
+            step = shown - self._shown
+            regains = step > self._went_back * _REGAINED and self._went_back > 0
+            if regains and self._are_several:
+                return
+            is_new = step < -_RESET and self._goes_back(-step)
+            self._has_regained = self._has_regained or regains
+            if step < -_RESET:  # from where it stands, time goes on with the simulator's new one
                 self._offset = self._now - shown
             self._shown = shown
             self._now = max(self._now, shown + self._offset)
             self._is_known = True
             self._changed.notify_all()
+        if is_new:
+            raise self._several(-step)
+
+    def _goes_back(self, by: float) -> bool:
+        """Note that time went back by so much, s; return whether that shows for the first time that several tell it."""
+        before, self._went_back, self._went_back_at = self._went_back_at, by, time.monotonic()
+        is_new = self._has_regained and self._went_back_at - before < _TOGETHER and not self._are_several
+        self._are_several, self._has_regained = self._are_several or is_new, False
+        return is_new
+
+    def _several(self, step: float) -> LinkError:
+        tellers: Sequence[GraphEndpoint] = ()
+        with suppress(LinkError):  # a graph that does not tell them
+            tellers = self._link.publishers(_TOPIC)
+        who = enumerated(sorted(map(str, tellers))) if len(tellers) > 1 else "more than one node"
+        problem = f"{who} tell the graph's time: it goes back and forth by {step:.3f} s"
+        return LinkError(problem, where=_TOPIC, fix="End all but one of them.")

@@ -258,8 +258,10 @@ class GraphLink:
         return self._transport.types.definition(message_type)
 
     def halt(self) -> None:
-        """Command zero wherever a velocity was commanded, and wait for nothing; `close` tells what fails of it."""
+        """Command zero wherever a velocity was commanded, and have goals end; `close` waits, and tells what fails."""
         halt_all(driven_of(dict(self._advertised)))
+        if self._transport.has_threads:  # else no robot moves while another one is awaited
+            self._goals.ask_for_ends()
 
     def close(self) -> None:
         """Cancel its goals, stop the robot if it was driven, end all that was opened, and leave; once.
@@ -381,14 +383,12 @@ class GraphLink:
         # A callback that was at work while its subscription ended may trip over what its owner has closed.
         if not opened.is_open or self._is_closed:
             return False
-        if opened.fault_count > 1:
-            return opened.has_failed_run
-        opened.has_failed_run = raised_in_thread(fault, f"the {what} of {opened.name}")
+        if opened.fault_count == 1:
+            opened.has_failed_run = raised_in_thread(fault, f"the {what} of {opened.name}")
         return opened.has_failed_run
 
     def _note_fault(self, opened: Opened, fault: Exception) -> None:
-        # With its traceback once, not a hundred times a second.
-        level = logging.ERROR if opened.fault_count == 1 else logging.DEBUG
+        level = logging.ERROR if opened.fault_count == 1 else logging.DEBUG  # not a hundred times a second
         _logger.log(level, "the callback of %s raised", opened.name, exc_info=fault)
         if opened.is_open and not self._is_closed and self._first_fault is None:
             self._first_fault = opened.name, fault

@@ -137,7 +137,7 @@ def _patiently(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]], sec
 
 
 def _findings(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]]) -> Iterator[Finding]:
-    if not set(link.topics()) - _INFRASTRUCTURE and not _has_services(link, needs):
+    if not set(link.topics()) - _INFRASTRUCTURE and not _has_offers(link, needs):
         names = list(dict.fromkeys(need.name for wanted in needs.values() for need in wanted))
         shown = [*names[:_LISTED], *([f"{len(names) - _LISTED} more"] if len(names) > _LISTED else [])]
         problem = "no robot is on the graph: no node publishes or subscribes anything there"
@@ -150,10 +150,12 @@ def _findings(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]]) -> I
             yield from need_findings(link, need, where)
 
 
-def _has_services(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]]) -> bool:
-    """Whether services are needed and a robot offers any: one that publishes nothing yet may be there all the same."""
-    wanted = {need.part for each in needs.values() for need in each} & _SERVICES
-    return bool(wanted) and any(not service.startswith(_BRIDGE) for service in link.services())
+def _has_offers(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]]) -> bool:
+    """Whether services or actions are needed and a robot offers any: one that publishes nothing yet may be there."""
+    wanted = {need.part for each in needs.values() for need in each}
+    if GraphPart.ACTION in wanted and link.actions():
+        return True
+    return bool(wanted & _SERVICES) and any(not service.startswith(_BRIDGE) for service in link.services())
 
 
 def need_findings(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:

@@ -11,10 +11,11 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.links.commanded_topics import VELOCITIES
 from robot_runner.ros.link_faults import as_link_error, do_all
 from robot_runner.ros.sent_commands import is_watched, note_sent
 from robot_runner.ros.shapes import Shape, completed
-from robot_runner.ros.watchdog import VELOCITY_COMMANDS, planar, velocity_of
+from robot_runner.ros.watchdog import planar, velocity_of
 
 if TYPE_CHECKING:
     from robot_runner.core.links.robot import Message, Qos
@@ -37,7 +38,7 @@ class Advertised:
     @property
     def drives(self) -> bool:
         """Whether it commands a velocity, which a robot carries out until the next one."""
-        return self.message_type in VELOCITY_COMMANDS
+        return self.message_type in VELOCITIES
 
     @contextmanager
     def sending(self) -> Iterator[None]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.links.commanded_topics import VELOCITIES
 from robot_runner.core.links.connect import connect_robot, join_beforehand
 from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.links.robot_name import RobotName
@@ -23,7 +24,7 @@ from robot_runner.ros.bag_recorder import PROGRAMS
 from robot_runner.ros.recorded_bag import RecordedBag, RecordedTopic, bag_at
 from robot_runner.ros.robot_system import RobotSystem, check_numbers
 from robot_runner.ros.topic_statistics import nearest_rank, robot_findings
-from robot_runner.ros.watchdog import VELOCITY_COMMANDS, velocity_command
+from robot_runner.ros.watchdog import velocity_command
 
 if TYPE_CHECKING:
     import os
@@ -197,7 +198,7 @@ class PlayBag(RobotSystem):
             self._chosen = self._readable_topics()
         with ExitStack() as each_of_them:  # several robots may have been driven: whatever fails with another
             for topic in self._chosen:
-                if topic.message_type in VELOCITY_COMMANDS:
+                if topic.message_type in VELOCITIES:
                     each_of_them.callback(_command_zero, topic, context)
             if program is not None:
                 program.close()

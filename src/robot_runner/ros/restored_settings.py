@@ -15,6 +15,7 @@ from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.plugin import Circumstances, Plugin, System
 from robot_runner.core.words import enumerated
 from robot_runner.ros.kept_settings import KeptSettings, Settings, left_settings
+from robot_runner.ros.link_faults import as_link_error
 from robot_runner.ros.node_services import NodeNotReadyError, full_node
 from robot_runner.ros.parameter_access import all_at_once
 from robot_runner.ros.parameter_values import ParameterValue, same_value, to_json
@@ -137,7 +138,7 @@ class RestoredSettings(OfTheRobot, System):
                 for problem, fix in self._restore(connect_robot(context, namespace=self.namespace), each, None):
                     context.warn(problem, fix=fix)
                 each.remove()
-            except LinkError as error:
+            except Exception as error:  # noqa: BLE001 - of whichever kind: what else was left is put back
                 each.give_up()
                 _log.warning("%s of %s are not put back: %s", self.kind, enumerated(each.before), error)
 
@@ -163,8 +164,9 @@ class RestoredSettings(OfTheRobot, System):
                 yield from self._restore_node(link, kept, node, before, context)
             except NodeNotReadyError:
                 yield f"{node} is gone, so that its {self.kind} are not put back", "Nothing, if it was to end."
-            except LinkError as error:
-                errors.append(error)
+            except Exception as error:  # noqa: BLE001 - of whichever kind: the other nodes are put back, and it is told
+                _log.warning("%s of %s are not put back", self.kind, node, exc_info=error)
+                errors.append(as_link_error(error, where=node))
         all_at_once(errors, where=self.name)
 
     def _restore_node(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -22,13 +23,12 @@ from robot_runner.measuring.host import (
     ProcessHost,
     PromptSampler,
     RemoteHost,
-    ReportingSampler,
-    SamplingReport,
     UtilisationSampler,
     process_selector,
+    report_of,
 )
 from robot_runner.measuring.measured_machine import host_findings, machine_clock
-from robot_runner.measuring.utilisation import Doubt, Selection, Utilisation
+from robot_runner.measuring.utilisation import Doubt, Selection, Utilisation, means_over
 from robot_runner.ros.graph_transport import is_hidden
 from robot_runner.ros.robot_system import check_numbers
 from robot_runner.ros.ros1_link import master_of
@@ -159,7 +159,7 @@ class RosGraph(Profiler):
         sampler, self._sampler = self._sampler, None
         if sampler is not None:
             samples, sampled = sampler.stop(), Window(self._begun_at, machine_clock(context).now())
-            report = sampler.report() if isinstance(sampler, ReportingSampler) else SamplingReport(rate=self.rate_hz)
+            report = report_of(sampler, self.rate_hz)
             self._utilisation = Utilisation(samples, sampled, self.selection, report, is_simulated=False)
         if self._graphs:
             self._graphs["stop"] = self._look(context)
@@ -186,7 +186,7 @@ class RosGraph(Profiler):
         context.publish("Topics", shown, origin=origin)
         clock = machine_clock(context)
         self._doubt_processes(context, context.times.window(clock))
-        publish_measures(context, self.selection.measures(), self._evaluated, clock=clock)
+        publish_measures(context, self.selection.measures(), partial(means_over, self._utilisation), clock=clock)
 
     def _doubt_processes(self, context: RobotRunnerContext, mission: Window | None) -> None:
         if self._utilisation is None or mission is None:
@@ -195,10 +195,6 @@ class RosGraph(Profiler):
         doubted = [measure.name for measure in self.selection.measures()]
         for each in (*measured.doubted(), *map(Doubt, measured.quality.warnings())):
             context.doubt(each.problem, fix=each.fix or _FIX, measures=each.measures or doubted)
-
-    def _evaluated(self, window: Window) -> Mapping[str, float | None]:
-        measured = self._utilisation.over(window) if self._utilisation is not None else None
-        return measured.means() if measured is not None and measured.quality.is_sufficient else {}
 
     def _look(self, context: RobotRunnerContext) -> dict[str, Any]:
         link = connect_robot(context, namespace=self.namespace)

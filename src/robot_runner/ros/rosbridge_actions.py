@@ -12,7 +12,7 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -29,7 +29,6 @@ from robot_runner.ros.shapes import completed
 
 if TYPE_CHECKING:
     from robot_runner.ros.action_server import Execution, GoalServer
-    from robot_runner.ros.graph_addresses import RosbridgeAddress
     from robot_runner.ros.rosbridge_types import Rosapi
     from robot_runner.ros.sent_goal import SentGoal
 
@@ -54,10 +53,10 @@ _SENDING, _CANCELLING = "send_action_goal", "cancel_action_goal"
 class RosbridgeActions:
     """The actions of the ROS 2 graph behind a rosbridge."""
 
-    def __init__(self, transport: Transport, session: Session, rosapi: Rosapi, address: RosbridgeAddress) -> None:
+    def __init__(self, transport: Transport, session: Session, rosapi: Rosapi, connect: Callable[[], Session]) -> None:
         self.transport = transport
         self.session = session
-        self.address = address
+        self.connect = connect
         self._rosapi = rosapi
         self._served: dict[str, _Served] = {}
         session.on_action = self._take
@@ -137,7 +136,7 @@ class _Client:
 
     def send(self, goal: Message, sent: SentGoal, timeout: float) -> None:
         with self._sending:
-            connection = Session(self._graph.address)
+            connection = self._graph.connect()
             sent.key = connection.fresh_id(f"{_SENDING}:{id(sent)}")
             connection.on_action = partial(self._take, sent)
             connection.on_lost = partial(self._lose, sent)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.ros.rosbridge_security import secure_socket, speaks_tls
-from robot_runner.ros.shapes import BYTE_KINDS, Field, Shape
+from robot_runner.ros.shapes import BYTE_KINDS, UNBOUNDED, Field, Shape
 
 if TYPE_CHECKING:
     from cbor2 import CBORTag
@@ -129,6 +129,7 @@ class FrameReader:
 
 _STAMPS = frozenset({"time", "duration"})
 _FLOATS = frozenset({"float32", "float64"})
+_NO_ELEMENTS = _STAMPS | {"string"}
 #: JSON has no spelling for NaN and the infinities, and a server writes null for all three.
 _NOT_A_NUMBER = math.nan
 
@@ -150,6 +151,20 @@ def from_protocol(shape: Shape, message: object, *, where: str) -> dict[str, Any
         return {field.name: _in(field, message[field.name], where) for field in shape.fields}
     except (KeyError, TypeError, ValueError, AttributeError, binascii.Error) as error:
         raise _other(shape, where, f"{type(error).__name__} {error}") from error
+
+
+def passes_as_cbor(shape: Shape) -> bool:
+    """Whether a server of ROS 1 can write messages of this type as CBOR; of another type it sends none.
+
+    It takes arrays of a fixed length, and those of texts and times, for messages: cbor_conversion.py of
+    rosbridge_library 0.11.
+    """
+    return all(
+        passes_as_cbor(field.kind)
+        if isinstance(field.kind, Shape)
+        else field.count is None or (field.count == UNBOUNDED and field.kind not in _NO_ELEMENTS)
+        for field in shape.fields
+    )
 
 
 def _out(field: Field, value: Any) -> Any:
@@ -238,7 +253,7 @@ def connect(address: RosbridgeAddress, timeout: float, closing: ExitStack, *, wh
         if not security.is_tls:
             return closing.enter_context(_bounded(opened()))
         # Our own socket: websockets would send our credentials before a certificate's fingerprint can be seen.
-        secure = partial(secure_socket, address.host, address.port, security, timeout, where=where)
+        secure = partial(secure_socket, address.host, address.port, security, timeout, _SENDING, where=where)
         first = secure()
         try:
             connection = opened(sock=first)
@@ -246,8 +261,8 @@ def connect(address: RosbridgeAddress, timeout: float, closing: ExitStack, *, wh
             # The request may be lost where the server's session tickets arrive as it is sent: websockets reads and
             # writes in two threads, and OpenSSL has one state for both. A slow robot has all of the time once more.
             connection = opened(sock=secure())
-        return closing.enter_context(_bounded(connection))
-    except socket.gaierror as error:
+        return closing.enter_context(connection)
+    except (socket.gaierror, UnicodeError) as error:  # a part of the name is empty, or has more than 63 characters
         fix = "Correct the robot's address, or give it as a number."
         raise LinkError(f"the host {address.host!r} is not known", where=where, fix=fix) from error
     except TimeoutError as error:
@@ -284,7 +299,7 @@ def _refusal(status: int, address: RosbridgeAddress, where: str) -> LinkError:
 
 def _no_rosbridge(error: Exception, address: RosbridgeAddress, where: str) -> LinkError:
     if not address.security.is_tls and speaks_tls(address.host, address.port, _TLS_SECONDS):
-        fix = f"Write rosbridge+tls://{address.host}:{address.port}."
+        fix = f"Write rosbridge+tls://{address.place}."
         return LinkError("the server speaks TLS, and the address is one without", where=where, fix=fix)
     hung_up = any(isinstance(each, send_errors()) for each in (error, error.__cause__, error.__context__))
     if address.security.is_tls and hung_up:

@@ -14,6 +14,7 @@ import socket
 import ssl
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -180,7 +181,19 @@ def _refused(problem: str, fix: str) -> LinkError:
 # The socket: what a server's certificate says is seen before anything of ours is sent.
 
 
-def secure_socket(host: str, port: int, security: RosbridgeSecurity, timeout: float, *, where: str) -> ssl.SSLSocket:
+class _PatientSocket(ssl.SSLSocket):
+    """Its timeout is one of sending alone: a system's own (`SO_SNDTIMEO`) is not seen through TLS."""
+
+    def recv(self, buflen: int = 1024, flags: int = 0) -> bytes:
+        """Return what comes, whenever that is."""
+        while True:
+            with suppress(TimeoutError):
+                return super().recv(buflen, flags)
+
+
+def secure_socket(
+    host: str, port: int, security: RosbridgeSecurity, timeout: float, sending: float, *, where: str
+) -> ssl.SSLSocket:
     """Connect by TLS to a server that has proved who it is.
 
     Args:
@@ -188,6 +201,7 @@ def secure_socket(host: str, port: int, security: RosbridgeSecurity, timeout: fl
         port: of the server.
         security: what it is checked by.
         timeout: how long all of it may take, s.
+        sending: how long the network may then take nothing of what is sent, s.
         where: for the error.
 
     Raises:
@@ -198,7 +212,9 @@ def secure_socket(host: str, port: int, security: RosbridgeSecurity, timeout: fl
     plain = socket.create_connection((host, port), timeout=timeout)
     try:
         plain.settimeout(max(0.01, deadline - time.monotonic()))
-        secure = security.context().wrap_socket(plain, server_hostname=host)
+        context = security.context()
+        context.sslsocket_class = _PatientSocket
+        secure = context.wrap_socket(plain, server_hostname=host)
         if security.fingerprint:
             _check_fingerprint(secure, security.fingerprint, where)
     except ssl.SSLCertVerificationError as error:
@@ -213,7 +229,7 @@ def secure_socket(host: str, port: int, security: RosbridgeSecurity, timeout: fl
     except BaseException:
         plain.close()
         raise
-    secure.settimeout(None)
+    secure.settimeout(sending)
     return secure
 
 

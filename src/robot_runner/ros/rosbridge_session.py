@@ -27,10 +27,11 @@ ANSWER = 5.0
 #: How long, s, the server may be silent before it is asked whether it is there, how long it may think about it, and how
 #: often it is looked whether it has answered.
 _PING_INTERVAL, _PING_TIMEOUT, _PING_LOOK = 3.0, 5.0, 0.1
-#: Called to learn that the server has dealt with all that was sent before: it answers for each service, if only that
-#: there is none, and takes operations in their order.
-_BARRIER = "/rosapi/get_time"
-
+#: What the server's own node offers in each generation of ROS, as its launch file names it. One is called to learn that
+#: the server has dealt with all that was sent before: it takes operations in their order, and answers for each service,
+#: if only that there is none. rosapi, a node of its own, may hang where the server does not.
+_OWN_SERVICES = ((1, "/rosbridge_websocket/get_loggers"), (2, "/rosbridge_websocket/list_parameters"))
+_OTHERWISE = "/rosapi/get_time"
 
 #: What may wait until callbacks take it, as messages and bytes; beyond it the connection is given up, and says so: to
 #: drop messages would falsify what is computed from them.
@@ -64,8 +65,11 @@ class Session:
 
     Args:
         address: of the rosbridge.
+        barrier: the service that is called to learn that the server has dealt with what was sent; None to find one.
 
     Attributes:
+        barrier: that service.
+        generation: of the robot's ROS, as the server's own node shows; None where it was not looked for, or shows none.
         on_message: called, in the thread that receives, with a topic's name and one of its messages.
         on_request: called, in the same thread, with an operation that calls a service that is offered here.
         on_action: called, in the same thread, with an operation about a goal of an action.
@@ -77,13 +81,15 @@ class Session:
         LinkError: it cannot be reached, or is no rosbridge.
     """
 
-    def __init__(self, address: RosbridgeAddress) -> None:
-        self.where = f"rosbridge at {address.host}:{address.port}"
+    def __init__(self, address: RosbridgeAddress, barrier: str | None = None) -> None:
+        self.where = f"rosbridge at {address.place}"
         self.on_message: Callable[[str, Any], None] = lambda _topic, _message: None
         self.on_request: Callable[[Mapping[str, Any]], None] = lambda _operation: None
         self.on_action: Callable[[Mapping[str, Any]], None] = lambda _operation: None
         self.on_lost: Callable[[LinkError], None] = lambda _error: None
         self.last_words: Callable[[], Iterable[dict[str, Any]]] = tuple
+        self.barrier = barrier or _OWN_SERVICES[-1][1]
+        self.generation: int | None = None
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
         self._sending = threading.Lock()  # nothing is sent behind the last words
@@ -108,7 +114,7 @@ class Session:
         for thread in self._threads:
             thread.start()
         self._authenticate(address)
-        self._greet()
+        self._greet(looks=barrier is None)
 
     @property
     def is_usable(self) -> bool:
@@ -139,7 +145,7 @@ class Session:
         Raises:
             LinkError: the server does not answer in time.
         """
-        self.call(_BARRIER, {}, timeout=ANSWER, where=where)
+        self.call(self.barrier, {}, timeout=ANSWER, where=where)
 
     def request(self, operation: dict[str, Any], *, where: str) -> None:
         """Send an operation, and return when the server has dealt with it.
@@ -243,14 +249,22 @@ class Session:
                 fix="See that the secret is the one of rosauth's file on the robot, and that both clocks agree to 5 s.",
             ) from error
 
-    def _greet(self) -> None:
-        """See that it speaks the protocol."""
+    def _greet(self, *, looks: bool) -> None:
+        """See that it speaks the protocol, and find what its own node offers."""
         try:
-            self.flush(where=self.where)
+            if not looks:
+                self.flush(where=self.where)
+                return
+            self.barrier = _OTHERWISE
+            answers = self.calls([(service, {}) for _, service in _OWN_SERVICES], timeout=ANSWER, where=self.where)
+            for (generation, service), answer in zip(_OWN_SERVICES, answers, strict=True):
+                if answer.is_good:
+                    self.generation, self.barrier = generation, service
         except LinkError as error:
             self.close()
             if self._lost is not None:
-                raise
+                fix = f"{error.fix} If it authenticates its clients by rosauth, name the secret: ?rosauth_env=VARIABLE."
+                raise LinkError(error.problem, where=self.where, fix=fix) from error
             raise LinkError(
                 f"what listens there does not answer as a rosbridge within {ANSWER:g} s",
                 where=self.where,
@@ -378,8 +392,7 @@ class Session:
             event.set()
 
     def _loss(self, reason: str) -> LinkError:
-        return LinkError(
-            f"the connection is lost: {reason}",
-            where=self.where,
-            fix="Look whether the robot is on and in this network, and whether its rosbridge server runs.",
-        )
+        fix = "Look whether the robot is on and in this network, and whether its rosbridge server runs."
+        if "message too big" in reason:  # as RFC 6455 calls code 1009
+            fix = "Send less at once: a server of ROS 2 takes 10 MB, if its max_message_size is not another."
+        return LinkError(f"the connection is lost: {reason}", where=self.where, fix=fix)

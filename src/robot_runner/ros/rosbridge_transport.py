@@ -12,17 +12,18 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.links.commanded_topics import VELOCITIES
 from robot_runner.core.links.graph_names import missing
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos
 from robot_runner.ros.graph_transport import Reception, already_offered, check_type, is_hidden, wrong_service_type
 from robot_runner.ros.ros1_actions import Ros1Actions
 from robot_runner.ros.rosbridge_actions import RosbridgeActions
-from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
+from robot_runner.ros.rosbridge_callers import Callers
+from robot_runner.ros.rosbridge_frames import from_protocol, passes_as_cbor, to_protocol
 from robot_runner.ros.rosbridge_session import Reply, Session
 from robot_runner.ros.rosbridge_topics import RAW, RosbridgeReception, Topic, one_form
 from robot_runner.ros.rosbridge_types import RobotTypes, Rosapi, RosapiParameters
 from robot_runner.ros.shapes import completed
-from robot_runner.ros.watchdog import VELOCITY_COMMANDS
 
 if TYPE_CHECKING:
     from robot_runner.ros.action_calls import ActionDialect
@@ -59,22 +60,21 @@ class RosbridgeTransport:
         self._publishers: dict[str, _Publisher] = {}
         self._answers: dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {}
         self._answering = threading.BoundedSemaphore(_MOST_ANSWERING)
-        self._address = address
-        self._callers: list[Session] = []
-        self._idle: list[Session] = []
         self._session = Session(address)
+        connect = partial(Session, address, self._session.barrier)
+        self._callers = Callers(connect)
         try:
-            self._rosapi = Rosapi(self._session)
+            self._rosapi = Rosapi(self._session, self._callers)
             self.types = RobotTypes(self._rosapi, address)
         except LinkError:
-            self._session.close()
+            self.close()
             raise
         # Each raises a `LinkError` where rosapi does not run beside the server.
         self.topics, self.services, self.nodes = self._rosapi.topics, self._rosapi.services, self._rosapi.nodes
         self.actions: ActionDialect = (
             Ros1Actions(self)
             if self.types.generation == 1
-            else RosbridgeActions(self, self._session, self._rosapi, address)
+            else RosbridgeActions(self, self._session, self._rosapi, connect)
         )
         self._session.on_message = self._take_message
         self._session.on_request = self._take_request
@@ -173,43 +173,21 @@ class RosbridgeTransport:
     def close(self) -> None:
         """Leave; the server forgets what is published, subscribed and offered here."""
         self._session.close()
-        with self._lock:
-            callers, self._callers = self._callers, []
-        for each in callers:
-            each.close()
+        self._callers.close()
 
     def _called(self, service: str, values: Mapping[str, Any], timeout: float) -> Reply:
-        """Call a service, in ROS 2 over a connection of its own.
-
-        By default a server of ROS 2 takes nothing more of a connection until the service has answered: a stop command
-        would wait behind it.
-        """
+        """Call a service, in ROS 2 over a connection of its own; in ROS 1 none holds up another."""
         if self.types.generation == 1:
             return self._session.call(service, values, timeout=timeout, where=service)
         self._session.flush(where=service)  # what was sent before the call is to be dealt with before it
-        with self._lock:
-            caller = self._idle.pop() if self._idle else None
-        if caller is None or not caller.is_usable:
-            caller = Session(self._address)
-            with self._lock:
-                self._callers.append(caller)
-        try:
-            reply = caller.call(service, values, timeout=timeout, where=service)
-        except LinkError:
-            with self._lock:
-                self._callers = [each for each in self._callers if each is not caller]
-            caller.close()
-            raise
-        with self._lock:
-            self._idle.append(caller)
-        return reply
+        return self._callers.call(service, values, timeout=timeout, where=service)
 
     def _stops(self) -> list[dict[str, Any]]:
         """Return what commands zero on each topic on which velocities are published here."""
         stops = []
         for each in list(self._publishers.values()):
             with suppress(Exception):  # whatever fails at one robot, the others are told
-                stops += [each.stop()] if each.message_type in VELOCITY_COMMANDS else []
+                stops += [each.stop()] if each.message_type in VELOCITIES else []
         return stops
 
     def _told_type(self, topic: str) -> list[str]:
@@ -219,8 +197,8 @@ class RosbridgeTransport:
     def _subscribed(self, name: str, message_type: str, receive: Callable[[Reception], None], *, is_raw: bool) -> Topic:
         is_known = self.types.is_known_here(message_type)
         shape = None if is_raw and not is_known else self.types.shape(message_type)
-        # A ROS 2 server's own CBOR fails at arrays of a fixed length, and its JSON has neither NaN nor infinity.
-        plain = "cbor" if self.types.generation == 1 else "none"
+        # A server's own CBOR fails at some arrays, in ROS 2 at more; and its JSON has neither NaN nor infinity.
+        plain = "cbor" if self.types.generation == 1 and shape is not None and passes_as_cbor(shape) else "none"
         check_type(name, message_type, self._told_type(name))
         request_id = self._session.fresh_id("subscribe")
         kept: deque[Reception] = deque(maxlen=_MOST_TOGETHER if message_type == _TOGETHER else 1)

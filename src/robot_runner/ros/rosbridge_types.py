@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import json
+import logging
+import math
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -11,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding, GraphEndpoint
+from robot_runner.ros.rosbridge_callers import Callers
 from robot_runner.ros.rosbridge_session import ANSWER, Reply, Session
 from robot_runner.ros.shapes import IDL_KINDS, ROS1_KINDS, UNBOUNDED, Field, Shape, plain_type
 from robot_runner.ros.type_catalogue import STANDARD_DEFAULTS, TypeCatalogue
@@ -19,13 +22,18 @@ from robot_runner.ros.type_store import ROS2_DISTROS, stored_name
 if TYPE_CHECKING:
     from robot_runner.ros.graph_addresses import RosbridgeAddress
 
+_logger = logging.getLogger(__name__)
+
 #: How long rosapi, which is a node of its own, may take to see what the server has done, and how often it is asked, s.
 _CONFIRMATION, _LOOK = 2.0, 0.02
 
 #: How the name of a rosbridge server's node begins, whatever its generation.
 _SERVER = "rosbridge"
-#: What every node of a generation offers, for the rosbridge server's own, as its launch file names it.
-_SIGNS = ((1, "/rosbridge_websocket/get_loggers"), (2, "/rosbridge_websocket/list_parameters"))
+#: How long rosapi may take, s, for so many seconds after it has left a question unanswered: a robot must not be kept
+#: waiting for it, and one that was only busy is to be believed again.
+_IMPATIENCE, _HANGING = 0.5, 10.0
+#: What a rosapi of ROS 2 tells in place of a definition whose file it does not find.
+_UNTOLD = "# failed to get full definition"
 
 
 class Rosapi:
@@ -33,10 +41,16 @@ class Rosapi:
 
     Where rosapi does not answer, `told` and what lists the graph (`topics`, `services`, `nodes`, `endpoints`,
     `action_servers`) raise a `LinkError`; what else it cannot answer is None or empty.
+
+    Args:
+        session: over which the server is asked to do something.
+        callers: over which rosapi is asked: it may hang.
     """
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Session, callers: Callers) -> None:
         self._session = session
+        self._callers = callers
+        self._hung_at = -math.inf
         self._probes = itertools.count(1)
 
     def version(self) -> tuple[int, str | None]:
@@ -45,15 +59,14 @@ class Rosapi:
         Raises:
             LinkError: nothing there tells.
         """
+        seen = self._session.generation
+        if seen == 1:  # whose rosapi does not tell it
+            return 1, None
         told = self._ask("get_ros_version")
         if told.is_good and isinstance(told.values, dict):
             return int(told.values.get("version", 2)), str(told.values.get("distro") or "") or None
-        if self._ask("get_time").is_good:
-            return 1, None
-        answers = self._session.calls([(service, {}) for _, service in _SIGNS], timeout=ANSWER)
-        for (generation, _), answer in zip(_SIGNS, answers, strict=True):
-            if answer.is_good:
-                return generation, None
+        if seen is not None or self._ask("get_time").is_good:
+            return seen or 1, None
         raise LinkError(
             "neither rosapi nor the server's own node tells which generation of ROS it is",
             where=self._session.where,
@@ -69,7 +82,7 @@ class Rosapi:
         """Return the type of each service by its full name."""
         names: list[str] = self.told("services")["services"]
         asked: list[tuple[str, Mapping[str, Any]]] = [("/rosapi/service_type", {"service": name}) for name in names]
-        answers = self._session.calls(asked, timeout=ANSWER)
+        answers = self._callers.calls(asked, timeout=ANSWER, where=self._session.where)
         types = [_text(answer, "type") for answer in answers]
         return {name: plain_type(kind) for name, kind in zip(names, types, strict=True) if kind}
 
@@ -181,7 +194,16 @@ class Rosapi:
         return answer.values
 
     def _ask(self, question: str, values: Mapping[str, Any] | None = None) -> Reply:
-        return self._session.call(f"/rosapi/{question}", values or {}, timeout=ANSWER, where=self._session.where)
+        where, begun = self._session.where, time.monotonic()
+        patience = _IMPATIENCE if begun < self._hung_at + _HANGING else ANSWER
+        try:
+            return self._callers.call(f"/rosapi/{question}", values or {}, timeout=patience, where=where)
+        except LinkError as error:
+            self._session.check_open(where)
+            if patience == ANSWER:
+                _logger.warning("rosapi does not answer within %g s, so that nothing is confirmed by it", patience)
+                self._hung_at = time.monotonic()
+            return Reply(is_good=False, values=error.problem)
 
 
 def _text(answer: Reply, field: str) -> str:
@@ -265,15 +287,16 @@ class RobotTypes:
         return name if self.generation == 1 else name.replace("/", f"/{kind}/", 1)
 
     def is_known_here(self, message_type: str) -> bool:
-        """Whether bytes of this type can be read here."""
+        """Whether bytes of this type can be read here: the catalogue knows it, or the robot tells its definition."""
         try:
             self._catalogue.shape(message_type)
         except LinkError:
-            return False
+            return self._is_learnt(message_type)
         return True
 
     def shape(self, message_type: str) -> Shape:
         """Return what a message type is made of."""
+        self.is_known_here(message_type)
         return self._shape(self._catalogue.shape, message_type, "message_details", "msg")
 
     def request(self, service_type: str) -> Shape:
@@ -301,6 +324,18 @@ class RobotTypes:
     def deserialise(self, message_type: str, data: bytes) -> dict[str, Any]:
         """Return the message that these bytes are; raises a `LinkError` where they are not of this type."""
         return self._catalogue.deserialise(message_type, data, self.encoding)
+
+    def _is_learnt(self, message_type: str) -> bool:
+        """Whether rosapi tells the text of a definition, as it does of the types of topics that there are."""
+        text = self._rosapi.raw_definitions().get(plain_type(message_type), "")
+        if not text or text.startswith(_UNTOLD):
+            return False
+        try:
+            self._catalogue = self._catalogue.with_definition(message_type, text)
+        except LinkError as error:
+            _logger.warning("what the robot tells of %s is of no use: %s", message_type, error)
+            return False
+        return True
 
     def _shape(self, look_up: Callable[[str], Shape], name: str, question: str, kind: str) -> Shape:
         told = self._told.get((question, name))

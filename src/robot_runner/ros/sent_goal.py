@@ -105,7 +105,7 @@ class SentGoal:
         """
         if self.is_over or self.client is None:
             return
-        if not self.client.is_served():
+        if not self._is_served(self.client):
             self.lose(self._gone())
             raise self._gone()
         self.client.cancel(self, timeout)
@@ -160,11 +160,17 @@ class SentGoal:
         while not self.is_over and left > 0:
             self._wait(self._is_over, min(_LOOK, left))
             left -= _LOOK
-            if not self.is_over and self.client is not None and not self.client.is_served():
+            if not self.is_over and self.client is not None and not self._is_served(self.client):
                 self._wait(self._is_over, _LOOK)  # a result that is on its way
                 if not self.is_over:
                     self.lose(self._gone())
         return self.is_over
+
+    def _is_served(self, client: ActionClient) -> bool:
+        try:
+            return client.is_served()
+        except LinkError:  # a graph that cannot be asked may carry a request all the same
+            return True
 
     def _gone(self) -> LinkError:
         problem = f"the action server is gone; the goal was {self._status}"

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Any
 
 from robot_runner.core.errors import LinkError, did_you_mean
-from robot_runner.ros.watchdog import VELOCITY_COMMANDS
+from robot_runner.core.links.commanded_topics import VELOCITIES
 
 #: The least and the greatest value of each kind of whole number. `byte` and `char` are ROS 2's (an octet, a uint8); a
 #: shape of ROS 1 says `int8` for its `byte` and `uint8` for its `char`, which is what they mean there.
@@ -155,7 +155,7 @@ def completed(shape: Shape, message: Mapping[str, Any], *, where: str) -> dict[s
         robot_runner.core.errors.LinkError: a (geometry_msgs/Vector3): the message has no field 'X' → Did you mean 'x'?
     """
     # What a robot does on a command that is not a finite number is undefined.
-    only_finite = shape.type_name in VELOCITY_COMMANDS
+    only_finite = shape.type_name in VELOCITIES
     try:
         return _message(shape, message, only_finite=only_finite)
     except _MisfitError as misfit:

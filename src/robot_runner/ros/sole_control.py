@@ -11,11 +11,12 @@ from typing import Any
 
 from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.events.context import RobotRunnerContext
+from robot_runner.core.links.commanded_topics import VELOCITIES
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import GraphEndpoint, GraphListing, Message, RobotLink
 from robot_runner.core.words import enumerated
 from robot_runner.ros.sent_commands import is_from_here, watched
-from robot_runner.ros.watchdog import TWIST, VELOCITY_COMMANDS, planar, velocity_of
+from robot_runner.ros.watchdog import TWIST, planar, velocity_of
 
 #: How often the publishers of the pose are looked up, s: a look is a question to the ROS master or to rosapi, which
 #: costs the robot's computer some milliseconds.
@@ -48,7 +49,7 @@ class SoleControl:
         command_topic: str,
         where: str,
         pose_topic: str | None = None,
-        types: Collection[str] = VELOCITY_COMMANDS,
+        types: Collection[str] = VELOCITIES,
     ) -> None:
         self._link = link
         self._pose_topic = None if pose_topic is None else full_name(namespace, pose_topic)
@@ -120,7 +121,7 @@ class SoleControl:
 
     def _hearer(self, message_type: str, tell: Callable[[str], object]) -> Callable[[Message], None]:
         def hear(message: Message) -> None:
-            is_velocity = message_type in VELOCITY_COMMANDS
+            is_velocity = message_type in VELOCITIES
             command: Any = planar(velocity_of(message_type, message)) if is_velocity else message
             if not is_from_here(self._command_topic, command) and not self._is_over.is_set():
                 rivals = _others(self._link.publishers(self._command_topic))

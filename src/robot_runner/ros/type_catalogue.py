@@ -14,7 +14,7 @@ from robot_runner.core.links.robot import Encoding
 from robot_runner.ros.action_types import is_action_part, whole_action
 from robot_runner.ros.message_codec import FILLER, MessageCodec, NodeKind
 from robot_runner.ros.shapes import ROS1_KINDS, Field, Shape, UpTo, plain_type
-from robot_runner.ros.type_store import filled_store, given_defaults, service_part, stored_name
+from robot_runner.ros.type_store import filled_store, given_defaults, service_part, stored_name, with_definition
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -61,6 +61,15 @@ class TypeCatalogue:
             LinkError: `rosbags` is not installed, there is no such distribution, or a file cannot be used.
         """
         return _catalogue(generation, distro, tuple(extra))
+
+    def with_definition(self, message_type: str, text: str) -> TypeCatalogue:
+        """Return a catalogue that knows a type, too, by the text that `definition` returns where it is known.
+
+        Raises:
+            LinkError: it cannot be read.
+        """
+        store, defaults = with_definition(self._store, message_type, text)
+        return TypeCatalogue(store, self._generation, {**self._defaults, **defaults})
 
     def shape(self, message_type: str) -> Shape:
         """Return what a message type is made of."""

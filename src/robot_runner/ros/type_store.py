@@ -33,6 +33,9 @@ STANDARD_SERVICES = MappingProxyType(
     }
 )
 
+#: What stands before each further definition where several are one text.
+_NEXT = re.compile(r"^=+\nMSG: *", re.MULTILINE)
+
 #: Whose types are meant where no distribution is named.
 _LATEST = "jazzy"
 #: What ROS 2 has in place of the fields of a type that has none, such as one of constants only.
@@ -84,6 +87,34 @@ def given_defaults(generation: int, extra: Sequence[Path]) -> dict[tuple[str, st
         for stored, part in _parts(name, text, where, generation).items():
             found |= {(stored, field): value for field, value in field_defaults(part, where=where).items()}
     return found
+
+
+def with_definition(store: Typestore, name: str, text: str) -> tuple[Typestore, dict[tuple[str, str], Any]]:
+    """Return a store that has a message type, too, and those that it is made of; and the defaults of their fields.
+
+    Args:
+        store: is left as it is; what it knows already stays so.
+        name: of the type.
+        text: its definition, with those that it is made of after it, as bags store it.
+
+    Raises:
+        LinkError: it cannot be read, or lacks one.
+    """
+    rosbags = _rosbags()
+    first, *others = _NEXT.split(text)
+    texts = {stored_name(name): first}
+    for each in others:
+        called, _, definition = each.partition("\n")
+        texts[stored_name(called.strip())] = definition
+    found = {part: _message(rosbags, part, said, name)[part] for part, said in texts.items()}
+    fresh = {part: fields for part, fields in found.items() if part not in store.fielddefs}
+    defaults = {
+        (part, field): value for part in fresh for field, value in field_defaults(texts[part], where=name).items()
+    }
+    extended: Typestore = rosbags.get_typestore(rosbags.Stores.EMPTY)
+    extended.register({**store.fielddefs, **fresh})
+    _check_references(fresh, extended, {})
+    return extended, defaults
 
 
 def stored_name(name: str, kind: str = "msg") -> str:

@@ -12,8 +12,6 @@ from robot_runner.core.links.robot import Message
 TWIST = "geometry_msgs/Twist"
 #: The type that a TurtleBot3 subscribes by default from ROS 2 Jazzy on.
 TWIST_STAMPED = "geometry_msgs/TwistStamped"
-#: A robot goes on carrying out such a command until the next one: a link on which one was published ends with zero.
-VELOCITY_COMMANDS = frozenset({TWIST, TWIST_STAMPED})
 
 
 def velocity_command(message_type: str, speed: float, rate: float) -> Message:

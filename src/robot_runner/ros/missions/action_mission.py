@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.errors import GoalRejectedError, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, MeasureValue
+from robot_runner.core.links.commanded_topics import VELOCITIES
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.graph_names import GraphNeed, field_of, full_name
@@ -22,7 +23,6 @@ from robot_runner.ros.robot_system import RobotSystem, check_numbers
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.turtlebot3.motion import Wheels
 from robot_runner.ros.turtlebot3.steered_robot import Heartbeat
-from robot_runner.ros.watchdog import VELOCITY_COMMANDS
 
 if TYPE_CHECKING:
     from robot_runner.core.plugin import Circumstances
@@ -173,7 +173,7 @@ class ActionMission(RobotSystem):
         yield from self._of_way.required()
         if self.stop_topic is not None:
             fix = "Start the robot's bringup, or leave stop_topic out."
-            yield GraphNeed.subscribed(self.stop_topic, *sorted(VELOCITY_COMMANDS), fix=fix)
+            yield GraphNeed.subscribed(self.stop_topic, *sorted(VELOCITIES), fix=fix)
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Connect, and see that what is measured beside arrives."""

@@ -11,7 +11,7 @@ from robot_runner.core.errors import ConditionTimeout, Finding, PluginError
 from robot_runner.core.events.condition import Condition, Look
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure
-from robot_runner.core.links.commanded_topics import command_for_certain
+from robot_runner.core.links.commanded_topics import VELOCITIES, command_for_certain
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.graph_names import GraphNeed
 from robot_runner.core.links.robot import Advertiser, RobotLink
@@ -19,7 +19,6 @@ from robot_runner.ros.robot_system import RobotSystem, check_numbers
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.sole_control import SoleControl
 from robot_runner.ros.turtlebot3.steered_robot import Heartbeat
-from robot_runner.ros.watchdog import VELOCITY_COMMANDS
 
 if TYPE_CHECKING:
     from robot_runner.core.plugin import Circumstances
@@ -87,7 +86,7 @@ class TopicMission(RobotSystem):
         self.topic, self.message_type, self.publish = topic, message_type, publish
         self.until: Condition = until if isinstance(until, Condition) else _Elapsed(float(until))
         self.rate_hz, self.timeout_s = float(rate_hz), float(timeout_s)
-        is_velocity = plain_type(message_type) in VELOCITY_COMMANDS
+        is_velocity = plain_type(message_type) in VELOCITIES
         self.afterwards = {} if afterwards is None and is_velocity else afterwards
         self.namespace = namespace
         self.sole_control = sole_control
@@ -123,7 +122,7 @@ class TopicMission(RobotSystem):
         self._link = connect_robot(context, namespace=self.namespace)
         if self._is_velocity:
             self._heartbeat = Heartbeat(self._link)
-        types = VELOCITY_COMMANDS if self._is_velocity else {plain_type(self.message_type)}
+        types = VELOCITIES if self._is_velocity else {plain_type(self.message_type)}
         namespace = robot_namespace(context, self.namespace)
         self._control = SoleControl(
             self._link, namespace=namespace, command_topic=self.topic, where=self.name, types=types

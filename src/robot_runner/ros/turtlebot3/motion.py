@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import Clock
+from robot_runner.core.links.commanded_topics import VELOCITIES
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import Advertiser, RobotLink
 from robot_runner.ros.graph_transport import is_simulated_time
 from robot_runner.ros.turtlebot3.odometry import Odometer, Pose, wrapped
-from robot_runner.ros.watchdog import TWIST, VELOCITY_COMMANDS, velocity_command
+from robot_runner.ros.watchdog import TWIST, velocity_command
 
 #: The topic of the robot's velocity commands.
 COMMAND_TOPIC = "cmd_vel"
@@ -51,7 +52,7 @@ class Wheels:
 
     def _subscribed_type(self) -> str:
         told = {each.message_type for each in self._link.subscribers(self._topic) if not each.is_own}
-        if subscribed := told & VELOCITY_COMMANDS:
+        if subscribed := told & VELOCITIES:
             self._type = min(subscribed)  # of both, the one that every robot takes
         # Where it is another type, publishing says so; where there is none yet, it is asked for again next time.
         return self._type or TWIST

@@ -14,6 +14,7 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import Clock, RobotRunnerContext
 from robot_runner.core.events.early_end import raised_in_thread
 from robot_runner.core.events.measure import MeasureValue
+from robot_runner.core.links.commanded_topics import VELOCITIES
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.graph_names import GraphNeed, full_name, missing
 from robot_runner.core.links.robot import RobotLink
@@ -25,7 +26,7 @@ from robot_runner.ros.robot_system import RobotSystem, check_numbers
 from robot_runner.ros.sole_control import SoleControl
 from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, MAXIMUM_SPEED, MAXIMUM_TURN_RATE, Pilot, Wheels
 from robot_runner.ros.turtlebot3.odometry import ODOMETRY, POSE_TOPIC, Odometer, Trajectory
-from robot_runner.ros.watchdog import HEARTBEAT_TOPIC, HEARTBEAT_TYPE, VELOCITY_COMMANDS
+from robot_runner.ros.watchdog import HEARTBEAT_TOPIC, HEARTBEAT_TYPE
 
 #: The watchdog is patient for 0.4 s: three beats may be lost on the air.
 _PERIOD = 0.1
@@ -313,7 +314,7 @@ class SteeredSystem(RobotSystem):
         fix = "Start the robot's bringup, or correct the plugin's namespace."
         yield GraphNeed.published(self.odometry_topic, ODOMETRY, is_sole=self.sole_control, fix=fix)
         for topic in self.commands:
-            yield GraphNeed.subscribed(topic, *sorted(VELOCITY_COMMANDS), is_sole=self.sole_control, fix=fix)
+            yield GraphNeed.subscribed(topic, *sorted(VELOCITIES), is_sole=self.sole_control, fix=fix)
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Connect, and see that the robot answers and obeys nobody else."""
