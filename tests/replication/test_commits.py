@@ -13,7 +13,7 @@ from tests.subjects.conftest import Repository, own_cache, repository
 from robot_runner.core.storage.git_repository import git
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.replication.cleaning import Searched, search
+from robot_runner.replication.cleaning import Search
 from robot_runner.replication.opening import open_package, unpack
 from robot_runner.replication.packing import pack
 from robot_runner.replication.redaction import Redactor
@@ -149,13 +149,14 @@ def test_what_git_packs_as_deltas_or_broke_off_is_told_as_not_searched(repositor
     repository.git("repack", "--quiet", "-a", "-d", "-F")
     (path,) = repository.folder.glob(".git/objects/pack/*.pack")
     redactor = Redactor.knowing(set(), home=tmp_path)
-    (why,) = search(path, redactor).unread
+    (why,) = Search(path, redactor).unread
     assert "it holds deltas between files, which cannot be looked through" in why
     repository.git("repack", "--quiet", "-a", "-d", "-F", "--window=0")
     (path,) = repository.folder.glob(".git/objects/pack/*.pack")
-    assert search(path, redactor) == Searched(Counter({"password": 2}))
+    assert (found := Search(path, redactor)).found == Counter({"password": 2})
+    assert found.unread == []
     (tmp_path / "half.pack").write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    (why,) = search(tmp_path / "half.pack", redactor).unread
+    (why,) = Search(tmp_path / "half.pack", redactor).unread
     assert "it ends too early" in why
 
 

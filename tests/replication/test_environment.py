@@ -172,3 +172,22 @@ def test_what_pip_said_is_shown_where_an_environment_cannot_be_made(tmp_path):
 def test_an_uninstalled_package_is_a_difference():
     environment = {"packages": {"a": {"version": "1", "is_needed": True}, "b": {"version": "1", "is_needed": False}}}
     assert [each.what for each in differing_packages(environment, {})] == ["a"]
+
+
+def test_another_python_installs_by_a_pip_of_its_own_as_ours_may_not_know_it(tmp_path, monkeypatch):
+    called = []
+    monkeypatch.setattr(virtual_environments, "_call", lambda words, *_: called.append([str(word) for word in words]))
+    monkeypatch.setattr(virtual_environments.shutil, "which", lambda name: f"/opt/bin/{name}")
+    root = tmp_path / "package"
+    (root / "environment").mkdir(parents=True)
+    (root / "environment" / "requirements.txt").write_text("tiny==1.0\n", encoding="utf-8")
+    own = f"{sys.version_info.major}.{sys.version_info.minor}.0"
+    for version, python in ((own, sys.executable), ("3.99.1", "/opt/bin/python3.99")):
+        (tmp_path / version).mkdir()
+        make_environment(root, tmp_path / version, {"python": version})
+        made, installed = called[-2:]
+        inside = str(tmp_path / version / "bin" / "python")
+        assert made[:3] == [python, "-m", "venv"]
+        assert ("--without-pip" in made) == (version == own)
+        before = [sys.executable, "-m", "pip", "--python", inside] if version == own else [inside, "-m", "pip"]
+        assert installed[: len(before)] == before

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import socket
+import sys
 import zipfile
 from pathlib import Path
 
@@ -163,6 +164,14 @@ def test_a_file_of_another_hash_is_not_installed(tmp_path, index):
     with pytest.raises(PackageError, match="the environment cannot be made") as refused:
         make_environment(root, tmp_path / "made", {})
     assert "sha256" in refused.value.findings[0].problem
+    assert "say for which Python" in refused.value.findings[0].fix
+    with pytest.raises(PackageError) as refused:  # of that Python there are other files
+        make_environment(root, tmp_path / "made", {"python": "3.99.1"})
+    here = f"{sys.version_info.major}.{sys.version_info.minor}"
+    told = (
+        f"Its hashes are of files for Python 3.99, and this is Python {here}: install that one, so that python3.99 is"
+    )
+    assert refused.value.findings[0].fix.startswith(told)
     assert not list(tmp_path.glob("made/lib/python*/site-packages/tiny.py"))
 
 

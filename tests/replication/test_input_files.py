@@ -18,6 +18,7 @@ from robot_runner.core.storage.input_files import (
     INDEX,
     InputFile,
     copy_kept,
+    input_changes,
     input_file,
     kept_contents,
     kept_copies,
@@ -270,3 +271,30 @@ def test_bags_and_definitions_are_named_and_a_damaged_index_is_refused(tmp_path:
         (tmp_path / INDEX).write_text(text)
         with kept_copies(tmp_path), pytest.raises(StorageError, match="damaged"):
             input_file(tmp_path / "a")
+
+
+def test_of_several_files_that_belong_together_those_that_changed_are_named(tmp_path: Path) -> None:
+    study, kept = tmp_path / "study", tmp_path / "results/config"
+    maps = study / "maps"
+    maps.mkdir(parents=True)
+    for name in ("hall.csv", "lab.csv", "yard.csv"):
+        (maps / name).write_text("1\n")
+    (study / "plan.py").write_text("import grid\n")
+    (study / "grid.py").write_text("SIZE = 3\n")
+    (study / "goals.csv").write_text("2\n")
+    inputs = [InputFile(maps), InputFile(study / "plan.py", (study / "grid.py",)), InputFile(study / "goals.csv")]
+    for place, content in kept_contents(inputs, study, kept).items():
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_bytes(content)
+    assert list(input_changes(inputs, kept)) == []
+    (maps / "hall.csv").write_text("2\n")
+    (maps / "plan.txt").write_text("written by the program\n")
+    (maps / "yard.csv").unlink()
+    (study / "grid.py").write_text("SIZE = 4\n")
+    (study / "goals.csv").write_text("3\n")
+    assert {finding.where: finding.problem for finding in input_changes(inputs, kept)} == {
+        str(maps): "maps/hall.csv is another one than the runs before have read, maps/plan.txt is new since the runs "
+        "before, maps/yard.csv, which the runs before have read, is not there",
+        str(study / "plan.py"): "grid.py is another one than the runs before have read",
+        str(study / "goals.csv"): "the file is another one than the runs before have read",
+    }

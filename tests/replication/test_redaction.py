@@ -9,7 +9,7 @@ import pytest
 
 from robot_runner.replication.code_secrets import secrets_in_code
 from robot_runner.replication.named_secrets import Grammar
-from robot_runner.replication.redaction import Hits, Redactor, grammar_of, is_binary
+from robot_runner.replication.redaction import Hits, Redactor, chunks_of, grammar_of, is_binary
 
 
 def _clean(text, *, loose=True, secrets=(), home=None):
@@ -73,6 +73,16 @@ def test_bytes_of_pictures_and_samples_are_no_hashes_of_passwords():
         assert Redactor.knowing((), home=None).redacted(seen, Grammar.TEXT) == seen
 
 
+def test_bytes_of_a_figure_are_no_password_in_a_url():
+    redactor = Redactor.knowing((), home=None)
+    of_a_figure = b"\xbb\xcf\xef?pPw=\xf0\xa8\xfbq\x90\xd5\xaag'NP\xaf\x1e"
+    assert redactor.redacted(of_a_figure) == of_a_figure
+    for url in (b"http://cam/?pw=swordfish", "http://cam/?pw=séc".encode(), b"http://cam/?pw=abc"):
+        for behind in (b"", b"\0\x90\x01", b" HTTP/1.1"):
+            assert redactor.redacted(url + behind) == b"http://cam/?pw=REDACTED" + behind
+    assert b"swordfish" not in redactor.redacted(b"http://cam/?pw=swordfish\x90\x01")
+
+
 def test_a_log_may_be_cleaned_more_loosely_than_code():
     assert _clean("wifi password: hunter2\n") == "wifi password: REDACTED\n"
     assert _clean("password: str = ask()\n", loose=False) == "password: str = ask()\n"
@@ -111,12 +121,17 @@ tokenizer = 'not-this'
     assert secrets_in_code("this is (no code") == set()
 
 
+def cleaned_file(path, hits):
+    with path.open("rb") as file:
+        return b"".join(Redactor.knowing((), home=None).cleaned(chunks_of(file), hits, grammar_of(path)))
+
+
 def test_a_secret_across_two_blocks_is_found(tmp_path):
     path = tmp_path / "log.txt"
     line = "x" * 99 + "\n"
     path.write_text(line * 10485 + "token=abcdefgh\n" + line * 20000, encoding="utf-8")  # at the end of the first MiB
     found: Counter[str] = Counter()
-    cleaned = b"".join(Redactor.knowing((), home=None).blocks(path, Hits(replaced=found)))
+    cleaned = cleaned_file(path, Hits(replaced=found))
     assert b"abcdefgh" not in cleaned
     assert found == {"password": 1}
     assert len(cleaned) == path.stat().st_size
@@ -126,7 +141,7 @@ def test_a_key_across_two_blocks_is_found(tmp_path):
     path = tmp_path / "log.txt"
     begin, end = "-----BEGIN RSA PRIVATE KEY-----\n", "-----END RSA PRIVATE KEY-----\n"
     path.write_text("x" * 99 + "\n" + ("y" * 99 + "\n") * 10484 + begin + "MIIE\n" * 30 + end, encoding="utf-8")
-    assert b"MIIE" not in b"".join(Redactor.knowing((), home=None).blocks(path, Hits()))
+    assert b"MIIE" not in cleaned_file(path, Hits())
 
 
 def test_bytes_that_are_no_text_are_told_from_text(tmp_path):

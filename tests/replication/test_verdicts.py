@@ -10,6 +10,8 @@ from tests.analysis.experiment_folders import two_tasks
 from tests.command_line import PROGRAM
 from tests.replication.small_experiment import own_modules
 
+from robot_runner.analysis.comparison.comparing import compare
+from robot_runner.analysis.comparison.comparison_document import json_of_comparison
 from robot_runner.analysis.libraries import MissingLibraryError
 from robot_runner.cli.main import main
 from robot_runner.core.errors import PackageError
@@ -224,19 +226,33 @@ def test_the_default_of_a_temperature_is_no_percentage_which_says_nothing_of_it(
     assert [margin.text for margin in margins.values()] == ["2", "3.6", "1", "5%"]
 
 
-@pytest.mark.parametrize(("second", "conclusion"), [(101.0, Conclusion.EQUIVALENT), (150.0, Conclusion.DIFFERENT)])
-def test_simulated_values_without_any_spread_need_no_statistics(second, conclusion):
+@pytest.mark.parametrize(
+    ("second", "conclusion"),
+    [(100.0, Conclusion.IDENTICAL), (101.0, Conclusion.EQUIVALENT), (150.0, Conclusion.DIFFERENT)],
+)
+def test_values_without_any_spread_are_judged_as_compare_judges_them(tmp_path, second, conclusion):
     manifest = {"robot": "simulated"}
-    nothing = {"first_n": 3, "second_n": 3, "first_sd": 0.0, "second_sd": 0.0, "interval": None, "treatments": {}}
-    nothing["first_mean"] = 100.0
-    difference = {**nothing, "difference": second - 100, "relative": second - 100, "bound": 5.0}
-    difference |= {"verdict": "undecided", "not_computed": "All values are equal."}
-    comparison = {"measures": [{"first_name": "Energy", "differences": [difference]}]}
+    folders = [
+        two_tasks(tmp_path / name, (value,) * 3, (7.0,) * 3, manifest=manifest).root
+        for name, value in (("one", 100.0), ("other", second))
+    ]
+    comparison = json.loads(json_of_comparison(compare(*folders, bound="5%")))
     margins = margins_of({"Energy": "J"}, manifest, [])
-    verdict = reached_verdict([_measure("Energy")], manifest, {"Energy": Sameness(3, 0)}, margins, comparison)
+    verdict = reached_verdict([_measure("Energy")], manifest, identical_values(*folders), margins, comparison)
     assert verdict.conclusion is conclusion
-    real = reached_verdict([_measure("Energy")], {"robot": "ros2"}, {"Energy": Sameness(3, 0)}, margins, comparison)
-    assert real.conclusion is Conclusion.UNDECIDED
+    assert comparison["verdict"] == conclusion.value
+
+
+def test_values_of_which_one_is_missing_in_one_experiment_are_equivalent_where_none_differs(tmp_path):
+    folders = [
+        two_tasks(tmp_path / name, values, (7.0,) * 3).root
+        for name, values in (("one", (1.0, 1.0, None)), ("other", (1.0,) * 3))
+    ]
+    comparison = json.loads(json_of_comparison(compare(*folders, bound="5%")))
+    margins = margins_of({"Energy": "J"}, {}, [])
+    verdict = reached_verdict([_measure("Energy")], {}, identical_values(*folders), margins, comparison)
+    assert (verdict.conclusion, comparison["verdict"]) == (Conclusion.EQUIVALENT, "identical")
+    assert "is equivalent within 5 %" in verdict.measures[0].sentence
 
 
 def test_no_run_in_common_is_undecided():

@@ -16,7 +16,7 @@ from robot_runner.core.design.batch import CONFIRMATION
 from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STATUS
 from robot_runner.core.errors import AnalysisError, Finding, StorageError
 from robot_runner.core.events.measure import QUALITY_SUFFIX, Quality, quality_of_value
-from robot_runner.core.storage.cells import RunStatus, typed_value, typed_values
+from robot_runner.core.storage.cells import ENDS, RunStatus, typed_value, typed_values
 from robot_runner.core.storage.executed_runs import ExcludedRuns, edited_findings, unrecorded_findings
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.lock import holder_of
@@ -134,7 +134,6 @@ class ExperimentFacts:
         return tuple(column.name for column in self.columns.values() if column.role is role)
 
 
-_ENDS = {"done": RunStatus.DONE, "failed": RunStatus.FAILED}
 _TYPED_TREATMENTS = frozenset({"integer", "number", "boolean"})
 _LARGEST = 2**63 - 1  # that a column of whole numbers holds
 _DTYPES = {"integer": "Int64", "boolean": "boolean", "string": "str"}
@@ -266,7 +265,7 @@ def _ended_since_table(records: Iterable[Mapping[str, Any]], ended: set[str]) ->
 def _take(rows: RunTableRows, record: Mapping[str, Any]) -> None:
     stamps = {f"{event}_at": at for event, at in record["stamps"].items() if f"{event}_at" in rows.layout.stamps}
     measures = {name: each["value"] for name, each in record["measures"].items() if name in rows.layout.measures}
-    rows.record(record["run"], status=_ENDS.get(record["status"], RunStatus.TODO), stamps=stamps, measures=measures)
+    rows.record(record["run"], status=ENDS.get(record["status"], RunStatus.TODO), stamps=stamps, measures=measures)
 
 
 def _frame(rows: RunTableRows, columns: Sequence[ColumnDescription], manifest: Mapping[str, Any]) -> pd.DataFrame:

@@ -10,6 +10,7 @@ from typing import Any, Self
 
 from robot_runner.core.config.authors import Author
 from robot_runner.core.errors import Finding, nearest
+from robot_runner.core.storage.manifest import last_execution
 from robot_runner.core.words import shown_commit
 from robot_runner.replication.container import container_commands
 from robot_runner.replication.contents import CRATE, DESCRIBED, LICENCE, SUMS, LeftOut
@@ -47,7 +48,7 @@ class About:
         citation: str | None = None,
     ) -> Self:
         """Return what the manifest says, which took it from the config; what is given here counts instead."""
-        last = (manifest.get("executions") or [{}])[-1]
+        last = last_execution(manifest)
         return cls(
             str(manifest.get("experiment_name", "experiment")),
             tuple(author.as_mapping() for author in authors) or tuple(manifest.get("authors") or ()),
@@ -153,7 +154,7 @@ def readme(about: About, manifest: Mapping[str, Any], names: Sequence[str], left
         "Cite": about.citation,
         "Robot": manifest.get("robot") or "none, or as the config says",
         "Seed": str(manifest.get("seed")),
-        "Commit of the config": shown_commit((manifest.get("executions") or [{}])[-1].get("repository")),
+        "Commit of the config": shown_commit(last_execution(manifest).get("repository")),
     }
     present = {*names, *(f"{name.partition('/')[0]}/" for name in names), CRATE, SUMS}
     text = _README.format(

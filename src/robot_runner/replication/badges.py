@@ -17,7 +17,7 @@ from typing import Any
 from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.manifest import read_manifest
+from robot_runner.core.storage.manifest import last_execution, read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole, TableLayout
@@ -35,6 +35,7 @@ from robot_runner.replication.contents import (
     SUMS,
     ZENODO,
     choose_contents,
+    config_of,
 )
 from robot_runner.replication.opening import open_package
 from robot_runner.replication.run_by_run import statuses_that_count
@@ -147,7 +148,7 @@ def _functional(facts: BadgeFacts) -> Iterator[BadgeLine]:
 
 
 def _exercisable(facts: BadgeFacts) -> Iterator[BadgeLine]:
-    config = f"config/{(facts.manifest.get('config') or {}).get('file')}"
+    config = config_of(facts.manifest)
     fact = f"robot-runner replicate executes {config} again."
     yield _line(_FUNCTIONAL, "Exercisable: it runs again", config in facts.names, fact, "There is no config.")
     robot = str(facts.manifest.get("robot") or "")
@@ -166,14 +167,17 @@ def _exercisable(facts: BadgeFacts) -> Iterator[BadgeLine]:
 
 def _reusable(facts: BadgeFacts) -> Iterator[BadgeLine]:
     measures = [each for each in facts.columns if each.role is ColumnRole.MEASURE]
-    lacking = [each.name for each in measures if not (each.unit and each.description)]
-    described = f"Each of {counted(len(measures), 'measure')} has a unit and a meaning in the schema."
-    otherwise = f"Without a unit or a meaning: {', '.join(lacking)}." if lacking else "There are no measures."
+    # What is text, or yes and no, has no unit.
+    lacking = [
+        each.name for each in measures if not each.description or not (each.unit or each.type in {"string", "boolean"})
+    ]
+    described = f"Each of {counted(len(measures), 'measure')} has a meaning in the schema, and each number a unit."
+    otherwise = f"Without a meaning, or a unit: {', '.join(lacking)}." if lacking else "There are no measures."
     yield _line(_REUSABLE, "Each measure is described", measures and not lacking, described, otherwise)
     has_formats = {CRATE, DATA_PACKAGE} <= set(facts.names)
     fact = "RO-Crate and Frictionless Data Package, CSV and JSON."
     yield _line(_REUSABLE, "Formats of the field", has_formats, fact, f"No {DATA_PACKAGE}: {_PACK_IT}.")
-    commit = ((facts.manifest.get("executions") or [{}])[-1].get("repository") or {}).get("commit")
+    commit = (last_execution(facts.manifest).get("repository") or {}).get("commit")
     otherwise = "The config was in no repository when it was executed."
     yield _line(_REUSABLE, "The version of the source is known", commit, f"Commit {commit}.", otherwise)
     fact = "Say in the paper or a README what can be changed, and what it is good for beyond the paper."

@@ -103,55 +103,43 @@ def recoded(file: BinaryIO, encoding: str) -> Iterator[bytes]:
     yield decoder.decode(b"", final=True).encode()
 
 
-@dataclass(slots=True)
-class Searched:
-    """What is known of a file in which nothing can be replaced.
+class Search:
+    """Looks through a file in which nothing can be replaced, as it is, and through what is packed in it.
 
     Attributes:
         found: how many secrets of each kind are in it.
         unread: why some of it could not be looked into, in words.
-    """
-
-    found: Counter[str] = field(default_factory=Counter)
-    unread: list[str] = field(default_factory=list)
-
-
-def search(path: Path, redactor: Redactor) -> Searched:
-    """Look through a file as it is, and through what is packed in it.
 
     Raises:
         OSError: it cannot be read.
     """
-    searched = Searched()
-    with open_to_read(path) as file:
-        _Search(redactor, searched).look(file, path.name, 0)
-    return searched
 
-
-class _Search:
-    def __init__(self, redactor: Redactor, searched: Searched) -> None:
+    def __init__(self, path: Path, redactor: Redactor) -> None:
+        self.found: Counter[str] = Counter()
+        self.unread: list[str] = []
         self._redactor = redactor
-        self._searched = searched
         self._left = _MOST_UNPACKED
+        with open_to_read(path) as file:
+            self._look(file, path.name, 0)
 
-    def look(self, file: BinaryIO, name: str, depth: int) -> None:
+    def _look(self, file: BinaryIO, name: str, depth: int) -> None:
         """Look through one file, or one member of an archive."""
         start = file.read(_SNIFFED)
         file.seek(0)
         if kind := next((words for magic, words in _UNKNOWN.items() if start.startswith(magic)), None):
-            self._searched.unread.append(f"{name}: {kind} is looked through as it is, not unpacked")
+            self.unread.append(f"{name}: {kind} is looked through as it is, not unpacked")
         members = self._members(file, start, name)
         if members is None:
             self._look_through(file, start)
         elif depth >= _DEEPEST:
-            self._searched.unread.append(f"{name}: an archive in an archive")
+            self.unread.append(f"{name}: an archive in an archive")
         else:
             try:
                 for inside, content in members:
                     # It can be read twice from its start, and is bounded in what it unpacks.
-                    self.look(io.BufferedReader(_Bounded(content, self), _BLOCK), inside, depth + 1)
+                    self._look(io.BufferedReader(_Bounded(content, self), _BLOCK), inside, depth + 1)
             except _DAMAGED as error:
-                self._searched.unread.append(f"{name}: {str(error) or type(error).__name__}")
+                self.unread.append(f"{name}: {str(error) or type(error).__name__}")
 
     def _members(self, file: BinaryIO, start: bytes, name: str) -> Iterable[tuple[str, IO[bytes]]] | None:
         """Return what is packed in a file, each with its name; None where it is no archive."""
@@ -168,7 +156,7 @@ class _Search:
             for entry in (each for each in archive.infolist() if not each.is_dir()):
                 inside = f"{name}/{entry.filename}"
                 if entry.flag_bits & 1:
-                    self._searched.unread.append(f"{inside}: encrypted")
+                    self.unread.append(f"{inside}: encrypted")
                     continue
                 with archive.open(entry) as content:
                     yield inside, content
@@ -185,18 +173,18 @@ class _Search:
 
     def _look_through(self, file: BinaryIO, start: bytes) -> None:
         if b"\0" not in start:
-            self._searched.found += self._redactor.secrets_in(chunks_of(file), Grammar.TEXT)
+            self.found += self._redactor.secrets_in(chunks_of(file), Grammar.TEXT)
             return
-        self._searched.found += self._redactor.secrets_in(chunks_of(file), Grammar.MARKUP)
+        self.found += self._redactor.secrets_in(chunks_of(file), Grammar.MARKUP)
         file.seek(0)  # texts of two bytes a letter are texts without their zeros
         without_zeros = (chunk.replace(b"\0", b"") for chunk in chunks_of(file))
-        self._searched.found += self._redactor.secrets_in(without_zeros, Grammar.MARKUP)
+        self.found += self._redactor.secrets_in(without_zeros, Grammar.MARKUP)
 
 
 class _Bounded(io.RawIOBase):
     """What an archive holds, counted as it is unpacked; it may go back to its start, as long as the archive can."""
 
-    def __init__(self, file: IO[bytes], search: _Search) -> None:
+    def __init__(self, file: IO[bytes], search: Search) -> None:
         self._file = file
         self._search = search
 
@@ -300,7 +288,7 @@ class Cleaning:
                 return self._cleaned(file, None)
             if encoding := wide_encoding(file.path):
                 return self._cleaned(file, encoding)
-            searched = search(file.path, self.redactor)
+            searched = Search(file.path, self.redactor)
         except OSError as error:
             raise storage_error(file.path, "read", error) from error
         self.unread += [LeftOut(file.name, one_line(why)) for why in searched.unread]
@@ -313,13 +301,13 @@ class Cleaning:
 
     def _cleaned(self, file: PackedFile, encoding: str | None) -> Iterator[bytes]:
         hits = Hits()
-        if encoding is None:
-            yield from self.redactor.blocks(file.path, hits)
-        else:
-            with open_to_read(file.path) as source:
-                cleaned = self.redactor.cleaned(recoded(source, encoding), hits, grammar_of(file.path))
-                for text in codecs.iterdecode(cleaned, "utf-8"):
-                    yield text.encode(encoding)
+        with open_to_read(file.path) as source:
+            texts = chunks_of(source) if encoding is None else recoded(source, encoding)
+            cleaned = self.redactor.cleaned(texts, hits, grammar_of(file.path))
+            if encoding is None:
+                yield from cleaned
+            else:
+                yield from (text.encode(encoding) for text in codecs.iterdecode(cleaned, "utf-8"))
         for counts, noted in ((hits.replaced, self.replaced), (hits.doubtful, self.doubtful)):
             noted += [
                 Replaced(file.name, what, count, tuple(hits.lines[what])) for what, count in sorted(counts.items())

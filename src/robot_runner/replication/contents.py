@@ -6,10 +6,10 @@ import os
 import re
 import stat
 from collections import Counter
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from robot_runner.core.errors import PackageError, did_you_mean
 from robot_runner.core.events.measure import CONFIG_OWNER
@@ -74,6 +74,12 @@ DESCRIBED = {
     CRATE: "a description of everything (RO-Crate)",
     SUMS: "the SHA-256 of each file; `sha256sum -c SHA256SUMS` checks them without Robot Runner",
 }
+
+
+def config_of(manifest: Mapping[str, Any]) -> str:
+    """Return the name of an experiment's config in a package."""
+    return f"config/{(manifest.get('config') or {}).get('file')}"
+
 
 _DRIVE = re.compile(r"[A-Za-z]:")
 #: A path has at most 4096 bytes on Linux, and a name 255, both in UTF-8.

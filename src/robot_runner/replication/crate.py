@@ -15,6 +15,7 @@ from typing import Any
 from urllib.parse import quote
 
 from robot_runner.core.errors import PackageError
+from robot_runner.core.storage.manifest import last_execution
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 from robot_runner.core.words import counted, shown_commit
 from robot_runner.replication.about import NO_LICENCE, About
@@ -26,6 +27,7 @@ from robot_runner.replication.contents import (
     REQUIREMENTS,
     SUMS,
     TABLE,
+    config_of,
     folder_of,
     media_type_of,
 )
@@ -94,7 +96,7 @@ class _Crate:
         self._crate.metadata.extra_terms["sha256"] = _SHA256
         self._about, self._manifest = about, manifest
         self._executed, self._run_folders = runs, run_folders
-        self._workflow = f"config/{(manifest.get('config') or {}).get('file')}"
+        self._workflow = config_of(manifest)
         self._pages: dict[str, Any] = {}
 
     def text(self, files: Sequence[StoredFile], measures: Sequence[ColumnDescription]) -> str:
@@ -140,7 +142,7 @@ class _Crate:
         python = str(self._manifest.get("software", {}).get("python") or "")
         known = {"name": "Python", "url": {"@id": _PYTHON}, **({"version": python} if python else {})}
         language = self._crate.add(ComputerLanguage(self._crate, _PYTHON, properties=known))
-        repository = (self._manifest.get("executions") or [{}])[-1].get("repository") or {}
+        repository = last_execution(self._manifest).get("repository") or {}
         origin, file_id = str(repository.get("origin") or ""), quote(self._workflow)
         facts |= {
             "conformsTo": {"@id": _BIOSCHEMAS_WORKFLOW},

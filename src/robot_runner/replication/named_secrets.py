@@ -57,7 +57,7 @@ _VALUE_BEFORE = re.compile(rb"(?:value|default)\s*=\s*([\"'])(?P<quoted>[^\"'\n<
 _ELEMENT = re.compile(rb">(?P<bare>[^<>\n]+)</")
 _NUMERIC = re.compile(rb"(?:" + _QUOTE + rb")?[ \t]*(?::[ \t]*int[ \t]*=|:=|[:=])[ \t]*" + _NUMBER)
 #: Of a URL: ?token=X&next=...
-_PARAMETER = re.compile(rb"=(?P<bare>[^\s\"'&#\\<>{}]+)")
+_PARAMETER = re.compile(rb"=(?P<bare>[^\s\"'&#\\<>{}\0-\x1f]+)")
 #: A line of a settings file or a log: password: X
 _LOOSE = re.compile(rb"[ \t]*(?::=|[:=])[ \t]*(?:!!str[ \t]+)?" + _BARE)
 _OF_SOMEBODY = re.compile(
@@ -155,7 +155,7 @@ def _after(block: bytes, place: tuple[int, int], name: str, grammar: Grammar) ->
         yield from _judged(match, "quoted", name, start)
     elif match := _VALUE_BEFORE.search(block, max(0, start - _LONGEST_LINE), start):
         yield from _judged(match, "quoted", name, match.start())
-    elif match := _bare(block, end, before):
+    elif (match := _bare(block, end, before)) and (grammar is not Grammar.MARKUP or _is_text(match["bare"])):
         yield from _judged(match, "bare", name, start)
     elif match := _NUMERIC.match(block, end):
         yield from _judged_number(match, name, start, grammar)
@@ -181,6 +181,15 @@ def _bare(block: bytes, end: int, before: bytes) -> re.Match[bytes] | None:
     if before.endswith(b"<"):
         return _ELEMENT.match(block, end)
     return _FLAG.match(block, end) if before.endswith(b"-") else None
+
+
+def _is_text(value: bytes) -> bool:
+    """Whether a value is no bytes of a picture, which have every short name somewhere; four letters are a text."""
+    try:
+        value.decode()
+    except UnicodeDecodeError:
+        return re.match(rb"[!-~]{4}", value) is not None
+    return True
 
 
 def _is_closing(match: re.Match[bytes], before: bytes) -> bool:

@@ -143,19 +143,6 @@ class Redactor:
             found += named_secrets(block, grammar)
         return _without_overlap(found)
 
-    def blocks(self, path: Path, hits: Hits) -> Iterator[bytes]:
-        """Yield a text file in blocks, secrets replaced.
-
-        Args:
-            path: the file; its name tells what it is written in.
-            hits: takes what was found.
-
-        Raises:
-            OSError: it cannot be read.
-        """
-        with open_to_read(path) as file:
-            yield from self.cleaned(chunks_of(file), hits, grammar_of(path))
-
     def secrets_in(self, chunks: Iterable[bytes], grammar: Grammar) -> Counter[str]:
         """Return how many secrets of each kind are in a text that comes in chunks, and stays as it is."""
         hits = Hits()

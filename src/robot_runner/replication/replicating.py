@@ -22,7 +22,7 @@ from robot_runner.core.storage.guarded_files import make_experiment_folder, open
 from robot_runner.core.storage.input_files import copy_kept, missing_inputs, read_index
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.manifest import read_manifest
+from robot_runner.core.storage.manifest import last_execution, read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
 from robot_runner.core.storage.system_refusals import storage_error
@@ -373,7 +373,7 @@ def replicated_folder(target: Path, root: Path, deviations: Mapping[str, str]) -
         manifest = read_manifest(path) if path.is_file() else {}
         facts = manifest.get("replication") or {}
         if facts.get("sha256") == digest and _are_same(facts.get("deviations") or {}, deviations):
-            found.append((str((manifest.get("executions") or [{}])[-1].get("started_at")), folder))
+            found.append((str(last_execution(manifest).get("started_at")), folder))
     if not found:
         fix = "Repeat the command: what was executed before is kept."
         raise PackageError("the original was not executed again here", where=str(target), fix=fix)

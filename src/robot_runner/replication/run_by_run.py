@@ -7,10 +7,8 @@ from pathlib import Path
 
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.run_table_reading import read_described_table
 from robot_runner.core.storage.run_table_rows import RunTableRows
-from robot_runner.core.storage.table_columns import TableLayout
-from robot_runner.core.storage.table_schema import read_schema
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,5 +85,4 @@ def _sameness(ours: RunTableRows, theirs: RunTableRows, name: str, pairs: list[t
 
 
 def _rows(folder: Path) -> RunTableRows:
-    files = ExperimentFolder.found_at(folder)
-    return read_run_table(files.run_table, TableLayout.of_schema(read_schema(files.schema)))
+    return read_described_table(ExperimentFolder.found_at(folder))

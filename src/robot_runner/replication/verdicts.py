@@ -182,14 +182,12 @@ def reached_verdict(
         comparison: what `robot-runner compare --json` found, as plain data; None where it was not asked.
     """
     secondary = why_not_primary(columns, manifest)
-    is_simulated = str(manifest.get("robot") or "").startswith("simulated")
     compared = {each["first_name"]: each for each in (comparison or {}).get("measures", ()) if _has_numbers(each)}
     units = {column.name: column.unit if column.unit != "1" else "" for column in columns}
     measures = [
         _judged(
             _Judged(name, units[name], same.get(name), margins[name], compared.get(name)),
             has_comparison=comparison is not None,
-            is_simulated=is_simulated,
             secondary_because=because,
         )
         for name, because in secondary.items()
@@ -225,7 +223,7 @@ def _has_numbers(found: Mapping[str, Any]) -> bool:
     return any(each["first_mean"] is not None for each in found["differences"])
 
 
-def _judged(judged: _Judged, *, has_comparison: bool, is_simulated: bool, secondary_because: str) -> MeasureConclusion:
+def _judged(judged: _Judged, *, has_comparison: bool, secondary_because: str) -> MeasureConclusion:
     same, runs = judged.same, 0 if judged.same is None else judged.same.runs
     if same is not None and same.is_complete:
         conclusion, told = Conclusion.IDENTICAL, f"is identical in {_all_runs(runs)}, to the last digit."
@@ -246,7 +244,7 @@ def _judged(judged: _Judged, *, has_comparison: bool, is_simulated: bool, second
         conclusion = Conclusion.UNDECIDED
         told = f"could not be decided: it differs in {runs - same.identical} of {counted(runs, 'run')}, and {why}."
     else:
-        conclusion, told = _by_statistics(judged, judged.found, is_simulated=is_simulated)
+        conclusion, told = _by_statistics(judged, judged.found)
     is_bounded = judged.found is not None and not (same is not None and same.is_same)
     return MeasureConclusion(
         judged.name,
@@ -260,15 +258,15 @@ def _judged(judged: _Judged, *, has_comparison: bool, is_simulated: bool, second
     )
 
 
-def _by_statistics(judged: _Judged, found: Mapping[str, Any], *, is_simulated: bool) -> tuple[Conclusion, str]:
+def _by_statistics(judged: _Judged, found: Mapping[str, Any]) -> tuple[Conclusion, str]:
     """Return the conclusion from a comparison, and the rest of a sentence that begins with the measure."""
     differences = found["differences"]
-    verdicts = [_of_difference(each, is_simulated=is_simulated) for each in differences]
+    verdicts = [Conclusion(each["verdict"]) for each in differences]
     conclusion = _of_all(verdicts)
     within = f"{judged.bound} ({judged.margin.source})"
     largest = _largest(differences, judged.unit)
-    if conclusion is Conclusion.EQUIVALENT:
-        return conclusion, f"is equivalent within {within}{largest}."
+    if conclusion in {Conclusion.EQUIVALENT, Conclusion.IDENTICAL}:  # of all values that are there; some run lacks one
+        return Conclusion.EQUIVALENT, f"is equivalent within {within}{largest}."
     pairs = zip(differences, verdicts, strict=True)
     concerned = [_combination(each) for each, verdict in pairs if verdict is conclusion]
     where = f" for {listed(concerned)}" if concerned and len(differences) > 1 else ""
@@ -282,15 +280,6 @@ def _by_statistics(judged: _Judged, found: Mapping[str, Any], *, is_simulated: b
 def _alpha(differences: Sequence[Mapping[str, Any]]) -> float:
     levels = [each["interval"]["level"] for each in differences if each.get("interval")]
     return 1 - levels[0] if levels else 0.05
-
-
-def _of_difference(each: Mapping[str, Any], *, is_simulated: bool) -> Conclusion:
-    """Return the conclusion of one combination; on a simulated robot runs that are all equal hold no chance."""
-    has_spread = bool(each["first_sd"] or each["second_sd"])
-    if is_simulated and each["not_computed"] and not has_spread and each["first_sd"] == each["second_sd"] == 0:
-        is_within = each["bound"] is not None and abs(each["difference"]) <= each["bound"]
-        return Conclusion.EQUIVALENT if is_within else Conclusion.DIFFERENT
-    return Conclusion(each["verdict"])
 
 
 def _combination(each: Mapping[str, Any]) -> str:

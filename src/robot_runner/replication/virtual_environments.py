@@ -23,7 +23,8 @@ from robot_runner.replication.distributions import installed_distributions, whee
 _OUR_NAME = "robot-runner"
 _DEADLINE_S = 3600.0
 _SHOWN_LINES = 8
-_NO_TALK = ("--no-input", "--disable-pip-version-check")
+_NO_TALK = ("--no-input", "--disable-pip-version-check", "--progress-bar", "off")
+_OWN_PYTHON = f"{sys.version_info.major}.{sys.version_info.minor}"
 _COMPLETE = "complete"
 
 
@@ -57,16 +58,19 @@ def make_environment(root: Path, folder: Path, environment: Mapping[str, Any]) -
     """
     if is_complete(folder):
         return program_in(folder)
-    fix = (
-        "Mend what is said there, or take your own environment: --environment here. The first lines of "
-        f"{REQUIREMENTS} say for which Python and platforms its hashes are."
-    )
+    python, wanted = _python(environment), _wanted_python(environment)
+    own = "take your own environment: --environment here"
+    fix = f"Mend what is said there, or {own}."
     asked = ["--find-links", str(root / WHEELS)] if (root / WHEELS).is_dir() else []
     if any("--hash=" in line.partition("#")[0] for line in read_text(root / REQUIREMENTS, root).splitlines()):
         # Then the list is whole. Pip before 23.3 refuses such a list once there is a newer release of what another
         # package needs with an extra (`coverage[toml]`), unless it is told that nothing else is needed.
         asked.append("--no-deps")
-    _make(folder, _python(environment), [*asked, "-r", str(root / REQUIREMENTS)], fix)
+        fix += f" The first lines of {REQUIREMENTS} say for which Python and platforms its hashes are."
+        if python == sys.executable and wanted not in {"", _OWN_PYTHON}:
+            problem = f"Its hashes are of files for Python {wanted}, and this is Python {_OWN_PYTHON}"
+            fix = f"{problem}: install that one, so that python{wanted} is found, or {own}."
+    _make(folder, python, [*asked, "-r", str(root / REQUIREMENTS)], fix)
     return program_in(folder)
 
 
@@ -130,8 +134,9 @@ def compare_with(program: Path, original: Path, replication: Path, bounds: Seque
 def _make(folder: Path, python: str, asked: Sequence[str], fix: str) -> None:
     """Make a virtual environment and have pip install what is asked."""
     log = folder.with_name(f"{folder.name}.log")
-    # Pip works on other environments, too: to put one into each would take the longest of all.
-    has_pip = find_spec("pip") is not None
+    # Pip works on other environments, too: to put one into each would take the longest of all. But it is executed by
+    # their Python, and fails where that is newer than it knows (23.0 of Debian 12 by Python 3.12).
+    has_pip = find_spec("pip") is not None and python == sys.executable
     inside = str(folder / "bin" / "python")
     pip = [sys.executable, "-m", "pip", "--python", inside] if has_pip else [inside, "-m", "pip"]
     try:
@@ -144,9 +149,13 @@ def _make(folder: Path, python: str, asked: Sequence[str], fix: str) -> None:
         raise storage_error(folder, "made", error) from error
 
 
+def _wanted_python(environment: Mapping[str, Any]) -> str:
+    return ".".join(str(environment.get("python") or "").split(".")[:2])
+
+
 def _python(environment: Mapping[str, Any]) -> str:
-    wanted = ".".join(str(environment.get("python") or "").split(".")[:2])
-    if wanted == f"{sys.version_info.major}.{sys.version_info.minor}":
+    wanted = _wanted_python(environment)
+    if wanted == _OWN_PYTHON:
         return sys.executable
     return shutil.which(f"python{wanted}") or sys.executable
 

@@ -232,7 +232,8 @@ def test_origins_and_circumstances_that_differ_are_told(two_tasks):
     [((), "There are 0"), ((870.0,), "There are 1"), ((None, None), "There are 0")],
 )
 def test_without_runs_there_is_no_test_and_a_reason(two_tasks, video, reason):
-    comparison = compare(two_tasks(video=video).root, two_tasks(video=video).root, bound="5%")
+    others = [value and value + 1 for value in video]
+    comparison = compare(two_tasks(video=video).root, two_tasks(video=others).root, bound="5%")
     measure = comparison.measure("Energy")
     untested = [each for each in measure.differences if each.label == "Video"]
     assert all(each.p_value is None and each.equivalence_p_value is None for each in untested)
@@ -241,12 +242,47 @@ def test_without_runs_there_is_no_test_and_a_reason(two_tasks, video, reason):
     comparison_document(comparison, made="")
 
 
-def test_values_that_are_all_equal_cannot_be_tested(two_tasks):
-    comparison = compare(two_tasks(video=(1.0,) * 5).root, two_tasks(video=(1.0,) * 5).root, bound="5%")
+def test_values_that_are_all_equal_within_each_experiment_cannot_be_tested(two_tasks):
+    comparison = compare(two_tasks(video=(1.0,) * 5).root, two_tasks(video=(1.1,) * 5).root, bound="20%")
     [video, _] = comparison.measure("Energy").differences
     assert video.p_value is None
     assert "equal" in video.not_computed
     assert video.verdict is Verdict.UNDECIDED
+    assert "nothing could be tested for Video. Within each" in comparison.measure("Energy").conclusion
+
+
+@pytest.mark.parametrize("count", [1, 5])
+def test_values_that_are_all_equal_in_both_experiments_are_identical(two_tasks, count):
+    ones = (1.0,) * count
+    one, other = two_tasks(video=ones), two_tasks(video=ones, network=shifted(NETWORK, 0.1))
+    energy = compare(one.root, other.root, bound="1%").measure("Energy")
+    assert [each.verdict for each in energy.differences] == [Verdict.IDENTICAL, Verdict.EQUIVALENT]
+    assert energy.verdict is Verdict.EQUIVALENT
+    assert not energy.not_computed
+    assert compare(one.root, other.root).measure("Energy").verdict is Verdict.UNDECIDED
+    alike = compare(*(two_tasks(ones, ones).root for _ in range(2))).measure("Energy")
+    assert (alike.verdict, alike.conclusion) == (Verdict.IDENTICAL, "Identical: no value differs, in any combination.")
+
+
+def test_pairs_none_of_which_differ_are_identical(two_tasks):
+    energy = compare(two_tasks().root, two_tasks().root, is_paired=True).measure("Energy")
+    assert energy.verdict is Verdict.IDENTICAL
+    swapped = (VIDEO[1], VIDEO[0], *VIDEO[2:])
+    [video, _] = compare(two_tasks().root, two_tasks(swapped).root, is_paired=True).measure("Energy").differences
+    assert video.verdict is Verdict.UNDECIDED
+
+
+@pytest.mark.parametrize(("second", "verdict"), [(101.0, Verdict.EQUIVALENT), (150.0, Verdict.DIFFERENT)])
+def test_simulated_values_without_any_spread_are_judged_without_a_test(two_tasks, second, verdict):
+    simulated = {"robot": "simulated:seed=3"}
+    folders = [two_tasks((value,) * 3, (7.0,) * 3, manifest=simulated).root for value in (100.0, second)]
+    energy = compare(*folders, bound="5%").measure("Energy")
+    assert (energy.differences[0].verdict, energy.verdict) == (verdict, verdict)
+    [missed] = energy.not_computed
+    assert (missed.what, "hold no chance" in missed.why) == ("test of Video", True)
+    assert compare(*folders).measure("Energy").verdict is Verdict.UNDECIDED
+    real = two_tasks((second,) * 3, (7.0,) * 3).root
+    assert compare(folders[0], real, bound="5%").measure("Energy").verdict is Verdict.UNDECIDED
 
 
 @pytest.mark.parametrize(("offset", "step"), [(2.0**53, 2.0), (1e6, 2.0**-30)])
@@ -442,6 +478,21 @@ def test_doubtful_values_are_told(tmp_path):
     other = make_experiment(tmp_path / "other", tasks).root
     assert compare(one, other).notes == ("Energy of r_2 is doubtful in one, and counts all the same.",)
     assert compare(other, other).notes == ()
+
+
+def test_doubtful_values_of_the_same_runs_are_told_together(tmp_path):
+    def values(treatments, repetition):
+        return {"Energy": 1.0, "CPU": 2.0}
+
+    tasks = [Factor("Task", ["Video", "Network"])]
+    doubts = {"r_2": "the sensor was stuck"}
+    one, other = (
+        make_experiment(
+            tmp_path / name, tasks, values, measures=["Energy", "CPU"], doubts=doubts if is_odd else None
+        ).root
+        for name, is_odd in (("one", True), ("other", False))
+    )
+    assert compare(one, other).notes == ("Energy and CPU of r_2 are doubtful in one, and count all the same.",)
 
 
 def test_a_single_name_and_a_bound_of_numpy_are_taken_as_they_are(two_tasks):

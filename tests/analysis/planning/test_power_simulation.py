@@ -241,10 +241,10 @@ def test_the_search_begins_with_the_fewest_repetitions_of_which_there_is_a_test(
 @pytest.mark.parametrize("design", [None, Blocks("Day")], ids=["blocks", "design"])
 def test_where_few_blocks_keep_a_study_from_its_power_that_is_told(design: Blocks | None) -> None:
     model = RunTableModel(
-        [TASK, Factor("Day", ["Mon", "Tue"])], design=design, blocks=None if design else "Day", repetitions=2
+        [TASK, Factor("Day", ["Mon", "Tue", "Wed"])], design=design, blocks=None if design else "Day", repetitions=3
     )
     study = Study.of_model("study", model, None, {"Energy": "J"})
-    search = Search(power=0.999, first=2, last=4, simulations=50)
+    search = Search(power=0.999, first=3, last=4, simulations=50)
     assumptions = Assumptions(spreads=["10"], differences=["Task=1"])
     notes = " ".join(power_analysis(study, assumptions, search).notes)
-    assert "Day makes 2 blocks" in notes
+    assert "Day makes 3 blocks" in notes

@@ -98,6 +98,15 @@ DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
         set(),
         {"analysis": {"measures": ["Energy"], "outliers": {"interquartile_ranges": 0.4}}},
     ),
+    "measures that are correlated without outliers": (
+        [TASKS, MAPS],
+        6,
+        {3},
+        {
+            "analysis": {"measures": ["Energy", "CPU"], "outliers": {"interquartile_ranges": 0.5}},
+            "blocks": "Repetition",
+        },
+    ),
     "no value within the bounds": (
         [MAPS],
         4,

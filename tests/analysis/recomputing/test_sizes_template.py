@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import special, stats
+from scipy import optimize, special, stats
 
 TEMPLATES = files("robot_runner.analysis.recomputing") / "templates"
 #: F, degrees of freedom and noncentralities; simulated measures may hardly vary: their effects have F in the millions.
@@ -45,10 +45,14 @@ def test_the_notebook_knows_the_noncentral_f_distribution_as_well_and_as_soon() 
     assert 0.4 < space["below_f"](4e10, 1.0, 300.0, 4e10) < 0.6
 
 
-def test_the_notebook_leaves_out_the_size_of_an_effect_whose_p_value_no_f_has() -> None:
+def test_the_notebook_knows_the_size_of_an_effect_however_small_its_p_value_is() -> None:
     template = (TEMPLATES / "sizes.py.j2").read_text(encoding="utf-8")
     formula = template[template.index("def below_f(") : template.index("{% if study.has(")]
-    space: dict[str, Any] = {"np": np, "special": special, "stats": stats}
+    space: dict[str, Any] = {"np": np, "special": special, "stats": stats, "optimize": optimize}
     exec(formula.replace("{{ 1 - 2 * study.alpha }}", "0.9"), space)  # noqa: S102 - the point
     found = {"statistic": 1.9e9, "df": 3.0, "df 2": 13.3}
-    assert space["omega_squared"](found, variance=1.0, spread=1.0, p=4.8e-113) == {"spread": 1.0}
+    size = space["omega_squared"](found, variance=1.0, spread=1.0, p=1e-30)
+    assert size["omega squared low"] < size["omega squared"] == pytest.approx(0.5, abs=1e-4)
+    beyond = space["omega_squared"](found, variance=1.0, spread=1.0, p=4.8e-113)
+    assert beyond["omega squared"] == pytest.approx(0.5)
+    assert np.isnan(beyond["omega squared low"])

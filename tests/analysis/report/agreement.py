@@ -194,7 +194,7 @@ def _without_effects(count: int) -> Any:
 
 
 def _of_lenth(statistic: float, count: int) -> float:
-    return float(np.mean(_without_effects(count) >= statistic))
+    return float(np.mean(_without_effects(count) >= statistic * (1 - _SAME)))
 
 
 def _against_pairs(what: str, effect: dict[str, Any], pairs: list[dict[str, Any]]) -> Iterator[str]:

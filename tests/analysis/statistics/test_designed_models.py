@@ -216,6 +216,16 @@ def test_lenth_is_as_published():
         assert float(found.p_value) == pytest.approx(0.05, abs=0.0015)
 
 
+def test_the_effect_that_is_the_median_has_the_same_p_value_in_every_unit():
+    # Of an odd number of effects one is the median itself: its t is 1 / 1.5, as it is in a seventh of what is drawn.
+    random = np.random.default_rng(1)
+    for _ in range(20):
+        sizes = random.uniform(1, 2, size=7) / 3
+        middle = np.sort(sizes)[3]
+        found = LenthContrast(np.asarray(middle), pseudo_error(sizes), np.asarray(7 / 3))
+        assert float(found.p_value) == pytest.approx(0.578, abs=0.003)
+
+
 def test_a_surface_has_coefficients_lack_of_fit_and_a_stationary_point():
     # Section 11.3 and table 11.7: 79.94 + 0.99 x1 + 0.52 x2 - 1.38 x1^2 - 1.00 x2^2 + 0.25 x1 x2.
     facts = {"kind": "central_composite", "model": "quadratic", "ranges": {"Time": [80, 90], "Temperature": [170, 180]}}

@@ -61,7 +61,7 @@ def test_within_blocks_nothing_is_said_of_equal_variances_which_blocks_hide(tmp_
     found = statistics(tmp_path, values=values, repetitions=12, blocks="Repetition").measure("Energy")
     assert "Levene" not in {each.name for each in found.assumptions}
     assert [each.why for each in found.not_computed if each.what == "Levene test"] == [
-        "blocks add to the spread of all groups, and hide how these differ."
+        "all groups also have the spread of blocks, which hides how theirs differ."
     ]
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from scipy import stats
 from tests.analysis.made_experiment import make_experiment
 
 from robot_runner.analysis import analyse, load_results
@@ -44,6 +45,26 @@ def made(folder: Path, plan: dict[str, Any], watts: dict[str, list[float]] | Non
 
 def statistics(folder: Path, plan: dict[str, Any], **more: Any) -> Any:
     return analyse(made(folder, plan, **more))
+
+
+def test_a_value_that_is_left_out_of_its_measure_goes_together_with_nothing(tmp_path: Path) -> None:
+    implausible = -999.0
+    random = np.random.default_rng(5)
+    energy, seconds = random.normal(10, 1, 14), random.normal(5, 1, 14)
+    energy[3] = seconds[3] = implausible  # the logger broke off
+    runs = iter(zip(energy, seconds, strict=True))
+    experiment = make_experiment(
+        tmp_path / "made",
+        values=lambda *_: dict(zip(("Energy", "Time"), map(float, next(runs)), strict=True)),
+        repetitions=7,
+        measures=("Energy", "Time"),
+        analysis={"measures": ["Energy", "Time"], "outliers": {"bounds": {"Energy": [0, None], "Time": [0, None]}}},
+    )
+    (found,) = analyse(load_results(experiment.root)).correlations
+    kept = np.arange(14) != 3
+    assert found.n == 13
+    assert found.pearson == pytest.approx(stats.pearsonr(energy[kept], seconds[kept]).statistic)
+    assert found.p_value == pytest.approx(stats.spearmanr(energy[kept], seconds[kept]).pvalue)
 
 
 def test_a_run_without_a_value_leaves_none_out(tmp_path: Path) -> None:

@@ -326,3 +326,14 @@ def test_a_treatment_that_a_schema_of_ours_calls_inactive_is_one() -> None:
     assert design_of(results).conditions
     described = {name: replace(each, description="A factor.") for name, each in results.columns.items()}
     assert not design_of(replace(results, columns=described)).conditions
+
+
+def test_an_effect_is_no_larger_than_its_largest_difference_however_much_is_nested_within_a_treatment():
+    camera = {"Sensor": ("camera",)}
+    factors = NestedFactors(
+        {"Sensor": ["camera", "lidar", "sonar"], "Resolution": list("abcd")}, {"Resolution": camera}
+    )
+    effects = np.array([-0.5162, 0.2789, 0.2373])  # of six combinations four are of the camera
+    found = effects[:2] @ factors.squares(("Sensor",)) @ effects[:2]
+    assert found == pytest.approx(np.var(np.repeat(effects, [4, 1, 1])))
+    assert found < (np.ptp(effects) / 2) ** 2

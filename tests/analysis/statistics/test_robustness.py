@@ -7,11 +7,12 @@ from tests.analysis.made_experiment import make_experiment
 
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.report.writing import ReportFormat, write_report
+from robot_runner.analysis.statistics.disclosed import Beside
+from robot_runner.analysis.statistics.outcome import Standing
+from robot_runner.analysis.statistics.robustness import gathered
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from robot_runner.analysis.statistics.outcome import Standing
 
 HOT = "the sensor was hot"
 #: Watts of two tasks that differ by little, and of the same by much.
@@ -139,3 +140,26 @@ def test_the_report_says_what_is_doubtful_and_what_stands(tmp_path: Path, kind: 
 def test_a_report_without_doubtful_values_says_nothing_of_them(tmp_path: Path) -> None:
     written = write_report(results(tmp_path, FAR, {}), ReportFormat.MARKDOWN, figures=())
     assert "oubtful" not in written.document.read_text(encoding="utf-8")
+
+
+def test_in_brief_many_conclusions_that_share_a_verdict_take_one_sentence() -> None:
+    def told(label: str, stands: bool | None, beside: Beside = Beside.WITHOUT_DOUBTFUL) -> Standing:
+        said = {True: "stands", False: "does not stand", None: "is not known"}[stands]
+        return Standing("Energy", (label,), "", ("r_1", "r_2"), 0.5, 0.5, stands, f"{label} {said}.", beside)
+
+    few = [told("A", True), told("B", True), told("A x B", None)]
+    assert list(gathered(few, most=2)) == ["A stands.", "B stands.", "A x B is not known."]
+    left_out = "Without the 2 runs whose Energy is doubtful (r_1, r_2),"
+    unknown = [told(label, None) for label in ("A", "B", "A x B")]
+    assert list(gathered(unknown, most=2)) == [
+        f"{left_out} 3 effects on Energy cannot be tested: whether these conclusions stand is not known."
+    ]
+    most = [told("A", False), *(told(label, True) for label in ("B", "C", "B x C"))]
+    others = [told(label, True, Beside.WITHOUT_COVARIATES) for label in ("A", "B", "C")]
+    assert list(gathered([*most, *others], most=2)) == [
+        "A does not stand.",
+        f"{left_out} 3 other conclusions on Energy stand.",
+        "A stands.",
+        "B stands.",
+        "C stands.",
+    ]

@@ -15,6 +15,7 @@ from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.statistics.effect_coding import coded_columns
 from robot_runner.analysis.statistics.robust_covariance import fit_robustly
 from robot_runner.core.design.factor import Factor
+from robot_runner.designs import OneFactorAtATime, SplitPlot
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -185,6 +186,40 @@ def test_a_fraction_of_which_most_effects_are_none_is_not_tested() -> None:
     [found] = analyse(designed(rows, ["A", "B", "C", "D"], {"kind": "fractional_factorial"})).measures
     assert found.test is None
     assert found.not_computed[0].why == "most effects are none at all, so that chance has no measure."
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_treatments_that_do_not_vary_are_not_compared_by_what_least_squares_leave_of_those_that_do(
+    tmp_path: Path, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+
+    def value(of: Mapping[str, Any], repetition: int) -> float:
+        return 5.0 if of["Cpu"] == "slow" else 5.0 + random.normal()
+
+    factors = [Factor("Cpu", ["slow", "fast"]), Factor("Net", ["a", "b"]), Factor("Map", ["x", "y", "z"])]
+    found = energy(tmp_path, value, factors, chosen=OneFactorAtATime())
+    assert found.test is not None
+    assert [each.p_value is None for each in found.test.effects] == [False, True, True]
+    pairs = {each.factors[0]: [pair.p_value for pair in each.comparisons] for each in found.post_hoc}
+    assert pairs["Net"] == [None]
+    assert pairs["Map"] == [None, None]
+
+
+def test_whole_plots_that_add_up_exactly_tell_no_chance_of_their_factors(tmp_path: Path) -> None:
+    """The means of the whole plots are 16/3, 1281/3, 19/3 and 1284/3: those of two effects, but for rounding."""
+    values = {1: (5, 6, 5), 2: (427, 428, 426), 3: (6, 5, 8), 4: (427, 429, 428)}
+
+    def value(of: Mapping[str, Any], repetition: int) -> float:
+        return float(values[of["Plot"]][TASKS.treatments.index(of["Task"])])
+
+    floors, loads = Factor("Floor", ["wood", "tiles"]), Factor("Load", ["yes", "no"])
+    factors = [floors, loads, Factor("Plot", [1, 2, 3, 4]), TASKS]
+    found = energy(tmp_path, value, factors, chosen=SplitPlot(["Floor", "Load"], "Plot"), repetitions=1)
+    assert found.test is not None
+    p_values = {each.label: each.p_value for each in found.test.effects}
+    assert (p_values["Floor"], p_values["Load"]) == (None, None)
+    assert p_values["Task"] is not None
 
 
 def test_repeated_runs_that_are_the_same_show_no_lack_of_fit() -> None:

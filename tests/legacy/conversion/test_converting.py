@@ -567,6 +567,11 @@ CARBON = """\
 from Plugins.Profilers import CodecarbonWrapper as carbon
 from Plugins.Profilers.CodecarbonWrapper import DataColumns
 """
+CARBON_TABLE = """\
+    def create_run_table_model(self):
+        self.run_table_model = RunTableModel(factors=[FactorModel("size", [1, 2])], data_columns=["own"])
+        return self.run_table_model
+"""
 MEASURING = """
 def start_measurement(self, context): ...
 def stop_measurement(self, context): ...
@@ -596,7 +601,28 @@ def test_codecarbons_decorators_become_our_profiler(
     assert "from robot_runner.plugins.profilers import CodeCarbon" in text
     assert "    plugins = [CodeCarbon(country='NLD')]\n    ROOT_DIR" in text
     assert "carbon." not in text
-    assert any("Energy (J)" in finding.problem for finding in convert(path).findings)
+    assert any("are a profiler now" in finding.problem for finding in convert(path).findings)
+
+
+def test_columns_and_settings_of_codecarbon_are_those_of_our_profiler(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    columns = "DataColumns.EMISSIONS, DataColumns.ENERGY_CONSUMED, DataColumns.GPU_ENERGY"
+    settings = f"data_columns=[{columns}], country_iso_code='NLD', measure_power_secs=5, tracking_mode='process'"
+    path = config(MEASURING, head=RUNNER.replace("from pathlib", f"{CARBON}from pathlib"), table=CARBON_TABLE)
+    path.write_text(path.read_text().replace("class Runner", f"@carbon.emission_tracker({settings})\nclass Runner", 1))
+    new = converted(path)
+    assert check_conversion(convert(path), new) == ()
+    text = new.read_text()
+    assert "CodeCarbon(country='NLD', interval_s=5, options={\"tracking_mode\": 'process'})" in text
+    assert 'data_columns=["own", "Emissions", "Energy"])' in text
+    (told,) = [each for each in convert(path).findings if "are a profiler now" in each.problem]
+    assert "codecarbon__energy_consumed is Energy now" in told.problem
+    assert "codecarbon__gpu_energy has no column any more, and stands in emissions.json" in told.problem
+    assert "which were in kWh" in told.fix
+    path.write_text(path.read_text().replace('data_columns=["own"]', 'data_columns=list(["own"])'))
+    (lost,) = check_conversion(convert(path), converted(path))
+    assert "there is no column 'codecarbon__emissions', 'codecarbon__energy_consumed' any more" in lost.problem
 
 
 def test_codecarbon_without_a_country_is_refused(config: Callable[..., Path]) -> None:

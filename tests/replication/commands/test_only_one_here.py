@@ -68,3 +68,11 @@ def test_a_package_is_no_experiment_and_how_to_make_one_of_it_is_said(robot_runn
         answer = robot_runner(*words)
         assert (answer.code, "this is a package, and an experiment's folder is needed" in answer.err) == (2, True)
         assert "unzip -q 'my study.zip' -d 'my study'" in " ".join(answer.err.split())
+
+
+def test_of_a_file_of_an_experiment_the_folder_is_told(robot_runner, experiment, tmp_path):
+    shutil.copytree(experiment, tmp_path / "study")
+    for name in ("run_table.csv", "journal.jsonl"):
+        answer = robot_runner("report", f"study/{name}")
+        assert (answer.code, "this is a file of an experiment, and its folder is needed" in answer.err) == (2, True)
+        assert "Name it: study" in answer.err

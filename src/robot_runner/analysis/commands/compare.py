@@ -3,7 +3,7 @@
 They may be real and simulated, measured and estimated, original and replication: each an experiment's folder, or the
 config file that it comes from. Of two, FIRST is what is compared with, SECOND the other one, and runs are matched by
 the factors that both have. With a bound - the difference that would not matter - each measure gets a verdict:
-equivalent, different, or undecided.
+identical, equivalent, different, or undecided.
 
 Three and more (or two, with --meta) are replications of each other, of which a meta-analysis is made: the difference
 of each pair of treatments, on average over all experiments, how far these differ, and what a further one may find.
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.comparison.compared import Comparison, MeasureComparison
     from robot_runner.analysis.report.blocks import Document, Table
 
-_STYLES = {"equivalent": "green", "different": "red", "undecided": "yellow"}
+_STYLES = {"identical": "green", "equivalent": "green", "different": "red", "undecided": "yellow"}
 
 
 def add_arguments(parser: Parser) -> None:

@@ -19,7 +19,7 @@ from robot_runner.cli.console import complaints, output, print_facts, shown_path
 from robot_runner.cli.findings import print_findings
 from robot_runner.cli.parser import Parser, UsageError, add_set, add_target
 from robot_runner.cli.screens.progress_bars import step_progress
-from robot_runner.cli.target import folder_of_target, only_experiment
+from robot_runner.cli.target import target_or_only
 from robot_runner.core.errors import Finding, did_you_mean
 from robot_runner.core.words import counted
 
@@ -72,7 +72,7 @@ def execute(arguments: Namespace) -> int:
     require_libraries()
     kind = _one_of(_FORMATS, arguments.format, "--format")
     figures = _figures(arguments.figures)
-    folder = folder_of_target(arguments.target or only_experiment("report"), arguments.set).root
+    folder = target_or_only("report", arguments.target, arguments.set).root
     from robot_runner.analysis.recomputing.recomputations import (  # noqa: PLC0415 - slow, and an extra
         Recomputation,
         write_recomputations,

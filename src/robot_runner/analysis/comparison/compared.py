@@ -135,23 +135,23 @@ class Bounds:
 
 
 class Verdict(Enum):
-    """What the data say of a difference: it is within the bound, it is not explained by chance, or neither is shown."""
+    """What the data say of a difference: no value differs, it is within the bound, it is not by chance, or neither."""
 
+    IDENTICAL = "identical"
     EQUIVALENT = "equivalent"
     DIFFERENT = "different"
     UNDECIDED = "undecided"
 
     @classmethod
     def of_all(cls, verdicts: Sequence[Verdict]) -> Verdict:
-        """Return the verdict of several together: equivalent if all are, different if one is.
+        """Return the weakest that can be said of several together: different if one is, identical if all are.
 
         Example:
-            >>> Verdict.of_all([Verdict.EQUIVALENT, Verdict.UNDECIDED])
-            <Verdict.UNDECIDED: 'undecided'>
+            >>> Verdict.of_all([Verdict.EQUIVALENT, Verdict.IDENTICAL])
+            <Verdict.EQUIVALENT: 'equivalent'>
         """
-        if cls.DIFFERENT in verdicts:
-            return cls.DIFFERENT
-        return cls.EQUIVALENT if verdicts and set(verdicts) == {cls.EQUIVALENT} else cls.UNDECIDED
+        weakest_first = (cls.DIFFERENT, cls.UNDECIDED, cls.EQUIVALENT, cls.IDENTICAL)
+        return next((each for each in weakest_first if each in verdicts), cls.UNDECIDED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +206,7 @@ class Difference:
         bound: what would not matter, in the unit of the measure; None where no bound was stated, or one that every
             difference of proportions is within.
         equivalence_p_value: the larger one of the two one-sided tests.
-        not_computed: why there is no verdict by numbers; empty where there is one.
+        not_computed: why nothing was tested; empty where something was, or where nothing differs.
         practical: the probabilities of a region of practical equivalence, where one was stated.
         unit: what several runs have in common, so that they count together: a block, whole plot, subject or robot.
         first_units, second_units: how many of these there are; None where runs stand by themselves.

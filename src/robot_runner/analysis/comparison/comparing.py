@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.comparison.compared import (
     Bound,
@@ -53,7 +55,7 @@ from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.wording import listed, sentence, shown_level, shown_number
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.errors import AnalysisError
-from robot_runner.core.words import counted, has_true_zero
+from robot_runner.core.words import counted, enumerated, has_true_zero
 
 _ALPHA = 0.05
 _PERCENT = 100.0
@@ -100,8 +102,9 @@ def compare(
     _check_bounds("bound", bounds.own, [name for name, _ in chosen], ours)
     regions = _regions(Regions.parse([rope] if isinstance(rope, str) else rope), [name for name, _ in chosen], ours)
     matching = match_runs(ours, theirs, is_paired=paired)
+    simulated = all(str(each.manifest.get("robot") or "").startswith("simulated") for each in (ours, theirs))
     compared = tuple(
-        _compare_measure(matching, names, _Asked(bounds.of(names[0]), regions[names[0]], alpha, paired))
+        _compare_measure(matching, names, _Asked(bounds.of(names[0]), regions[names[0]], alpha, paired, simulated))
         for names in chosen
     )
     is_same, names = ours.folder == theirs.folder, names_of(ours, theirs)
@@ -180,11 +183,13 @@ def _notes_on_values(
         if units[0] != units[1] and of_one_quantity(units[1], units[0]):
             yield f"{one} is in {units[0]} and {units[1]}: values of {called[1]} are converted to {units[0]}."
     for name, results, measures in zip(called, experiments, zip(*chosen, strict=True), strict=True):
-        doubtful = doubtful_runs(results)
+        doubtful, alike = doubtful_runs(results), dict[tuple[str, ...], list[str]]()
         for measure in measures:
             if measure in doubtful:
-                runs = listed(doubtful[measure])
-                yield f"{measure} of {runs} is doubtful in {name}, and counts all the same."
+                alike.setdefault(doubtful[measure], []).append(measure)
+        for runs, doubted in alike.items():
+            do = "is doubtful in {}, and counts" if len(doubted) == 1 else "are doubtful in {}, and count"
+            yield f"{enumerated(doubted)} of {listed(runs)} {do.format(name)} all the same."
 
 
 def _bounds(given: str | float | Bound | Iterable[str] | None) -> Bounds:
@@ -216,12 +221,13 @@ def _regions(regions: Regions, names: Sequence[str], first: Results) -> dict[str
 
 
 class _Asked(NamedTuple):
-    """What is asked of a measure; its unit, whether it is yes or no, and why it cannot be compared, if it cannot."""
+    """What is asked of a measure, and what of its values matters for that: also why it cannot be compared, if so."""
 
     bound: Bound | None
     region: Bound | None
     alpha: float
     is_paired: bool
+    are_simulated: bool
     unit: str = ""
     are_answers: bool = False
     obstacle: str = ""
@@ -312,7 +318,7 @@ def _tested(treatments: Mapping[str, str], values: MatchedValues, asked: _Asked)
             else None,
         )
     if why := why_not_testable(first, second, is_paired=is_paired, units=units):
-        return replace(described, not_computed=why)
+        return _untested(described, why, first, second, asked)
     test, pair = difference_test(first, second, alpha=alpha, is_paired=is_paired, units=units), (first, second)
     return replace(
         described,
@@ -326,6 +332,18 @@ def _tested(treatments: Mapping[str, str], values: MatchedValues, asked: _Asked)
         if region
         else None,
     )
+
+
+def _untested(difference: Difference, why: str, first: Floats, second: Floats, asked: _Asked) -> Difference:
+    """Judge what cannot be tested: values that are all the same, or that were simulated without any chance."""
+    is_same = np.array_equal(first, second) if asked.is_paired else len({*first, *second}) == 1
+    if is_same and len(first) and len(second):
+        return replace(difference, verdict=Verdict.IDENTICAL)
+    if asked.are_simulated and difference.bound is not None and difference.first_sd == difference.second_sd == 0:
+        is_within = abs(float(second.mean()) - float(first.mean())) <= difference.bound
+        why = "On a simulated robot values that are all equal hold no chance: the difference is judged without a test."
+        return replace(difference, verdict=Verdict.EQUIVALENT if is_within else Verdict.DIFFERENT, not_computed=why)
+    return replace(difference, not_computed=why)
 
 
 def _facts_of(units: Units, first: Floats, second: Floats) -> dict[str, Any]:

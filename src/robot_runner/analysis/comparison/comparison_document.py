@@ -47,7 +47,12 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.tested import NotComputed
 
 _FORMAT = 1
-_TONES = {Verdict.EQUIVALENT: Tone.GOOD, Verdict.DIFFERENT: Tone.BAD, Verdict.UNDECIDED: Tone.WARNING}
+_TONES = {
+    Verdict.IDENTICAL: Tone.GOOD,
+    Verdict.EQUIVALENT: Tone.GOOD,
+    Verdict.DIFFERENT: Tone.BAD,
+    Verdict.UNDECIDED: Tone.WARNING,
+}
 
 
 def write_comparison(comparison: Comparison, path: Path) -> None:
@@ -70,6 +75,8 @@ def conclusion_of(measure: MeasureComparison) -> str:
     if not measure.differences:
         return "There are no runs of the same combination to compare."
     match measure.verdict:
+        case Verdict.IDENTICAL:
+            return "Identical: no value differs, in any combination."
         case Verdict.EQUIVALENT:
             verdict = f"Equivalent: differences are within the bound of {shown_bound(measure)}."
         case Verdict.DIFFERENT:
@@ -118,8 +125,9 @@ def _shown_bound(bound: Bound, unit: str) -> str:
 def _why_undecided(measure: MeasureComparison) -> str:
     undecided = [each for each in measure.differences if each.verdict is Verdict.UNDECIDED]
     untested = [each for each in undecided if each.not_computed]
-    if len(untested) == len(measure.differences):
-        return f"nothing could be tested. {untested[0].not_computed}"
+    if len(untested) == len(undecided):
+        where = "" if len(undecided) == len(measure.differences) else f" for {listed(each.label for each in undecided)}"
+        return f"nothing could be tested{where}. {untested[0].not_computed}"
     if measure.bound is None:
         return "no difference was found, and without a bound nothing can be called equivalent."
     if why := why_vain(measure.bound, measure.unit, are_answers=measure.are_answers):

@@ -138,7 +138,8 @@ def power_analysis(
         AnalysisError: the assumptions do not suffice, or name what the study does not have.
     """
     measures, pilot = _measured(study, assumptions)
-    found = tuple(search_repetitions(study, each, search, progress) for each in scenarios_of(study, assumptions))
+    scenarios = _varying_scenarios(study, assumptions, measures, pilot)
+    found = tuple(search_repetitions(study, each, search, progress) for each in scenarios)
     return PowerAnalysis(study, search, found, tuple(_notes(study, measures, pilot, found)))
 
 
@@ -148,7 +149,12 @@ def scenarios_of(study: Study, assumptions: Assumptions) -> list[Scenario]:
     Raises:
         AnalysisError: the assumptions do not suffice, or name what the study does not have.
     """
-    measures, pilot = _measured(study, assumptions)
+    return _varying_scenarios(study, assumptions, *_measured(study, assumptions))
+
+
+def _varying_scenarios(
+    study: Study, assumptions: Assumptions, measures: tuple[str, ...], pilot: Pilot | None
+) -> list[Scenario]:
     scenarios = list(_scenarios(study, assumptions, measures, pilot))
     blocks = numbers_of(study, "--block-sd", assumptions.blocks, measures)
     responses = numbers_of(study, "--response-sd", assumptions.responses, measures)
@@ -242,11 +248,12 @@ def _notes(study: Study, measures: Sequence[str], pilot: Pilot | None, found: Se
         yield "Covariates are drawn as if they told nothing of the measures: where they do, fewer repetitions suffice."
     yield "Values are drawn from normal distributions; skewed ones, and runs that fail, take more repetitions."
     planned = study.blocks if study.plan is None or study.plan.blocks is None else study.plan.blocks
-    # A design of its own tells how many runs each of its blocks has; its blocks are no factors of the study.
-    sizes = {name: each["sizes"] for name, each in study.facts.get("balance", {}).items()}
-    blocked = sizes | ({planned: study.factors[planned]} if planned and planned in study.factors else {})
-    for blocks, of_them in blocked.items() if any(each.needed is None for each in found) else ():
-        count = counted(len(of_them), "block")
+    # The blocks of a design of its own are no factors of the study.
+    runs = study.arranged(study.repetitions) if study.arranged is not None else ()
+    blocked = {name: len({run.blocks[name] for run in runs}) for name in study.facts.get("balance", {})}
+    blocked |= {planned: len(study.factors[planned])} if planned and planned in study.factors else {}
+    for blocks, how_many in blocked.items() if any(each.needed is None for each in found) else ():
+        count = counted(how_many, "block")
         told = "how these differ is the chance that effects are compared with"
         yield f"{blocks} makes {count}: {told}, so that more of them help where more repetitions do not."
 

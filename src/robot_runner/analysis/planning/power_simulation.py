@@ -19,7 +19,7 @@ from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.designed_models import designed_model_of
-from robot_runner.analysis.statistics.families import Key, claim_of, contrast_key, effect_key, families_of
+from robot_runner.analysis.statistics.families import Key, claim_of, contrast_key, contrasts_of, effect_key, families_of
 from robot_runner.analysis.statistics.left_out import left_out_of
 from robot_runner.analysis.statistics.lenth_test import LenthModel
 from robot_runner.analysis.statistics.post_hoc import adjusted, contrast_of, p_value_of_contrast
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.planning.assumed_values import AssumedMeasure, Scenario
     from robot_runner.analysis.planning.planned_study import Cell, Study
-    from robot_runner.core.design.hypothesis import Hypothesis
 
 #: Experiments that are drawn and analysed together; counts do not depend on how many are asked for at a time.
 AT_ONCE = 500
@@ -193,15 +192,8 @@ class Simulation:
         """Return what is tested of a measure, in the order of the report."""
         name = prepared.assumed.name
         effects = [effect_key(name, test.factors) for test in prepared.model.effects()]
-        return [*effects, *(key for each in self._contrasts(name) if (key := contrast_key(each.statement)) in p_values)]
-
-    def _contrasts(self, measure: str) -> list[Hypothesis]:
-        stated = self._plan.hypotheses if self._plan is not None else ()
-        return [
-            each
-            for each in stated
-            if each.measure == measure and (each.contrast is not None or each.within is not None)
-        ]
+        contrasts = [contrast_key(each.statement) for each in contrasts_of(self._plan, name)]
+        return [*effects, *(key for key in contrasts if key in p_values)]
 
     def p_values(self, part: int, experiments: int = AT_ONCE) -> dict[Key, Floats]:
         """Return the p-value of each test in each experiment, before correction; NaN where there is none."""
@@ -247,7 +239,7 @@ class Simulation:
 
     def _tested(self, name: str, model: AnyModel) -> dict[Key, Floats]:
         found = {effect_key(name, test.factors): np.asarray(test.p_value) for test in model.effects()}
-        for hypothesis in self._contrasts(name):
+        for hypothesis in contrasts_of(self._plan, name):
             contrast = contrast_of(model, hypothesis, self._choices.estimand)
             if not isinstance(contrast, NotComputed):
                 found[contrast_key(hypothesis.statement)] = p_value_of_contrast(contrast, hypothesis)

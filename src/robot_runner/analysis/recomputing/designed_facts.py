@@ -11,7 +11,6 @@ import numpy as np
 from robot_runner.analysis.recomputing.reported import Number, Reported
 from robot_runner.analysis.run_frame import treatment_texts
 from robot_runner.analysis.statistics.designed_columns import numbers_of_levels, residual_effects
-from robot_runner.analysis.statistics.nested_factors import NestedFactors
 from robot_runner.core.design.analysis_plan import ORDER
 
 if TYPE_CHECKING:
@@ -84,7 +83,7 @@ class SurfaceFacts:
 def designed_facts(data: MeasureData, results: Results, *, keeps_together: bool) -> Designed | None:
     """Return the model of a measure's design; None of a factorial, and where scripts do not know it."""
     known, factors = data.known, data.treatments
-    if known.is_plain or isinstance(factors, NestedFactors) or data.lacking:
+    if known.is_plain or factors.conditions or data.lacking:
         return None
     covariates = tuple(name for name in data.covariates if _is_told(data, name))
     if not all(name in results.measures or (name == ORDER and name not in results.runs) for name in covariates):

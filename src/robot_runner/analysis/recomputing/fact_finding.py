@@ -7,7 +7,7 @@ import hashlib
 import io
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,8 +23,8 @@ from robot_runner.analysis.recomputing.study_facts import (
     TableSource,
 )
 from robot_runner.analysis.run_frame import several
-from robot_runner.analysis.statistics.analysed_design import BATCH, PLACE, Design, design_of
-from robot_runner.analysis.statistics.disclosed import Beside, Reason
+from robot_runner.analysis.statistics.analysed_design import BATCH, PLACE, Design, MeasureData, design_of
+from robot_runner.analysis.statistics.disclosed import Beside, runs_without_value
 from robot_runner.analysis.statistics.execution_order import STAMP
 from robot_runner.analysis.statistics.experiment_statistics import analyse
 from robot_runner.analysis.statistics.families import Key, contrast_key, effect_key, families_of
@@ -103,6 +103,7 @@ def facts_of_study(
         correlations=_correlations(shown, is_known=is_known),
         without_within=0 if is_known else len(shown.correlations),
         correlated_designs=designs if is_known else (),
+        correlated_without=tuple(_without(shown, measured)),
         conditional=tuple(name for name in design.factors if name in design.conditions),
         possible=design.possible if design.conditions else None,
     )
@@ -130,8 +131,7 @@ def _measures(
         for measure in measures:
             if measure.overall is None and measure.proportions is None:
                 continue
-            gone = frozenset(each.run_id for each in measure.left_out if each.reason is not Reason.COVARIATE)
-            mine = replace(design, without=gone)
+            mine = replace(design, without=runs_without_value(measure.left_out))
             if beside is Beside.WITHOUT_COVARIATES:
                 mine = replace(mine, covariates=())
             words = "" if beside is None else beside.value
@@ -228,8 +228,19 @@ def _adjusted(statistics: ExperimentStatistics, facts: Mapping[tuple[str, Beside
 def _correlated(statistics: ExperimentStatistics, design: Design) -> Iterator[tuple[tuple[str, tuple[str, ...]], ...]]:
     """Yield the measures that are correlated, two by two, each with the factors that its runs differ in."""
     for each in statistics.correlations:
-        several = [(name, design.data(name)) for name in (each.first, each.second)]
+        several = [(name, _of_measure(design, statistics, name)) for name in (each.first, each.second)]
         yield tuple((name, () if data is None else data.factors) for name, data in several)
+
+
+def _of_measure(design: Design, statistics: ExperimentStatistics, name: str) -> MeasureData | None:
+    return replace(design, without=runs_without_value(statistics.measure(name).left_out)).data(name)
+
+
+def _without(statistics: ExperimentStatistics, correlated: Collection[str]) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yield the measures that are correlated without some of their values, with the runs of these."""
+    for each in statistics.measures:
+        if each.name in correlated and (gone := runs_without_value(each.left_out)):
+            yield each.name, tuple(sorted(gone))
 
 
 def _correlated_designs(
@@ -237,7 +248,7 @@ def _correlated_designs(
 ) -> Iterator[tuple[str, tuple[str, ...], Designed]]:
     """Yield the measures that are correlated, with their factors and the model of their design, where it is known."""
     for name in dict.fromkeys(name for each in statistics.correlations for name in (each.first, each.second)):
-        data = design.data(name)
+        data = _of_measure(design, statistics, name)
         found = None if data is None else designed_facts(data, design.results, keeps_together=False)
         if data is not None and found is not None:
             yield name, data.factors, found

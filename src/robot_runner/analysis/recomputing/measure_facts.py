@@ -34,7 +34,6 @@ from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.known_precision import level_of_looks
 from robot_runner.analysis.statistics.lenth_test import LENTH, LenthModel
 from robot_runner.analysis.statistics.linear_model import FittedModel
-from robot_runner.analysis.statistics.nested_factors import NestedFactors
 from robot_runner.analysis.statistics.strata_model import StrataModel
 from robot_runner.analysis.statistics.surface_model import SurfaceModel
 from robot_runner.analysis.statistics.tested import Effect, NotComputed, PostHoc
@@ -199,7 +198,7 @@ def _compared(
     used, _, _ = comparable(data)
     model = model_of(used, choices.estimand, choices.statistic)
     beside = model_of(used, check_estimand(choices.estimand), choices.statistic)
-    if isinstance(nested := used.treatments, NestedFactors) and not _is_known(model):
+    if (nested := used.treatments.conditions) and not _is_known(model):
         return None
     if measure.test is None or not isinstance(model, _KNOWN) or not isinstance(beside, (*_KNOWN, NotComputed)):
         return None
@@ -240,9 +239,7 @@ def _compared(
         has_check=not isinstance(beside, NotComputed),
         is_uniform=_is_uniform(model) and _is_uniform(beside),
         terms=_terms(model),
-        nested=tuple((name, tuple(of.items())) for name, of in nested.conditions.items())
-        if isinstance(nested, NestedFactors)
-        else (),
+        nested=tuple((name, tuple(of.items())) for name, of in nested.items()),
         units=used.known.columns if isinstance(model, StrataModel) else (),
         has_plots=isinstance(model, StrataModel) and len(model.fits) > 1,
         surface=None if measure.surface is None else surface_facts(measure.surface),
@@ -300,9 +297,9 @@ def _effect(effect: Effect, key: str, tested: str, checked: str, data: MeasureDa
 
 def _levels_of(effect: Effect, data: MeasureData) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """Return the treatments of an effect's factors where all of them apply; nothing where all apply everywhere."""
-    if not isinstance(nested := data.treatments, NestedFactors):
+    if not (treatments := data.treatments).conditions:
         return ()
-    return tuple(zip(effect.factors, map(tuple, nested.levels(effect.factors)), strict=True))
+    return tuple(zip(effect.factors, map(tuple, treatments.levels(effect.factors)), strict=True))
 
 
 def _procedures(model: Model | NotComputed) -> dict[tuple[str, ...], str]:

@@ -279,6 +279,7 @@ class StudyFacts:
         correlated: the measures that are correlated, two by two, each with its factors.
         without_within: of how many pairs the scripts do not know what is correlated within treatments.
         correlated_designs: of a design of its own, those measures with their factors and models.
+        correlated_without: those of them some of whose values are left out, with the runs of these.
         conditional: the factors that apply to some runs only.
         possible: how many combinations there can be, where there are such.
     """
@@ -303,6 +304,7 @@ class StudyFacts:
     correlations: Reported
     without_within: int
     correlated_designs: tuple[tuple[str, tuple[str, ...], Designed], ...]
+    correlated_without: tuple[tuple[str, tuple[str, ...]], ...] = ()
     conditional: tuple[str, ...] = ()
     possible: int | None = None
 

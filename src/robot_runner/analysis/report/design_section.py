@@ -293,6 +293,9 @@ def _description_table(name: str, caption: str, heading: str, groups: Sequence[D
     )
     told = _about_intervals(group.mean_interval for group in groups)
     note = f"{told}SD: standard deviation (n {MINUS} 1). IQR: interquartile range."
+    if any((group.minimum or 0) >= 0 > group.mean_interval.low for group in groups if group.mean_interval):
+        # Nothing tells which measures cannot be negative, and a mean less or plus its half-width can be computed again.
+        note += " An interval reaches below 0 where no value does: the runs are few beside their spread."
     return build_table(name, caption, groups, fields, note).without_blank("Missing", "Outliers")
 
 

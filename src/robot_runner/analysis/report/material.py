@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.analysis.planning.registered import Registered, registered
 from robot_runner.analysis.report.blocks import Badge, Tone
 from robot_runner.analysis.sample_files import noted
-from robot_runner.analysis.statistics.disclosed import Reason
+from robot_runner.analysis.statistics.disclosed import runs_without_value
 from robot_runner.analysis.statistics.execution_order import execution_order
 from robot_runner.analysis.statistics.known_precision import KnownPrecision, known_precisions
 from robot_runner.core.design.analysis_plan import Correction
@@ -158,7 +158,7 @@ class Material:
 
     def described(self, measure: MeasureStatistics) -> pd.DataFrame:
         """Return the runs that are done and have a value of a measure, without those whose value was left out."""
-        without = {each.run_id for each in measure.left_out if each.reason is not Reason.COVARIATE}
+        without = runs_without_value(measure.left_out)
         return self.done[self.done[measure.name].notna() & ~self.done[RUN_ID].isin(without)]
 
     def residual_in_words(self, measure: MeasureStatistics) -> str:

@@ -25,13 +25,14 @@ from robot_runner.analysis.report.material import JOINT, Material
 from robot_runner.analysis.report.tables import Field, build_table, field, text
 from robot_runner.analysis.statistics.families import NO_PROOF
 from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics, Proportion
+from robot_runner.analysis.statistics.robustness import gathered
 from robot_runner.analysis.wording import MISSING, TIMES, listed, p_values_in_words, shown_number
 from robot_runner.core.storage.cells import RunStatus
 
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.tested import Effect
 
-#: Up to so many interactions that are not shown are told one by one, in brief.
+#: Up to so many interactions that are not shown, and conclusions of one verdict, are told one by one, in brief.
 _MOST_UNSHOWN = 2
 
 _CONTENTS = (
@@ -93,9 +94,10 @@ def _conclusion(material: Material, measure: MeasureStatistics) -> Paragraph:
         why = measure.not_computed[0].why if measure.not_computed else "there is nothing to compare"
         conclusion = f"Not tested: {why[:1].lower()}{why[1:].rstrip('.')}."
     else:
-        standings = [each for each in material.statistics.standings if each.measure == measure.name]
+        of_all = material.statistics.standings
+        standings = [each for each in of_all if each.measure == measure.name and not each.statement]
         conclusions = _briefly(measure.name, measure.test.effects)
-        conclusion = " ".join([*conclusions, *(each.conclusion for each in standings if not each.statement)])
+        conclusion = " ".join([*conclusions, *gathered(standings, most=_MOST_UNSHOWN)])
     return Paragraph(conclusion, lead=measure.name, badges=material.badges(measure))
 
 

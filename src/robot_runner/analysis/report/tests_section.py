@@ -26,6 +26,7 @@ from robot_runner.analysis.report.measure_figures import quantile_figure
 from robot_runner.analysis.report.plan_part import besides, planned_parts, standing_parts
 from robot_runner.analysis.report.surface_part import surface_parts
 from robot_runner.analysis.report.tables import Field, build_table, field, interval, number, p_value, text
+from robot_runner.analysis.statistics.disclosed import runs_without_value
 from robot_runner.analysis.statistics.proportions import PROPORTION, QUANTITY
 from robot_runner.analysis.statistics.tested import (
     Comparison,
@@ -322,5 +323,7 @@ def _correlation_table(material: Material) -> Table:
         f"{about}{told} Within treatments: what is left once the effects of the treatments, and of blocks and batches, "
         "are taken away."
     )
+    if any(runs_without_value(each.left_out) for each in material.statistics.measures):
+        note += " Values that are left out of the analysis of a measure are left out here, too."
     caption = "How measures go together, over all runs that are done."
     return build_table("correlations", caption, found, fields, note)

@@ -18,8 +18,8 @@ from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.analysed_design import VALUE, MeasureData
 from robot_runner.analysis.statistics.contrasts import Contrast, Tested, rounding_of
 from robot_runner.analysis.statistics.covariate_design import AdjustmentError, Covariate, CovariateDesign
-from robot_runner.analysis.statistics.effect_coding import marginal_row, mean_squares, term_size
-from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
+from robot_runner.analysis.statistics.effect_coding import Factors, Term
+from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, NoVariation, TestMethod
 from robot_runner.core.design.analysis_plan import Estimand, Statistic
 
 if TYPE_CHECKING:
@@ -51,8 +51,8 @@ class AdjustedMeans:
         note: why interactions are left out; empty where none is.
     """
 
-    factors: Mapping[str, Sequence[str]]
-    terms: tuple[tuple[str, ...], ...]
+    factors: Factors
+    terms: tuple[Term, ...]
     fit: RobustFit
     covariates: tuple[Covariate, ...]
     constant: tuple[str, ...]
@@ -76,10 +76,10 @@ class AdjustedMeans:
         cells = math.prod(map(len, self.factors.values()))
         start = 0 if self.is_within else 1
         for factors in self.terms:
-            count = term_size(self.factors, factors)
+            count = self.factors.size(factors)
             place = np.arange(start, start + count)
             start += count
-            squares, beta = mean_squares(self.factors, factors), self.fit.beta[place]
+            squares, beta = self.factors.squares(factors), self.fit.beta[place]
             variance = float(beta @ squares @ beta)
             weights = np.zeros((count, len(self.fit.beta)))
             weights[:, place] = np.linalg.cholesky(cells * squares).T  # orthonormal contrasts of cells
@@ -123,7 +123,7 @@ class AdjustedMeans:
         return replace(data, frame=frame, every=frame, covariates=())
 
     def _marginal_row(self, treatments: Mapping[str, str]) -> Floats:
-        coded = marginal_row(self.factors, self.terms, treatments)[1 if self.is_within else 0 :]
+        coded = self.factors.row(self.terms, treatments)[1 if self.is_within else 0 :]
         return np.concatenate([coded, np.zeros(len(self.fit.beta) - len(coded))])
 
 
@@ -142,14 +142,15 @@ def fit_adjusted(data: MeasureData, estimand: Estimand, statistic: Statistic) ->
         return NotComputed("the test", str(problem))
 
 
-def _fitted(design: CovariateDesign, statistic: Statistic) -> AdjustedMeans:
+def _fitted(design: CovariateDesign, statistic: Statistic) -> AdjustedMeans | NoVariation:
     covariates, values = design.covariates, design.values
     fit = design.fit(design.columns)
     spread, left = design.spread(design.fit(design.columns[:, :0])), design.spread(fit)
     if not (math.isfinite(spread) and math.isfinite(left)):
         raise AdjustmentError("there are too few runs for the number of treatments and covariates.")
     if left <= rounding_of(values):
-        raise AdjustmentError("beside treatments and covariates all values are equal, so that chance has no measure.")
+        why = "beside treatments and covariates all values are equal, so that chance has no measure."
+        return NoVariation("the test", why)
     adjusted = values - design.columns @ fit.beta[design.base.shape[1] :]
     first, count = (0 if design.is_within else 1), design.effects.shape[1] - 1
     return AdjustedMeans(

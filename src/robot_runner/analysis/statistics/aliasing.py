@@ -16,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robot_runner.analysis.arrays import Floats, Numbers
-from robot_runner.analysis.statistics.effect_coding import Term, coded_columns
-from robot_runner.analysis.statistics.nested_factors import NestedFactors, columns_of
+from robot_runner.analysis.statistics.effect_coding import Factors, Term
 
 #: Interactions of more factors can hardly be interpreted.
 _MOST_FACTORS = 3
@@ -42,37 +41,32 @@ class Aliasing(NamedTuple):
 
 
 def aliasing_of(
-    codes: Mapping[str, Numbers],
-    *,
-    main_only: bool = False,
-    together: int = 1,
-    nested: NestedFactors | None = None,
+    factors: Factors, codes: Mapping[str, Numbers], *, main_only: bool = False, together: int = 1
 ) -> Aliasing:
     """Return what combinations can tell.
 
     Args:
+        factors: the factors, with their treatments.
         codes: the number of the treatment of each combination, by factor; each combination once.
         main_only: whether interactions are left out, as of designs that are made for main effects.
         together: effects of so many factors are estimated together where they are not orthogonal.
-        nested: the factors, where some apply to some runs only.
 
     Example:
         >>> a, b = np.array([0, 1, 0, 1]), np.array([0, 0, 1, 1])
-        >>> found = aliasing_of({"A": a, "B": b, "C": (a + b + 1) % 2})
+        >>> codes = {"A": a, "B": b, "C": (a + b + 1) % 2}
+        >>> found = aliasing_of(Factors(dict.fromkeys(codes, ["low", "high"])), codes)
         >>> found.terms, found.aliases[("A",)]
         ((('A',), ('B',), ('C',)), (('B', 'C'),))
     """
-    sizes = {name: int(code.max()) + 1 for name, code in codes.items()}
     count = len(next(iter(codes.values())))
     kept: dict[Term, Floats] = {}
     basis: Floats = np.full((count, 1), count**-0.5)
     aliases: dict[Term, list[Term]] = {}
     mixed: set[Term] = set()
-    possible = None if nested is None else set(nested.terms(_MOST_FACTORS))
     for term in _candidates(tuple(codes), main_only=main_only):
-        if possible is not None and term not in possible:
+        if not factors.has(term):
             continue
-        columns = coded_columns(codes, sizes, term) if nested is None else columns_of(nested, codes, [term])[term]
+        columns = factors.columns(codes, [term])[term]
         told = basis.T @ columns
         share = float(np.sum(told**2) / np.sum(columns**2))
         if share < _ROUNDING or (len(term) <= together and _leaves_all(basis, columns)):

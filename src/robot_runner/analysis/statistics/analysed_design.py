@@ -11,11 +11,18 @@ import pandas as pd
 
 from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.run_frame import treatment_texts
-from robot_runner.analysis.statistics.design_structure import are_complete, treatments_before, with_structure
+from robot_runner.analysis.statistics.effect_coding import Conditions, Factors
 from robot_runner.analysis.statistics.execution_order import STAMP, execution_order
 from robot_runner.analysis.statistics.grouped_runs import Group, group_of, numbered
-from robot_runner.analysis.statistics.known_design import PLAIN, KnownDesign, role_column
-from robot_runner.analysis.statistics.nested_factors import IDLE, Conditions, NestedFactors, conditions_of
+from robot_runner.analysis.statistics.known_design import (
+    PLAIN,
+    KnownDesign,
+    are_complete,
+    role_column,
+    treatments_before,
+    with_structure,
+)
+from robot_runner.analysis.statistics.nested_factors import IDLE, conditions_of, factors_of
 from robot_runner.analysis.statistics.outcome import DesignSummary
 from robot_runner.core.design.analysis_plan import ELAPSED, ORDER
 from robot_runner.core.design.columns import RUN_ID
@@ -119,13 +126,13 @@ class MeasureData:
         return {str(run_id): names for run_id, names in found.items() if names}
 
     @property
-    def treatments(self) -> dict[str, list[str]]:
+    def treatments(self) -> Factors:
         """The treatments of each factor that occur among runs with a value; nested where factors apply to some only."""
         levels = {name: self.levels(name) for name in self.factors}
         conditions = {name: of for name in self.factors if (of := self._deciding(name, levels))}
         for name in set(self.factors) & self.conditions.keys() - conditions.keys():
             levels[name] += [IDLE] if IDLE in set(self.frame[name]) else []  # it is not tested, see `stranded`
-        return NestedFactors(levels, conditions) if conditions else levels
+        return factors_of(levels, conditions)
 
     def _deciding(self, name: str, levels: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
         return {
@@ -141,13 +148,11 @@ class MeasureData:
 
     def within(self, factors: Sequence[str]) -> str:
         """Return among which runs an effect is told, as in `Sensor=camera`; nothing where among all."""
-        treatments = self.treatments
-        return treatments.within(factors) if isinstance(treatments, NestedFactors) else ""
+        return self.treatments.within(factors)
 
     def others(self, factors: Sequence[str]) -> list[str]:
         """Return the factors in which runs are alike that differ in nothing but these, and in what is nested within."""
-        treatments = self.treatments
-        nested = treatments.nested_in(factors) if isinstance(treatments, NestedFactors) else set()
+        nested = self.treatments.nested_in(factors)
         return [name for name in self.factors if name not in {*factors, *nested}]
 
     def strata_columns(self, but: str) -> list[str]:
@@ -295,14 +300,15 @@ class Design:
     @property
     def possible(self) -> int:
         """How many combinations there can be of the treatments that occur."""
-        return self._nested.count
+        return self._treatments.count
 
     @property
     def _within(self) -> dict[str, str]:
-        return {name: self._nested.within([name]) for name in self._nested.conditions}
+        treatments = self._treatments
+        return {name: treatments.within([name]) for name in treatments.conditions}
 
     @property
-    def _nested(self) -> NestedFactors:
+    def _treatments(self) -> Factors:
         """The factors with the treatments that occur."""
         levels = {
             name: [text for text in dict.fromkeys(self.frame[name]) if text != IDLE or name not in self.conditions]
@@ -311,7 +317,7 @@ class Design:
         every = {
             name: {each: of for each, of in self.conditions.get(name, {}).items() if each in levels} for name in levels
         }
-        return NestedFactors(levels, {name: of for name, of in every.items() if of})
+        return factors_of(levels, {name: of for name, of in every.items() if of})
 
     def _sentence(self, counts: Sequence[int]) -> str:
         if not len(self.frame):
@@ -319,7 +325,7 @@ class Design:
         runs = f"{counted(len(self.frame), 'run')} {'is' if len(self.frame) == 1 else 'are'} done"
         if not self.factors:
             return f"{runs}, all with the same treatments."
-        levels, within = self._nested, {name: f" within {which}" for name, which in self._within.items()}
+        levels, within = self._treatments, {name: f" within {which}" for name, which in self._within.items()}
         named = [f"{name} ({counted(len(of), 'treatment')}{within.get(name, '')})" for name, of in levels.items()]
         kind = "" if self.known.is_plain else f" ({self.known.in_words})"
         least, most = min(counts), max(counts)
@@ -341,7 +347,7 @@ def design_of(results: Results, *, blocks: str | None = None) -> Design:
     if are_complete(known, results):
         known, column = PLAIN, known.blocks[0]
     if column is not None and known != PLAIN:  # complete blocks are those of a full factorial alone
-        known, column = known.with_blocks((column,)), None
+        known, column = replace(known, blocks=tuple(dict.fromkeys([*known.blocks, column]))), None
     columns = {RUN_ID: done[RUN_ID], PLACE: execution_order(results).places}
     counted_only = {results.repetition, column, *known.columns}
     names = [name for name in results.factors if name not in counted_only]

@@ -10,7 +10,7 @@ from scipy import stats
 
 from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.descriptive import quiet
-from robot_runner.analysis.statistics.tested import AssumptionCheck, NotComputed, QuantilePairs
+from robot_runner.analysis.statistics.tested import AssumptionCheck, NotComputed, NoVariation, QuantilePairs
 from robot_runner.analysis.wording import p_in_words
 from robot_runner.core.words import enumerated
 
@@ -60,7 +60,7 @@ def normality(
     if len(values) > _MOST:
         return NotComputed(what, f"the test's p-value holds for up to {_MOST} values, and there are {len(values)}.")
     if np.ptp(values) == 0:
-        return NotComputed(what, "all values are equal.")
+        return NoVariation(what, "all values are equal.")
     with quiet():
         result = stats.shapiro(values)
     if not np.isfinite([result.statistic, result.pvalue]).all():
@@ -84,7 +84,9 @@ def equal_variances(groups: Sequence[Group], alpha: float, within: Sequence[str]
     what = f"{LEVENE} test"
     if within:
         # With blocks that vary three times as much as runs it hardly ever finds anything, whatever the spreads.
-        return NotComputed(what, f"{enumerated(within)} add to the spread of all groups, and hide how these differ.")
+        return NotComputed(
+            what, f"all groups also have the spread of {enumerated(within)}, which hides how theirs differ."
+        )
     samples = [group.values for group in groups if len(group.values)]
     if len(samples) < _LEAST_FOR_VARIANCE:
         return NotComputed(what, "there is only one group.")
@@ -92,7 +94,7 @@ def equal_variances(groups: Sequence[Group], alpha: float, within: Sequence[str]
         return NotComputed(what, "a group has a single value, which has no variance.")
     # So are any two values, but for rounding.
     if all(np.ptp(np.abs(each - np.median(each))) <= _SAME * np.max(np.abs(each)) for each in samples):
-        return NotComputed(what, "within each group all values are equally far from the median.")
+        return NoVariation(what, "within each group all values are equally far from the median.")
     with quiet():
         result = stats.levene(*samples, center="median")
     if not np.isfinite([result.statistic, result.pvalue]).all():

@@ -3,18 +3,19 @@
 Runs of their own are compared as they are. In blocks, the runs of a combination within a block are reduced to their
 mean, so that blocks are the units: what differs between blocks by chance, their response to treatments included, is the
 chance that effects are compared with.
+
+Of fractions, covering arrays and factorials with gaps, which do not have all combinations of the factors, those that
+there are are listed. Effects are then those that least squares estimate from the means of combinations.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import linalg, stats
+from scipy import stats
 
 from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.batch_strata import batch_shares, run_counts, weights_in_blocks
@@ -26,8 +27,9 @@ from robot_runner.analysis.statistics.cell_moments import (
     moments_of_units,
     winsorised_sizes,
 )
-from robot_runner.analysis.statistics.effect_coding import Term, kron, marginal_row
-from robot_runner.analysis.statistics.nested_factors import NestedFactors, codes_of
+from robot_runner.analysis.statistics.contrasts import without_rounding
+from robot_runner.analysis.statistics.effect_coding import Factors, Term
+from robot_runner.analysis.statistics.nested_factors import codes_of
 from robot_runner.core.design.analysis_plan import Estimand
 
 if TYPE_CHECKING:
@@ -46,6 +48,9 @@ _MOST_CELLS = 500
 COMPLETE = 0.75
 
 _PAIR = 2
+
+#: One weighted sum of each group's cells.
+ALONE = np.ones((1, 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +88,7 @@ class Layout:
             the means of combinations.
     """
 
-    factors: dict[str, list[str]]
+    factors: Factors
     between: tuple[str, ...]
     is_blocked: bool
     rows: Numbers
@@ -105,7 +110,7 @@ class Layout:
     @property
     def cells(self) -> int:
         """How many combinations there are."""
-        return len(self.sizes) * _size(self.factors, self.within)
+        return len(self.sizes) * self.factors.only(self.within).count
 
     def moments(self, values: Floats, estimand: Estimand = Estimand.MEAN) -> Moments:
         """Return the means of all cells with their errors.
@@ -163,20 +168,10 @@ class Layout:
             treatments: by factor; over the treatments of all other factors the mean is taken.
         """
         if self.inverse is not None:
-            return np.asarray((marginal_row(self.factors, self.terms, treatments) @ self.inverse)[:, None])
+            return np.asarray((self.factors.row(self.terms, treatments) @ self.inverse)[:, None])
 
         def part(names: Sequence[str]) -> Floats:
-            if isinstance(self.factors, NestedFactors):
-                return self.factors.only(names).weights(
-                    {name: treatments[name] for name in names if name in treatments}
-                )
-            rows = [
-                np.array([float(level == treatments[name]) for level in self.factors[name]])
-                if name in treatments
-                else np.full(len(self.factors[name]), 1 / len(self.factors[name]))
-                for name in names
-            ]
-            return kron(rows, np.ones(1))
+            return self.factors.only(names).weights({name: treatments[name] for name in names if name in treatments})
 
         return np.outer(part(self.between), part(self.within))
 
@@ -200,34 +195,16 @@ def layout_of(data: MeasureData) -> Layout | None:
     Then a model has to share what is known: of combinations without runs or with a single one, of incomplete blocks.
     """
     factors = data.treatments
-    if (factors.count if isinstance(factors, NestedFactors) else _size(factors, tuple(factors))) > _MOST_CELLS:
+    if factors.count > _MOST_CELLS:
         return None
     codes = codes_of(data.frame, factors)
     batches = data.batches if data.is_extended else None
     return _blocked(factors, codes, data.blocks, batches) if data.is_blocked else _independent(factors, codes, batches)
 
 
-def _code(factors: dict[str, list[str]], codes: dict[str, Numbers], names: Sequence[str]) -> Numbers:
-    """Return the number of each run's combination of some factors, the last one changing fastest."""
-    if isinstance(factors, NestedFactors):
-        return factors.only(names).numbers(codes)
-    number = np.zeros(len(next(iter(codes.values()))), dtype=np.intp)
-    for name in names:
-        number = number * len(factors[name]) + codes[name]
-    return number
-
-
-def _size(factors: dict[str, list[str]], names: Sequence[str]) -> int:
-    if isinstance(factors, NestedFactors):
-        return len(factors.only(names).cells)
-    return math.prod(len(factors[name]) for name in names)
-
-
-def _independent(
-    factors: dict[str, list[str]], codes: dict[str, Numbers], batches: Numbers | None = None
-) -> Layout | None:
-    cell = _code(factors, codes, tuple(factors))
-    sizes = np.bincount(cell, minlength=_size(factors, tuple(factors)))
+def _independent(factors: Factors, codes: dict[str, Numbers], batches: Numbers | None = None) -> Layout | None:
+    cell = factors.numbers(codes)
+    sizes = np.bincount(cell, minlength=factors.count)
     if sizes.min() < _PAIR:
         return None
     if batches is not None:
@@ -251,7 +228,7 @@ def _independent(
 
 
 def _blocked(
-    factors: dict[str, list[str]],
+    factors: Factors,
     codes: dict[str, Numbers],
     blocks: NDArray[np.str_],
     batches: Numbers | None = None,
@@ -260,19 +237,20 @@ def _blocked(
     count = int(block.max()) + 1
     between = tuple(name for name in factors if _is_constant(codes[name], block, count))
     within = tuple(name for name in factors if name not in between)
-    if isinstance(factors, NestedFactors) and not factors.is_apart(between):
+    if not factors.is_apart(between):
         return None  # blocks do not hold the same combinations: a model takes them out
-    cell, group = _code(factors, codes, within), _code(factors, codes, between)
+    of_units, of_cells = factors.only(between), factors.only(within)
+    cell, group = of_cells.numbers(codes), of_units.numbers(codes)
     if between and batches is not None:
         return None  # units would have to be stratified: a model takes the batches out
-    weights = None if batches is None else weights_in_blocks(block, cell, batches, _size(factors, within))
-    held = np.zeros((count, _size(factors, within)), dtype=np.intp)
+    weights = None if batches is None else weights_in_blocks(block, cell, batches, of_cells.count)
+    held = np.zeros((count, of_cells.count), dtype=np.intp)
     counts = np.ones(len(cell), dtype=bool) if weights is None else weights > 0
     np.add.at(held, (block[counts], cell[counts]), 1)
     complete = held.min(axis=1) > 0
     group_of = np.zeros(count, dtype=np.intp)
     group_of[block] = group
-    sizes = np.bincount(group_of[complete], minlength=_size(factors, between))
+    sizes = np.bincount(group_of[complete], minlength=of_units.count)
     if complete.mean() < COMPLETE or sizes.min() < _PAIR:
         return None
     used = np.flatnonzero(complete[block] & counts)
@@ -301,21 +279,69 @@ def _is_constant(codes: Numbers, block: Numbers, count: int) -> bool:
     return bool(np.all(lowest == highest))
 
 
-def _effects(factors: dict[str, list[str]], between: Sequence[str]) -> tuple[EffectContrast, ...]:
-    within = [name for name in factors if name not in between]
+def _effects(factors: Factors, between: Sequence[str]) -> tuple[EffectContrast, ...]:
+    of_units, of_cells = factors.only(between), factors.only(name for name in factors if name not in between)
 
-    def matrix(names: Sequence[str], effect: Sequence[str]) -> Floats:
-        if isinstance(factors, NestedFactors):
-            return factors.only(names).contrasts([name for name in effect if name in names])
-        parts = [
-            linalg.helmert(len(factors[name]))
-            if name in effect
-            else np.full((1, len(factors[name])), len(factors[name]) ** -0.5)
-            for name in names
-        ]
-        return kron(parts, np.ones((1, 1)))
+    def matrix(own: Factors, effect: Term) -> Floats:
+        return own.contrasts([name for name in effect if name in own])
 
-    most = min(len(factors), MOST_FACTORS)
-    every = (effect for size in range(1, most + 1) for effect in combinations(factors, size))
-    terms = factors.terms(most) if isinstance(factors, NestedFactors) else every
-    return tuple(EffectContrast(effect, matrix(list(between), effect), matrix(within, effect)) for effect in terms)
+    return tuple(
+        EffectContrast(effect, matrix(of_units, effect), matrix(of_cells, effect))
+        for effect in factors.terms(MOST_FACTORS)
+    )
+
+
+def listed_layout(factors: Factors, codes: Mapping[str, Numbers], terms: Sequence[Term]) -> Layout | None:
+    """Return the layout of runs; None where a combination has a single one, or its effects cannot be told apart.
+
+    Args:
+        factors: the factors, with their treatments.
+        codes: the number of each run's treatment, by factor.
+        terms: the effects that are tested.
+    """
+    listed = np.stack([codes[name] for name in factors], axis=1)
+    cells, cell = np.unique(listed, axis=0, return_inverse=True)
+    sizes = np.bincount(cell.ravel())
+    if sizes.min() < _PAIR:
+        return None
+    of_cells = {name: cells[:, place] for place, name in enumerate(factors)}
+    parts = list(factors.columns(of_cells, terms).values())
+    exog = np.column_stack([np.ones(len(cells)), *parts])
+    if np.linalg.matrix_rank(exog) < exog.shape[1]:
+        return None
+    inverse = np.linalg.pinv(exog)
+    effects, start = [], 1
+    for term, columns in zip(terms, parts, strict=True):
+        rows = inverse[start : start + columns.shape[1]]
+        start += columns.shape[1]
+        turned, triangle = np.linalg.qr(rows.T)
+        # The sign of a rotation is arbitrary; that of t is to be that of the first treatment less the second.
+        effects.append(EffectContrast(term, without_rounding((turned * np.sign(np.diag(triangle))).T), ALONE))
+    return Layout(
+        factors,
+        tuple(factors),
+        is_blocked=False,
+        rows=np.argsort(cell.ravel(), kind="stable"),
+        starts=np.concatenate([[0], np.cumsum(sizes)[:-1]]),
+        sizes=sizes,
+        effects=tuple(effects),
+        terms=tuple(terms),
+        inverse=inverse,
+    )
+
+
+def incomplete_layout(data: MeasureData) -> Layout | None:
+    """Return the layout of a factorial some of whose combinations have no run, and the others two and more.
+
+    Interactions of two factors are among its effects where all of them can be told apart from each other, else none is.
+
+    Returns:
+        None of anything else: of blocks, of several batches, and where the combinations do not tell main effects apart.
+    """
+    if data.is_blocked or data.is_extended or len(data.factors) < _PAIR:
+        return None
+    factors = data.treatments
+    codes = codes_of(data.frame, factors)
+    main = tuple((name,) for name in factors)
+    pairs = factors.terms(_PAIR)[len(main) :]
+    return listed_layout(factors, codes, (*main, *pairs)) or listed_layout(factors, codes, main)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robot_runner.analysis.arrays import Floats
+from robot_runner.analysis.statistics.cell_layout import ALONE
 from robot_runner.analysis.statistics.contrasts import (
     DRAWS,
     MOST_FLIPPED,
@@ -44,9 +45,6 @@ _FREEDOM_A_CONTRAST = 2
 #: Of eight blocks the signs make 128 patterns, so that p-values are 0.008 and more; with fewer, hardly anything is
 #: found in a family of tests.
 _FEWEST_FLIPPED = 8
-
-#: One weighted sum of each group's cells.
-_ALONE = np.ones((1, 1))
 
 #: What each kind of test is called.
 WELCH_T, WELCH_ANOVA, WELCH_JAMES = "Welch's t", "Welch's ANOVA", "Welch-James"
@@ -173,7 +171,7 @@ class CellMeans:
         is_approximate = not is_crowded(moments.freedom, effect.between)
         tests = self._tests(moments, effect.between)
         if WELCH_JAMES in tests and not is_approximate and not can_be_bootstrapped(effect.between):
-            tests = {ANOVA_TYPE: box(moments, effect.between, _ALONE)}
+            tests = {ANOVA_TYPE: box(moments, effect.between, ALONE)}
         if is_approximate or WELCH_JAMES not in tests:
             is_plain = len(self.layout.factors) == 1 and list(tests) == [WELCH_JAMES]
             return (WELCH_ANOVA if is_plain else " and ".join(tests)) + of_units, tests, _together(tests)
@@ -184,10 +182,10 @@ class CellMeans:
         """Return the tests of several contrasts of groups; the values have a say only where two groups do not vary."""
         weighed = None if self.statistic is Statistic.ANOVA_TYPE else welch_james(moments, between)
         if weighed is None:
-            return {ANOVA_TYPE: box(moments, between, _ALONE)}
+            return {ANOVA_TYPE: box(moments, between, ALONE)}
         if self.statistic is Statistic.WELCH_JAMES:
             return {WELCH_JAMES: weighed}
-        return {WELCH_JAMES: weighed, ANOVA_TYPE: box(moments, between, _ALONE, is_corrected=True)}
+        return {WELCH_JAMES: weighed, ANOVA_TYPE: box(moments, between, ALONE, is_corrected=True)}
 
     def _within_units(self, effect: EffectContrast) -> tuple[str, Tested]:
         """Test contrasts of several cells within units, whose covariance is not known."""

@@ -46,7 +46,8 @@ _ORDER = -1 / 3
 #: Larger matrices take too long to invert thousands of times.
 _MOST_INVERTED = 12
 
-#: Of the variance that a sum of cells would have if these were independent: what is less is left behind by rounding.
+#: Of the variance that a sum of cells would have if these were independent, or of the largest weight: what is less is
+#: left behind by rounding.
 _ROUNDED = 1e-13
 #: Of means: by so much, some units in the last place, those of the same values differ, and no others.
 _LAST_PLACES = 1e-15
@@ -119,6 +120,14 @@ def beyond_rounding(variances: Floats, independent: Floats) -> Floats:
     return np.where(variances <= _ROUNDED * independent, 0.0, variances)
 
 
+def without_rounding(weights: Floats) -> Floats:
+    """Return weights of cells, (..., cells), with 0 for those that rounding alone makes of it.
+
+    Where no other cell of a contrast varies, chance would have no other measure than these.
+    """
+    return np.where(np.abs(weights) <= _ROUNDED * np.max(np.abs(weights)), 0.0, weights)
+
+
 def contrast(moments: Moments, weights: Floats, *, is_corrected: bool = False) -> Contrast:
     """Estimate a weighted sum of means (Welch 1947; with Satterthwaite's degrees of freedom).
 
@@ -129,6 +138,7 @@ def contrast(moments: Moments, weights: Floats, *, is_corrected: bool = False) -
             would have: of two runs each, by simulation, those of Satterthwaite find 2 % at 5 %, and these 4 to 5 % (up
             to 9 % where one combination varies four times as much, and less where one has most of the weight).
     """
+    weights = without_rounding(weights)
     estimate = np.einsum("gc,...gc->...", weights, moments.means)
     size = np.einsum("gc,...gc->...", np.abs(weights), np.abs(moments.means))
     estimate = np.where(np.abs(estimate) <= _LAST_PLACES * size, 0.0, estimate)  # of the same values in another order

@@ -20,7 +20,7 @@ from robot_runner.analysis.statistics.designed_columns import grouped, residuals
 from robot_runner.analysis.statistics.effect_sizes import correlation_magnitude
 from robot_runner.analysis.statistics.outcome import Correlation, Drift
 from robot_runner.analysis.statistics.post_hoc import adjusted
-from robot_runner.analysis.statistics.tested import Interval, NotComputed
+from robot_runner.analysis.statistics.tested import Interval, NotComputed, NoVariation
 from robot_runner.analysis.statistics.theil_sen import theil_sen
 from robot_runner.analysis.wording import difference_unit, p_in_words, with_unit
 from robot_runner.core.design.columns import RUN_ID
@@ -164,7 +164,7 @@ def drift_of(data: MeasureData, alpha: float, unit: str = "", *, is_ordered: boo
     if np.ptp(places) == 0:
         return NotComputed(what, "the model takes out what tells the order, such as rows and columns.")
     if _is_flat(residuals, data.values):
-        return NotComputed(what, "within each combination all values are equal.")
+        return NoVariation(what, "within each combination all values are equal.")
     step = _TIED * float(np.max(np.abs(residuals)))
     tied = np.round(residuals / step) * step  # equal values that differ by what subtracting their means left behind
     with quiet():

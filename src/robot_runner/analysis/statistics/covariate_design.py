@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -13,7 +12,7 @@ import pandas as pd
 
 from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.cell_layout import relative_ranks
-from robot_runner.analysis.statistics.effect_coding import marginal_row
+from robot_runner.analysis.statistics.effect_coding import Factors, Term
 from robot_runner.analysis.statistics.linear_model import estimable_terms
 from robot_runner.analysis.statistics.robust_covariance import RobustFit, fit_robustly
 from robot_runner.core.design.analysis_plan import ELAPSED, Estimand
@@ -66,8 +65,8 @@ class CovariateDesign:
         units: the block of each run, where there are blocks.
     """
 
-    factors: Mapping[str, Sequence[str]]
-    terms: tuple[tuple[str, ...], ...]
+    factors: Factors
+    terms: tuple[Term, ...]
     note: str
     effects: Floats
     values: Floats
@@ -100,7 +99,7 @@ class CovariateDesign:
             raise AdjustmentError("there are too few runs for the number of treatments and covariates.")
         cell = np.asarray(texts.groupby(list(factors), sort=False).ngroup(), dtype=np.intp)
         levels = texts.iloc[np.unique(cell, return_index=True)[1]].to_dict("records")
-        rows = np.stack([marginal_row(factors, terms, {str(name): each[name] for name in each}) for each in levels])
+        rows = np.stack([factors.row(terms, {str(name): each[name] for name in each}) for each in levels])
         values = data.values  # noqa: PD011 - no data frame
         if estimand is Estimand.RANK:
             values, raw = relative_ranks(values, number), relative_ranks(raw.T, number).T

@@ -12,7 +12,7 @@ import pandas as pd
 from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.effect_coding import Term, coded_columns
 from robot_runner.analysis.statistics.known_design import before_column, role_column
-from robot_runner.analysis.statistics.nested_factors import codes_of, columns_of
+from robot_runner.analysis.statistics.nested_factors import codes_of
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -163,9 +163,14 @@ def _covariates(data: MeasureData) -> list[Floats]:
     return [(each / np.ptp(each))[:, None] for each in columns]
 
 
+def block_columns(data: MeasureData, name: str) -> Floats:
+    """Return a column of 0 and 1 for each block of a kind, such as each row, or each subject."""
+    return _dummies(_texts(data.frame[role_column(name)]))
+
+
 def taken_beside_plots(data: MeasureData) -> Floats:
     """Return what a model takes out beside whole plots, which are blocks there: replicates and covariates."""
-    of_blocks = [_dummies(_texts(data.frame[role_column(name)]))[:, 1:] for name in data.known.blocks]
+    of_blocks = [block_columns(data, name)[:, 1:] for name in data.known.blocks]
     return np.column_stack([np.empty((len(data.frame), 0)), *of_blocks, *_covariates(data)])
 
 
@@ -199,7 +204,7 @@ def _effects(data: MeasureData, beside: Floats) -> ModelEffects:
         if 1 + len(scaled) + len(pairs) < len(frame):
             powers |= {(one, other): (scaled[one] * scaled[other])[:, None] for one, other in pairs}
     terms = known.terms or tuple((name,) for name in factors if not (known.is_surface and name in numeric))
-    told = columns_of(factors, codes, [term for term in terms if set(term) <= set(factors)])
+    told = factors.columns(codes, [term for term in terms if set(term) <= set(factors)])
     main = [each for term, each in told.items() if len(term) == 1]
     before = carried_over(frame, factors, np.column_stack([beside, *main])) if known.carry_over and factors else None
     return ModelEffects(powers, told, before)

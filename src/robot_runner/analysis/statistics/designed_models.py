@@ -7,24 +7,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations
 
 import numpy as np
 import pandas as pd
 
 from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, MeasureData, covariate_column
-from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS, relative_ranks
+from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS, listed_layout, relative_ranks
 from robot_runner.analysis.statistics.cell_means import CellMeans
-from robot_runner.analysis.statistics.designed_columns import carried_over, numbers_of_levels
-from robot_runner.analysis.statistics.effect_coding import Term, coded_columns, mean_squares, term_size
+from robot_runner.analysis.statistics.designed_columns import block_columns, carried_over, numbers_of_levels
+from robot_runner.analysis.statistics.effect_coding import Factors, Term, coded_columns
 from robot_runner.analysis.statistics.known_design import role_column
 from robot_runner.analysis.statistics.lenth_test import LenthModel, fit_lenth
-from robot_runner.analysis.statistics.listed_cells import listed_layout
-from robot_runner.analysis.statistics.nested_factors import NestedFactors, codes_of, columns_of
+from robot_runner.analysis.statistics.nested_factors import codes_of
 from robot_runner.analysis.statistics.strata_model import Hypothesis, StrataModel, fit_strata
 from robot_runner.analysis.statistics.surface_model import SurfaceModel, fit_surface
-from robot_runner.analysis.statistics.tested import NotComputed, TestMethod
+from robot_runner.analysis.statistics.tested import NotComputed, NoVariation, TestMethod
 from robot_runner.analysis.wording import p_in_words, shown_statistic
 from robot_runner.core.design.analysis_plan import Estimand, Statistic
 from robot_runner.core.words import enumerated
@@ -98,7 +96,7 @@ class _Fitting:
             if layout is not None:
                 draws = {} if self.values.ndim == 1 else {"draws": 499}
                 found = CellMeans.of_values(layout, self.values, estimand, statistic, **draws)
-                return found if found.has_variation else NotComputed("the test", _NO_VARIATION)
+                return found if found.has_variation else _NO_VARIATION
             single = fit_lenth(self.factors, self._codes, self._terms, self.values)
             if single is not None:
                 return single
@@ -108,7 +106,7 @@ class _Fitting:
     def _problem(self) -> str:
         """Why factors cannot be tested in this design; empty where they can."""
         known = self.data.known
-        if isinstance(self.factors, NestedFactors) and (known.is_surface or known.is_one_at_a_time):
+        if self.factors.conditions and (known.is_surface or known.is_one_at_a_time):
             names = enumerated(list(self.factors.conditions))
             one, other = ("applies", "it") if len(self.factors.conditions) == 1 else ("apply", "them")
             why = f"{names} {one} to some runs only, which a design of this kind ({known.in_words}) does not allow for."
@@ -123,7 +121,7 @@ class _Fitting:
         return f"what {enumerated(mixed)} does {alike} {fix}"
 
     @cached_property
-    def factors(self) -> dict[str, list[str]]:
+    def factors(self) -> Factors:
         return self.data.treatments
 
     @cached_property
@@ -136,25 +134,18 @@ class _Fitting:
         known = self.data.known
         if known.terms:
             return tuple(term for term in known.terms if set(term) <= set(self.factors))
-        most = min(len(self.factors), MOST_FACTORS)
-        if isinstance(self.factors, NestedFactors):
-            return self.factors.terms(most)
-        return tuple(term for size in range(1, most + 1) for term in combinations(self.factors, size))
+        return self.factors.terms(MOST_FACTORS)
 
     def _hypotheses(self, terms: tuple[Term, ...]) -> dict[Term, Hypothesis]:
         return {
-            term: Hypothesis(columns, mean_squares(self.factors, term))
-            for term, columns in columns_of(self.factors, self._codes, terms).items()
+            term: Hypothesis(columns, self.factors.squares(term))
+            for term, columns in self.factors.columns(self._codes, terms).items()
         }
-
-    def _dummies(self, name: str) -> Floats:
-        texts, code = np.unique(self.data.frame[role_column(name)].astype(str), return_inverse=True)
-        return np.asarray(np.eye(len(texts))[code])
 
     @cached_property
     def _blocks(self) -> Floats:
         """The columns that are taken out: those of blocks, of batches, and covariates."""
-        parts = [self._dummies(name) for name in self.data.known.blocks]
+        parts = [block_columns(self.data, name) for name in self.data.known.blocks]
         if self.data.is_extended:
             parts.append(pd.get_dummies(self.data.batches, dtype=np.float64).to_numpy())
         for name in self.data.covariates:
@@ -168,7 +159,7 @@ class _Fitting:
         known = self.data.known
         rank = int(np.linalg.matrix_rank(np.column_stack([np.ones(len(self.data.frame)), self._blocks])))
         terms, notes = self._terms, []
-        if len(self.data.frame) - rank - sum(term_size(self.factors, term) for term in terms) < 1:
+        if len(self.data.frame) - rank - sum(map(self.factors.size, terms)) < 1:
             terms = tuple(term for term in terms if len(term) == 1)
             notes.append("Interactions cannot be estimated: there are too few runs.")
         blocks = self._blocks
@@ -221,7 +212,7 @@ class _Fitting:
         treatments = np.column_stack([each.columns for each in self._hypotheses(terms).values()])
         spread: dict[Term, Hypothesis] = {("before",): Hypothesis(before, np.eye(count))}
         told: tuple[TestMethod, str, tuple[str, ...]] = (TestMethod.CROSSOVER, "", ())
-        found = fit_strata({}, spread, values, np.column_stack([blocks, treatments]), None, told)
+        found = fit_strata(self.factors, spread, values, np.column_stack([blocks, treatments]), None, told)
         what = "it is in the model" if known.carry_over else "a washout was planned, and it is not in the model"
         if not isinstance(found, StrataModel):
             return f"What is carried over from the treatment before could not be tested; {what}."
@@ -260,4 +251,4 @@ class _Fitting:
         return fit_surface(self.factors, levels, others, self._blocks, self.values, self.data.known.coding)
 
 
-_NO_VARIATION = "within each combination all values are equal, so that chance has no measure."
+_NO_VARIATION = NoVariation("the test", "within each combination all values are equal, so that chance has no measure.")

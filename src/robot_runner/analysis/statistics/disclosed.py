@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
@@ -40,6 +40,11 @@ class LeftOut:
     value: float
     reason: Reason
     why: str
+
+
+def runs_without_value(left_out: Iterable[LeftOut]) -> frozenset[str]:
+    """Return the runs whose value of a measure counts nowhere: not those that lack a covariate alone."""
+    return frozenset(each.run_id for each in left_out if each.reason is not Reason.COVARIATE)
 
 
 @dataclass(frozen=True, slots=True)

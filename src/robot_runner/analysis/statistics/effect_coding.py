@@ -7,29 +7,165 @@ a marginal mean takes no list of all combinations: what it leaves open sums up t
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Protocol, runtime_checkable
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import combinations
+from typing import Self
 
 import numpy as np
+from scipy import linalg
 
 from robot_runner.analysis.arrays import Floats, Numbers
+from robot_runner.core.words import enumerated
 
 #: The factors of an effect: one, or several of an interaction.
 Term = tuple[str, ...]
 
+#: Where each factor applies: for each factor that decides, the treatments under which it does.
+Conditions = dict[str, dict[str, tuple[str, ...]]]
 
-@runtime_checkable
-class Coded(Protocol):
-    """Factors that are coded in a way of their own, as some of them apply under a condition only."""
 
-    def row(self, terms: Sequence[Sequence[str]], treatments: Mapping[str, str]) -> Floats:
-        """Return 1 and the columns of each effect."""
+class Factors(dict[str, list[str]]):
+    """The factors that are compared, with the treatments of each in order; all of them apply to all runs.
+
+    Attributes:
+        conditions: of factors that apply to some runs only; none here, see `NestedFactors`.
+
+    Example:
+        >>> found = Factors({"A": ["x", "y"], "B": ["p", "q"]})
+        >>> found.terms(2), found.count
+        ((('A',), ('B',), ('A', 'B')), 4)
+        >>> found.weights({"A": "x"}).tolist(), found.row(found.terms(2), {"A": "x"}).tolist()
+        ([0.5, 0.5, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0])
+    """
+
+    def __init__(self, treatments: Mapping[str, Sequence[str]], conditions: Conditions | None = None) -> None:
+        super().__init__({name: list(levels) for name, levels in treatments.items()})
+        self.conditions = conditions or {}
+
+    def only(self, names: Iterable[str]) -> Self:
+        """Return some of the factors, among which are all that decide on any of them."""
+        chosen = set(names)
+        own = {name: of for name, of in self.conditions.items() if name in chosen}
+        return type(self)({name: levels for name, levels in self.items() if name in chosen}, own)
+
+    def is_apart(self, names: Iterable[str]) -> bool:
+        """Return whether some factors and the others do not decide on each other."""
+        chosen = set(names)
+        return all((name in chosen) is (parent in chosen) for name, of in self.conditions.items() for parent in of)
+
+    def nested_in(self, names: Iterable[str]) -> set[str]:
+        """Return the factors on which any of these decides, or one that these decide on."""
+        found = set(names)
+        for _ in self.conditions:
+            found |= {name for name, of in self.conditions.items() if found & set(of)}
+        return found - set(names)
+
+    def scope(self, term: Iterable[str]) -> dict[str, list[str]]:
+        """Return the treatments that are left of each factor where all of some factors apply."""
+        left, open_names = dict(self), list(term)
+        while open_names:
+            for parent, wanted in self.conditions.get(open_names.pop(), {}).items():
+                left[parent] = [text for text in left[parent] if text in wanted]
+                open_names.append(parent)
+        return left
+
+    def levels(self, term: Sequence[str]) -> list[list[str]]:
+        """Return the treatments of each factor of an effect, where all of them apply."""
+        scope = self.scope(term)
+        return [scope[name] for name in term]
+
+    def has(self, _: Sequence[str]) -> bool:
+        """Return whether there is an effect of these factors: whether they apply together."""
+        return True
+
+    def terms(self, most: int) -> tuple[Term, ...]:
+        """Return the effects that there are, of so many factors at most: main effects first."""
+        sizes = range(1, min(len(self), most) + 1)
+        return tuple(term for size in sizes for term in combinations(self, size) if self.has(term))
 
     def size(self, term: Sequence[str]) -> int:
-        """Return how many degrees of freedom an effect has."""
+        """Return how many columns, or degrees of freedom, an effect has."""
+        return math.prod(len(levels) - 1 for levels in self.levels(term))
+
+    def within(self, term: Iterable[str]) -> str:
+        """Return among which runs an effect is told, as in `Sensor=camera`; nothing where among all."""
+        left: dict[str, list[str]] = {}
+        for name in term:
+            for parent, wanted in self.conditions.get(name, {}).items():
+                left[parent] = [text for text in left.get(parent, self[parent]) if text in wanted]
+        return " and ".join(f"{parent}={' or '.join(texts)}" for parent, texts in left.items())
+
+    @property
+    def in_words(self) -> str:
+        """Where each conditional factor is tested, and what the means are that it is nested within."""
+        told = [f"{name} within {self.within([name])}" for name in self.conditions]
+        parents = enumerated(list(dict.fromkeys(parent for of in self.conditions.values() for parent in of)))
+        return (
+            f"Some factors apply to some runs only, and are tested among these: {enumerated(told)}. In a mean of "
+            f"{parents}, each treatment of a factor that is nested within counts the same."
+        )
+
+    @property
+    def count(self) -> int:
+        """How many combinations there can be."""
+        return math.prod(map(len, self.values()))
+
+    def numbers(self, codes: Mapping[str, Numbers]) -> Numbers:
+        """Return the number of each run's combination, the last factor changing fastest.
+
+        Args:
+            codes: the number of each run's treatment, by factor.
+        """
+        number = np.zeros(len(next(iter(codes.values()), ())), dtype=np.intp)
+        for name, levels in self.items():
+            number = number * len(levels) + codes[name]
+        return number
+
+    def weights(self, treatments: Mapping[str, str]) -> Floats:
+        """Return the weights of the combinations in the mean of some treatments; of others, each counts the same.
+
+        Args:
+            treatments: by factor; of all factors they are one combination.
+        """
+        rows = [
+            np.array([float(level == treatments[name]) for level in levels])
+            if name in treatments
+            else np.full(len(levels), 1 / len(levels))
+            for name, levels in self.items()
+        ]
+        return kron(rows, np.ones(1))
+
+    def contrasts(self, term: Sequence[str]) -> Floats:
+        """Return the contrasts of an effect, orthonormal, (degrees of freedom, combinations); of no factor the mean."""
+        parts = [
+            linalg.helmert(len(levels)) if name in term else np.full((1, len(levels)), len(levels) ** -0.5)
+            for name, levels in self.items()
+        ]
+        return kron(parts, np.ones((1, 1)))
+
+    def row(self, terms: Sequence[Term], treatments: Mapping[str, str]) -> Floats:
+        """Return 1 and the columns of each effect, of the mean of some treatments; see `weights`."""
+        coded = {name: sum_coding(len(self[name]))[self[name].index(text)] for name, text in treatments.items()}
+        parts = [
+            kron([coded[name] for name in term], np.ones(1)) if set(term) <= set(coded) else np.zeros(self.size(term))
+            for term in terms
+        ]
+        return np.concatenate([np.ones(1), *parts])
+
+    def columns(self, codes: Mapping[str, Numbers], terms: Sequence[Term]) -> dict[Term, Floats]:
+        """Return the columns of effects, coded to sum up to zero; where factors do not apply, 0.
+
+        Args:
+            codes: as `codes_of` returns them.
+            terms: the effects.
+        """
+        sizes = {name: len(levels) for name, levels in self.items()}
+        return {term: coded_columns(codes, sizes, term) for term in terms}
 
     def squares(self, term: Sequence[str]) -> Floats:
-        """Return the mean of the products of the columns of an effect."""
+        """Return the mean over all combinations of the products of the columns of an effect."""
+        codings = [sum_coding(len(self[name])) for name in term]
+        return kron([coding.T @ coding / len(coding) for coding in codings], np.ones((1, 1)))
 
 
 def kron(parts: Sequence[Floats], start: Floats) -> Floats:
@@ -37,39 +173,6 @@ def kron(parts: Sequence[Floats], start: Floats) -> Floats:
     for part in parts:
         start = np.asarray(np.kron(start, part), dtype=np.float64)
     return start
-
-
-def term_size(factors: Mapping[str, Sequence[str]], term: Sequence[str]) -> int:
-    """Return how many columns, or degrees of freedom, an effect has."""
-    if isinstance(factors, Coded):
-        return factors.size(term)
-    return math.prod(len(factors[name]) - 1 for name in term)
-
-
-def marginal_row(
-    factors: Mapping[str, Sequence[str]], terms: Sequence[Sequence[str]], treatments: Mapping[str, str]
-) -> Floats:
-    """Return 1 and the columns of each effect, of a mean over all treatments of the factors that are not named.
-
-    Args:
-        factors: the treatments of each factor.
-        terms: the effects of the model.
-        treatments: by factor; of all factors it is the row of one combination.
-
-    Example:
-        >>> marginal_row({"A": ["x", "y"], "B": ["p", "q"]}, [("A",), ("B",), ("A", "B")], {"A": "x"}).tolist()
-        [1.0, 1.0, 0.0, 0.0]
-    """
-    if isinstance(factors, Coded):
-        return factors.row(terms, treatments)
-    coded = {name: sum_coding(len(factors[name]))[list(factors[name]).index(text)] for name, text in treatments.items()}
-    parts = [
-        kron([coded[name] for name in term], np.ones(1))
-        if set(term) <= set(coded)
-        else np.zeros(term_size(factors, term))
-        for term in terms
-    ]
-    return np.concatenate([np.ones(1), *parts])
 
 
 def coded_columns(codes: Mapping[str, Numbers], sizes: Mapping[str, int], term: Sequence[str]) -> Floats:
@@ -85,14 +188,6 @@ def coded_columns(codes: Mapping[str, Numbers], sizes: Mapping[str, int], term: 
         mine = sum_coding(sizes[name])[codes[name]]
         columns = (columns[:, :, None] * mine[:, None, :]).reshape(len(columns), -1)
     return columns
-
-
-def mean_squares(factors: Mapping[str, Sequence[str]], term: Sequence[str]) -> Floats:
-    """Return the mean over all combinations of the products of the columns of an effect."""
-    if isinstance(factors, Coded):
-        return factors.squares(term)
-    parts = [sum_coding(len(factors[name])).T @ sum_coding(len(factors[name])) / len(factors[name]) for name in term]
-    return kron(parts, np.ones((1, 1)))
 
 
 def sum_coding(count: int) -> Floats:

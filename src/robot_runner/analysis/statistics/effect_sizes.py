@@ -15,7 +15,7 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special, stats
 
 from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.descriptive import bootstrap_interval
@@ -23,6 +23,9 @@ from robot_runner.analysis.statistics.tested import EffectSize, Interval, Magnit
 
 _LEVEL = 0.95
 _MOST_STEPS = 1000  # each twice as long as the one before: past the largest number there is
+#: Of a larger F, or square of t, scipy's noncentral distributions are no number, and take the longer for it: of 1e18
+#: half a minute.
+_MOST_NONCENTRAL = 1e11
 _LEAST_FOR_SPREAD = 2
 
 
@@ -92,23 +95,38 @@ def omega_squared(
     the test, which looks at one side, is significant.
 
     Args:
-        f_value: of the test.
+        f_value: of the test; infinite where its p-value is 0 in floating-point numbers.
         freedom: its degrees of freedom.
         variance: the mean of the squared effects on all combinations.
         spread: the standard deviation.
         alpha: the level of significance.
         is_partial: whether other factors' effects are left out of account.
     """
-    if not (spread > 0 and f_value > 0 and variance > 0 and math.isfinite(f_value)):
+    if not (spread > 0 and f_value > 0 and variance > 0):
         return None
-    scale = variance / spread**2 / (f_value * freedom[0])
+    ratio = variance / spread**2
+    scale = ratio / (f_value * freedom[0])
     level = 1 - 2 * alpha
     ends = noncentralities_of_f(f_value, freedom, level)
     shares = None if ends is None else [end * scale / (1 + end * scale) for end in ends]
     interval = None if shares is None else Interval(shares[0], shares[1], level, "noncentral F")
-    value = max(0.0, f_value - 1) * freedom[0] * scale
+    value = max(0.0, 1 - 1 / f_value) * ratio
     name = "partial omega squared" if is_partial else "omega squared"
     return _COHEN_OMEGA.size(name, value / (1 + value), interval)
+
+
+def f_of_p_value(p_value: float, freedom: tuple[float, float]) -> float:
+    """Return the F that has this p-value, however small that is.
+
+    It comes from the beta distribution: scipy's `f.isf` takes p-values from 1, so that those of 1e-12 lose digits, and
+    of those below 1e-16 nothing is left.
+
+    Example:
+        >>> f_of_p_value(1e-30, (3, 40))
+        443.946...
+    """
+    share = float(special.betaincinv(freedom[1] / 2, freedom[0] / 2, p_value))
+    return freedom[1] * (1 - share) / (freedom[0] * share) if share > 0 else math.inf
 
 
 def noncentralities_of_t(t_value: float, freedom: float, level: float) -> tuple[float, float] | None:
@@ -116,6 +134,8 @@ def noncentralities_of_t(t_value: float, freedom: float, level: float) -> tuple[
     if t_value < 0:
         mirrored = noncentralities_of_t(-t_value, freedom, level)
         return None if mirrored is None else (-mirrored[1], -mirrored[0])
+    if t_value**2 > _MOST_NONCENTRAL:
+        return None
     tail = (1 - level) / 2
     step = math.sqrt(1 + t_value**2 / (2 * freedom))  # how well the noncentrality is known
 
@@ -131,6 +151,8 @@ def noncentralities_of_t(t_value: float, freedom: float, level: float) -> tuple[
 def noncentralities_of_f(f_value: float, freedom: tuple[float, float], level: float) -> tuple[float, float] | None:
     """Return between which noncentralities an F lies with this confidence; None where that cannot be computed."""
     tail = (1 - level) / 2
+    if f_value * freedom[0] > _MOST_NONCENTRAL:
+        return None
 
     def at(share: float) -> float | None:
         if stats.f.cdf(f_value, *freedom) <= share:
@@ -148,7 +170,10 @@ def _root(function: Callable[[float], float], start: float, step: float, least: 
     near = start
     for _ in range(_MOST_STEPS):
         far = max(least, near + way * step)
-        if function(far) * way <= 0:
+        found = function(far) * way
+        if math.isnan(found):
+            return None
+        if found <= 0:
             with suppress(ValueError):  # not a number somewhere between
                 return float(optimize.brentq(function, near, far))
             return None

@@ -11,7 +11,7 @@ from robot_runner.analysis.results import Results, results_of
 from robot_runner.analysis.run_frame import require_choice, several
 from robot_runner.analysis.statistics.analysed_design import Design, design_of
 from robot_runner.analysis.statistics.correlations import correlations_of
-from robot_runner.analysis.statistics.disclosed import Beside, LeftOut, Reason
+from robot_runner.analysis.statistics.disclosed import Beside, LeftOut, Reason, runs_without_value
 from robot_runner.analysis.statistics.execution_order import displaced_runs, followed_failures, robot_warnings
 from robot_runner.analysis.statistics.families import concluded
 from robot_runner.analysis.statistics.left_out import MOST_FALSE_POSITIVES, doubtful_values, left_out_of, rate_in_words
@@ -114,7 +114,8 @@ def analyse(
         standings += standing_hypotheses(judged, rejudged, otherwise, tuple(again))
     measured = replace(design, covariates=())  # beside a covariate that is taken out of one, no correlation is left
     correlated = () if results.is_exploratory else told
-    numeric = [data for each in correlated if each.overall and (data := measured.data(each.name)) is not None]
+    known = [(of.name, replace(measured, without=runs_without_value(of.left_out))) for of in correlated if of.overall]
+    numeric = [data for name, of in known if (data := of.data(name)) is not None]
     correlations, missing = correlations_of(numeric[:_MOST_CORRELATED], chosen_correction)
     return ExperimentStatistics(
         alpha=chosen_alpha,

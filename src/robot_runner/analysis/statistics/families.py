@@ -135,9 +135,14 @@ def _planned(tested: Mapping[str, Sequence[Key]], plan: AnalysisPlan | None) -> 
 
 def claim_of(hypothesis: Hypothesis) -> Key:
     """Return what a hypothesis claims: a contrast of its own, or an effect."""
-    if hypothesis.contrast is not None or hypothesis.within is not None:
+    if hypothesis.is_contrast:
         return contrast_key(hypothesis.statement)
     return effect_key(hypothesis.measure, hypothesis.factors)
+
+
+def contrasts_of(plan: AnalysisPlan | None, measure: str) -> list[Hypothesis]:
+    """Return the hypotheses of a plan that claim a contrast of a measure, or a bound; none where nothing was fixed."""
+    return [] if plan is None else [each for each in plan.hypotheses if each.measure == measure and each.is_contrast]
 
 
 def _measure(measure: MeasureStatistics, found: Mapping[Key, _Adjusted], alpha: float) -> MeasureStatistics:
@@ -293,7 +298,7 @@ def judge(
 def _tested(hypothesis: Hypothesis, measure: MeasureStatistics | None) -> Effect | ContrastTest | None:
     if measure is None or measure.test is None:
         return None
-    if hypothesis.contrast is not None or hypothesis.within is not None:
+    if hypothesis.is_contrast:
         return next((each for each in measure.contrasts if each.statement == hypothesis.statement), None)
     return next((each for each in measure.test.effects if set(each.factors) == set(hypothesis.factors)), None)
 

@@ -1,21 +1,27 @@
 """What the analysis knows of the design: which columns are factors and which are blocks, and what it can estimate.
 
 It comes from the facts that the design wrote into the manifest; the aliases are computed from the combinations of the
-run table, so that they are right for a table that was made elsewhere, too.
+run table, planned or done, so that they are right for a table that was made elsewhere, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.analysis.run_frame import treatment_texts
+from robot_runner.analysis.statistics.aliasing import aliasing_of
+from robot_runner.analysis.statistics.effect_coding import Conditions, Term
+from robot_runner.analysis.statistics.nested_factors import IDLE, codes_of, factors_of
 from robot_runner.analysis.wording import listed
+from robot_runner.core.design.columns import RUN_ID
 
 if TYPE_CHECKING:
-    from robot_runner.analysis.statistics.aliasing import Aliasing
-    from robot_runner.analysis.statistics.effect_coding import Term
+    import pandas as pd
+
+    from robot_runner.analysis.results import Results
 
 #: Kinds whose interactions are estimated, or are aliased in a way that is known.
 _WITH_INTERACTIONS = frozenset({"fractional_factorial", "split_plot", "full_factorial"})
@@ -159,23 +165,52 @@ class KnownDesign:
             )
         return tuple(found)
 
-    def with_aliasing(self, found: Aliasing) -> KnownDesign:
-        """Return the same, with what its combinations can tell."""
-        return replace(self, terms=found.terms, aliases=found.aliases, half_aliases=found.mixed)
-
-    def with_blocks(self, names: tuple[str, ...]) -> KnownDesign:
-        """Return the same, with further columns that are blocks."""
-        return replace(self, blocks=tuple(dict.fromkeys([*self.blocks, *names])))
-
-    def with_plot_columns(self, names: tuple[str, ...]) -> KnownDesign:
-        """Return the same, with the blocks within which whole plots are numbered anew."""
-        return replace(self, plot_columns=names)
-
 
 _CROSSED = ("subject", "period")
 
 #: What is known where the manifest tells nothing.
 PLAIN = KnownDesign()
+
+
+def treatments_before(results: Results, known: KnownDesign, names: Sequence[str]) -> dict[str, pd.Series]:
+    """Return the treatment that each subject had in the period before, as planned; nothing in its first period."""
+    where, runs = [known.subject, known.period], results.all_runs
+    periods = runs.drop_duplicates(where).sort_values(known.period, key=treatment_texts, kind="stable")
+    texts = periods[list(names)].astype("str").set_axis(periods[RUN_ID])
+    before = texts.groupby(periods[known.subject].astype("str").to_numpy()).shift().fillna("")
+    first = runs.groupby(where, observed=True)[RUN_ID].transform("first").set_axis(runs[RUN_ID])
+    own = results.done[RUN_ID].map(first)
+    return {before_column(name): own.map(before[name]) for name in names}
+
+
+def are_complete(known: KnownDesign, results: Results) -> bool:
+    """Return whether the blocks of a design are of one kind and each hold all combinations, as those of a factorial."""
+    if known.kind != "blocks" or len(known.blocks) != 1:
+        return False
+    names = [name for name in results.factors if name not in known.blocks]
+    planned = results.all_runs[[*known.blocks, *names]].astype("str").drop_duplicates()
+    held = planned.groupby(known.blocks[0]).size()
+    return bool((held == len(planned[names].drop_duplicates())).all())
+
+
+def with_structure(
+    known: KnownDesign, results: Results, frame: pd.DataFrame, varied: Sequence[str], conditions: Conditions
+) -> KnownDesign:
+    """Return a design with the effects that its planned combinations can tell, and how whole plots are numbered."""
+    if known == PLAIN or known.is_surface or not varied:
+        return known
+    planned = results.all_runs[list(varied)].astype("str").drop_duplicates()
+    own = {name: {each: of for each, of in conditions.get(name, {}).items() if each in varied} for name in varied}
+    levels = {name: [text for text in sorted(set(planned[name])) if not own[name] or text != IDLE] for name in varied}
+    factors = factors_of(levels, {name: of for name, of in own.items() if of})
+    only, together = not known.has_interactions, known.together
+    found = aliasing_of(factors, codes_of(planned, factors), main_only=only, together=together)
+    known = replace(known, terms=found.terms, aliases=found.aliases, half_aliases=found.mixed)
+    if known.whole_plot:
+        plots = frame.groupby(role_column(known.whole_plot), observed=True)
+        numbered_anew = tuple(name for name in known.blocks if plots[role_column(name)].nunique().max() > 1)
+        known = replace(known, plot_columns=numbered_anew)
+    return known
 
 
 def _names(fact: object) -> tuple[str, ...]:

@@ -10,7 +10,6 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -21,9 +20,8 @@ from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, MeasureData
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS
 from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
-from robot_runner.analysis.statistics.effect_coding import marginal_row, mean_squares, term_size
-from robot_runner.analysis.statistics.nested_factors import NestedFactors
-from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
+from robot_runner.analysis.statistics.effect_coding import Factors, Term
+from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, NoVariation, TestMethod
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
@@ -76,8 +74,8 @@ class FittedModel:
         note: why interactions are left out; empty where none is.
     """
 
-    factors: Mapping[str, Sequence[str]]
-    terms: tuple[tuple[str, ...], ...]
+    factors: Factors
+    terms: tuple[Term, ...]
     blocks: NDArray[np.str_] | None
     exog: Floats
     fit: _Fit
@@ -103,7 +101,7 @@ class FittedModel:
             freedom = (float(len(beta)), self._freedom(factors))
             f_value = wald / freedom[0]
             p_value = float(stats.f.sf(f_value, *freedom)) if freedom[1] > 0 else math.nan
-            variance = float(beta @ mean_squares(self.factors, factors) @ beta)
+            variance = float(beta @ self.factors.squares(factors) @ beta)
             yield EffectTest(factors, self.method.value, "F", f_value, freedom, p_value, variance)
 
     def difference(self, weights: Sequence[tuple[Mapping[str, str], float]]) -> Contrast:
@@ -112,7 +110,7 @@ class FittedModel:
         Args:
             weights: treatments by factor, with the weight of their mean.
         """
-        rows = [weight * marginal_row(self.factors, self.terms, treatments) for treatments, weight in weights]
+        rows = [weight * self.factors.row(self.terms, treatments) for treatments, weight in weights]
         row = np.pad(np.sum(rows, axis=0), (0, self.beside))
         error = math.sqrt(max(0.0, float(row @ self.fit.covariance @ row)))
         named = {name for treatments, _ in weights for name in treatments}
@@ -122,8 +120,8 @@ class FittedModel:
     def _place(self, factors: Sequence[str]) -> slice:
         """Return the columns of an effect in the design; the first is the mean of all combinations."""
         before = self.terms[: self.terms.index(tuple(factors))]
-        start = 1 + sum(map(self._size, before))
-        return slice(start, start + self._size(factors))
+        start = 1 + sum(map(self.factors.size, before))
+        return slice(start, start + self.factors.size(factors))
 
     def _freedom(self, factors: Sequence[str]) -> float:
         """Return the degrees of freedom that an effect is tested with.
@@ -135,7 +133,7 @@ class FittedModel:
             return float(len(self.exog) - self.exog.shape[1])
         if not self._is_between_blocks(factors):
             return float(len(self.exog) - np.linalg.matrix_rank(self._with_blocks))
-        between = sum(self._size(each) for each in self.terms if self._is_between_blocks(each))
+        between = sum(self.factors.size(each) for each in self.terms if self._is_between_blocks(each))
         return float(len(set(self.blocks)) - self._taken_between - between)
 
     @cached_property
@@ -155,10 +153,7 @@ class FittedModel:
         place = self._place(factors)
         others = np.delete(self._with_blocks, np.arange(place.start, place.stop), axis=1)
         told = np.linalg.matrix_rank(self._with_blocks) - np.linalg.matrix_rank(others)
-        return bool(told < self._size(factors))
-
-    def _size(self, factors: Sequence[str]) -> int:
-        return term_size(self.factors, factors)
+        return bool(told < self.factors.size(factors))
 
 
 def fit_model(
@@ -185,7 +180,7 @@ def fit_model(
     if not terms:
         return NotComputed("the test", "there are too few runs for the number of treatments.")
     treatments = frame[list(factors)].to_dict("records")
-    exog = np.stack([marginal_row(factors, terms, {str(name): each[name] for name in each}) for each in treatments])
+    exog = np.stack([factors.row(terms, {str(name): each[name] for name in each}) for each in treatments])
     exog = np.column_stack([exog, taken])
     values = frame[VALUE].to_numpy(dtype=np.float64)
     if np.linalg.matrix_rank(exog) < exog.shape[1]:
@@ -194,7 +189,7 @@ def fit_model(
     left = values - every @ np.linalg.lstsq(every, values)[0]
     if np.max(np.abs(left)) <= rounding_of(values) and np.linalg.matrix_rank(every) < len(values):
         of = "within each combination all values are equal" if blocks is None else "all blocks respond alike"
-        return NotComputed("the test", f"{of}, so that chance has no measure.")
+        return NoVariation("the test", f"{of}, so that chance has no measure.")
     return FittedModel(factors, terms, blocks, exog, _fitted(values, exog, blocks), note, count)
 
 
@@ -280,20 +275,14 @@ def _means_in_blocks(data: MeasureData, numbers: Mapping[str, Floats]) -> pd.Dat
     return frame.groupby([*units, *data.factors], sort=False, as_index=False)[list(numbers)].mean()
 
 
-def estimable_terms(
-    factors: Mapping[str, Sequence[str]], frame: pd.DataFrame, blocks: int
-) -> tuple[tuple[tuple[str, ...], ...], str]:
+def estimable_terms(factors: Factors, frame: pd.DataFrame, blocks: int) -> tuple[tuple[Term, ...], str]:
     """Return the effects that the values suffice to estimate, and why others are left out."""
     names = tuple(factors)
-    cells = frame.groupby(list(names)).ngroups
-    nested = factors if isinstance(factors, NestedFactors) else None
-    possible = math.prod(map(len, factors.values())) if nested is None else nested.count
+    cells, possible = frame.groupby(list(names)).ngroups, factors.count
     if cells == possible <= _MOST_CELLS and len(frame) - blocks > cells:
         most = min(len(names), MOST_FACTORS)
         note = "" if most == len(names) else f"Interactions of more than {most} factors are left out."
-        if nested is not None:
-            return nested.terms(most), note
-        return tuple(effect for size in range(1, most + 1) for effect in combinations(names, size)), note
+        return factors.terms(most), note
     if len(frame) - blocks <= 1 + sum(len(levels) - 1 for levels in factors.values()):
         return (), ""
     why = "some combinations have no run" if cells < possible else "there are too few runs a combination"

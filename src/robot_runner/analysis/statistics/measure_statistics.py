@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
@@ -22,13 +21,14 @@ from robot_runner.analysis.statistics.designed_columns import grouped, residuals
 from robot_runner.analysis.statistics.detectable_effect import power_of, units_of
 from robot_runner.analysis.statistics.disclosed import LeftOut, Reason
 from robot_runner.analysis.statistics.execution_order import execution_order
+from robot_runner.analysis.statistics.families import contrasts_of
 from robot_runner.analysis.statistics.known_precision import level_of_looks
 from robot_runner.analysis.statistics.left_out import false_positives
 from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics, Power
 from robot_runner.analysis.statistics.post_hoc import MOST_PAIRS, carry_out_contrast, compare_pairs, missing_intervals
 from robot_runner.analysis.statistics.proportions import carry_out_proportions, compare_proportions, proportions_of
 from robot_runner.analysis.statistics.surface_model import SurfaceModel
-from robot_runner.analysis.statistics.tested import AssumptionCheck, ContrastTest, NotComputed
+from robot_runner.analysis.statistics.tested import AssumptionCheck, ContrastTest, NotComputed, NoVariation
 from robot_runner.analysis.statistics.tests import Choices, carry_out, planned_model_of
 from robot_runner.analysis.wording import shown_number
 from robot_runner.core.design.columns import RUN_ID
@@ -37,7 +37,6 @@ from robot_runner.core.words import counted, enumerated, listed
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.grouped_runs import Group
     from robot_runner.core.design.analysis_plan import AnalysisPlan
-    from robot_runner.core.design.hypothesis import Hypothesis
 
 _Found = TypeVar("_Found")
 
@@ -45,9 +44,6 @@ _Found = TypeVar("_Found")
 _MOST_DESCRIBED = 200
 
 _PAIR = 2
-_SAME = re.compile(
-    "all (values are equal(ly far from the median)?|blocks respond (alike|to the treatments in the same way))"
-)
 
 
 class _Gathered:
@@ -118,10 +114,9 @@ def measure_statistics(
     adjustment = None
     if isinstance(model, AdjustedMeans):
         adjustment = adjustment_of(compared, model, choices, design.results.unit)
-    claimed = [] if model is None or plan is None else [each for each in plan.hypotheses if _is_contrast(each, name)]
-    contrasts: list[ContrastTest | None] = [
-        gathered.take(carry_out_contrast(model, each, choices)) for each in claimed if model is not None
-    ]
+    contrasts: list[ContrastTest | None] = []
+    if model is not None:
+        contrasts = [gathered.take(carry_out_contrast(model, each, choices)) for each in contrasts_of(plan, name)]
     looks = level_of_looks(design.results, name)
     return MeasureStatistics(
         name,
@@ -174,8 +169,10 @@ def _too_coarse(data: MeasureData) -> tuple[NotComputed, ...]:
 
 
 def _of_coarse(missing: NotComputed) -> NotComputed:
-    """Return why something was not computed of values of which none is told to be equal that is not."""
-    return replace(missing, why=_SAME.sub("runs differ by too little beside the size of their values", missing.why))
+    """Return why something was not computed of runs that vary, if by too little: nothing of them is equal."""
+    if not isinstance(missing, NoVariation):
+        return missing
+    return replace(missing, why="runs differ by too little beside the size of their values.")
 
 
 def _of_answers(
@@ -184,10 +181,9 @@ def _of_answers(
     """Return the statistics of a measure that is yes or no."""
     test = gathered.take(carry_out_proportions(answers, choices))
     pairs = [gathered.take(each) for each in compare_proportions(answers, choices, MOST_PAIRS)] if test else []
-    for each in plan.hypotheses if plan is not None else ():
-        if _is_contrast(each, measure.name):
-            why = "contrasts and bounds are of means; the pairs of treatments have the differences of proportions."
-            gathered.missing.append(NotComputed(f"the contrast of {each.statement!r}", why))
+    for each in contrasts_of(plan, measure.name):
+        why = "contrasts and bounds are of means; the pairs of treatments have the differences of proportions."
+        gathered.missing.append(NotComputed(f"the contrast of {each.statement!r}", why))
     if plan is not None and plan.covariates:
         gathered.missing.append(NotComputed("adjustment for covariates", "it is of means, and not of proportions."))
     proportions = proportions_of(answers, _MOST_DESCRIBED)
@@ -220,10 +216,6 @@ def _rule_false_positives(
     sizes = sorted(len(group.values) for group in every.groups(every.factors))
     is_used = any(each.reason is Reason.OUTLIER for each in left_out)
     return false_positives(plan.outliers, (sizes[0], sizes[-1])) if is_used and sizes[0] >= _PAIR else None
-
-
-def _is_contrast(hypothesis: Hypothesis, measure: str) -> bool:
-    return hypothesis.measure == measure and (hypothesis.contrast is not None or hypothesis.within is not None)
 
 
 def _described(

@@ -9,17 +9,17 @@ of those that apply together, are contrasts of the means of combinations, and to
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property, lru_cache
-from itertools import combinations, product
-from typing import TYPE_CHECKING, Self
+from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import linalg
 
 from robot_runner.analysis.arrays import Floats, Numbers
-from robot_runner.analysis.statistics.effect_coding import Term, coded_columns, kron, sum_coding
-from robot_runner.core.words import INACTIVE, enumerated
+from robot_runner.analysis.statistics.effect_coding import Conditions, Factors, Term, kron, sum_coding
+from robot_runner.core.words import INACTIVE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,13 +29,10 @@ if TYPE_CHECKING:
 #: What a conditional factor has where it does not apply.
 IDLE = str(INACTIVE)
 
-#: Where each factor applies: for each factor that decides, the treatments under which it does.
-Conditions = dict[str, dict[str, tuple[str, ...]]]
-
 _PAIR = 2
 
 
-class NestedFactors(dict[str, list[str]]):
+class NestedFactors(Factors):
     """Factors with their treatments, some of which apply under a condition only; `inactive` is no treatment.
 
     Attributes:
@@ -53,54 +50,12 @@ class NestedFactors(dict[str, list[str]]):
     """
 
     def __init__(self, treatments: Mapping[str, Sequence[str]], conditions: Conditions) -> None:
-        super().__init__({name: list(levels) for name, levels in treatments.items()})
-        self.conditions = conditions
+        super().__init__(treatments, conditions)
         self._columns = lru_cache(maxsize=16)(self._columns_of)
 
-    def only(self, names: Iterable[str]) -> Self:
-        """Return some of the factors, among which are all that decide on any of them."""
-        chosen = set(names)
-        own = {name: of for name, of in self.conditions.items() if name in chosen}
-        return type(self)({name: levels for name, levels in self.items() if name in chosen}, own)
-
-    def is_apart(self, names: Iterable[str]) -> bool:
-        """Return whether some factors and the others do not decide on each other."""
-        chosen = set(names)
-        return all((name in chosen) is (parent in chosen) for name, of in self.conditions.items() for parent in of)
-
-    def nested_in(self, names: Iterable[str]) -> set[str]:
-        """Return the factors on which any of these decides, or one that these decide on."""
-        found = set(names)
-        for _ in self.conditions:
-            found |= {name for name, of in self.conditions.items() if found & set(of)}
-        return found - set(names)
-
-    def scope(self, term: Iterable[str]) -> dict[str, list[str]]:
-        """Return the treatments that are left of each factor where all of some factors apply."""
-        left, open_names = dict(self), list(term)
-        while open_names:
-            for parent, wanted in self.conditions.get(open_names.pop(), {}).items():
-                left[parent] = [text for text in left[parent] if text in wanted]
-                open_names.append(parent)
-        return left
-
-    def levels(self, term: Sequence[str]) -> list[list[str]]:
-        """Return the treatments of each factor of an effect, where all of them apply."""
-        scope = self.scope(term)
-        return [scope[name] for name in term]
-
-    def terms(self, most: int) -> tuple[Term, ...]:
-        """Return the effects that there are, of so many factors at most: main effects first."""
-        return tuple(
-            term
-            for size in range(1, min(len(self), most) + 1)
-            for term in combinations(self, size)
-            if all(map(len, self.scope(term).values())) and min(map(len, self.levels(term))) >= _PAIR
-        )
-
-    def size(self, term: Sequence[str]) -> int:
-        """Return how many degrees of freedom an effect has."""
-        return math.prod(len(levels) - 1 for levels in self.levels(term))
+    def has(self, term: Sequence[str]) -> bool:
+        """Return whether there is an effect of these factors: whether they apply together, and vary there."""
+        return all(map(len, self.scope(term).values())) and min(map(len, self.levels(term))) >= _PAIR
 
     @property
     def count(self) -> int:
@@ -174,25 +129,30 @@ class NestedFactors(dict[str, list[str]]):
         turned, triangle = np.linalg.qr(rows.T)
         return np.asarray((turned * np.sign(np.diag(triangle))).T, dtype=np.float64)
 
-    def row(self, terms: Sequence[Sequence[str]], treatments: Mapping[str, str]) -> Floats:
+    def row(self, terms: Sequence[Term], treatments: Mapping[str, str]) -> Floats:
         """Return 1 and the columns of each effect, of the mean of some treatments; see `weights`."""
-        return np.asarray(self.weights(treatments) @ self._columns(tuple(map(tuple, terms))), dtype=np.float64)
+        return np.asarray(self.weights(treatments) @ self._columns(tuple(terms)), dtype=np.float64)
 
-    def columns_at(self, numbers: Numbers, terms: Sequence[Term]) -> list[Floats]:
-        """Return the columns of each effect, of runs or combinations by the number of their cell."""
-        return [self._coded(term)[numbers] for term in terms]
+    def columns(self, codes: Mapping[str, Numbers], terms: Sequence[Term]) -> dict[Term, Floats]:
+        """Return the columns of effects, coded to sum up to zero; where factors do not apply, 0."""
+        numbers = self.numbers(codes)
+        return {term: self._coded(term)[numbers] for term in terms}
 
     def squares(self, term: Sequence[str]) -> Floats:
-        """Return the mean over all combinations of the products of the columns of an effect."""
-        columns = self._coded(tuple(term))
-        return np.asarray(columns.T @ columns / len(columns), dtype=np.float64)
+        """Return the mean over all combinations of the products of the columns of an effect.
+
+        The columns are those that its contrasts see: where more is nested within one treatment than within others, the
+        effects do not sum up to zero over all combinations.
+        """
+        seen = self.contrasts(term) @ self._coded(term)
+        return np.asarray(seen.T @ seen / len(self.cells), dtype=np.float64)
 
     def _columns_of(self, terms: Sequence[Term]) -> Floats:
         """Return the columns of effects, (cells, columns): of those that do not apply to a cell 0."""
         parts = [np.ones((len(self.cells), 1)), *map(self._coded, terms)]
         return np.column_stack(parts)
 
-    def _coded(self, term: Term) -> Floats:
+    def _coded(self, term: Sequence[str]) -> Floats:
         places = [list(self).index(name) for name in term]
         coded = [dict(zip(levels, sum_coding(len(levels)), strict=True)) for levels in self.levels(term)]
         nothing = np.zeros(self.size(term))
@@ -202,24 +162,6 @@ class NestedFactors(dict[str, list[str]]):
             known = [each for each in own if each is not None]
             rows.append(kron(known, np.ones(1)) if len(known) == len(own) else nothing)
         return np.stack(rows)
-
-    def within(self, term: Iterable[str]) -> str:
-        """Return among which runs an effect is told, as in `Sensor=camera`; nothing where among all."""
-        left: dict[str, list[str]] = {}
-        for name in term:
-            for parent, wanted in self.conditions.get(name, {}).items():
-                left[parent] = [text for text in left.get(parent, self[parent]) if text in wanted]
-        return " and ".join(f"{parent}={' or '.join(texts)}" for parent, texts in left.items())
-
-    @property
-    def in_words(self) -> str:
-        """Where each conditional factor is tested, and what the means are that it is nested within."""
-        told = [f"{name} within {self.within([name])}" for name in self.conditions]
-        parents = enumerated(list(dict.fromkeys(parent for of in self.conditions.values() for parent in of)))
-        return (
-            f"Some factors apply to some runs only, and are tested among these: {enumerated(told)}. In a mean of "
-            f"{parents}, each treatment of a factor that is nested within counts the same."
-        )
 
 
 def codes_of(frame: pd.DataFrame, factors: Mapping[str, Sequence[str]]) -> dict[str, Numbers]:
@@ -233,20 +175,9 @@ def codes_of(frame: pd.DataFrame, factors: Mapping[str, Sequence[str]]) -> dict[
     }
 
 
-def columns_of(
-    factors: Mapping[str, Sequence[str]], codes: Mapping[str, Numbers], terms: Sequence[Term]
-) -> dict[Term, Floats]:
-    """Return the columns of effects, coded to sum up to zero; where factors do not apply, 0.
-
-    Args:
-        factors: the factors, with their treatments.
-        codes: as `codes_of` returns them.
-        terms: the effects.
-    """
-    if isinstance(factors, NestedFactors):
-        return dict(zip(terms, factors.columns_at(factors.numbers(codes), terms), strict=True))
-    sizes = {name: len(levels) for name, levels in factors.items()}
-    return {term: coded_columns(codes, sizes, term) for term in terms}
+def factors_of(treatments: Mapping[str, Sequence[str]], conditions: Conditions) -> Factors:
+    """Return factors with their treatments, nested where some apply to some runs only."""
+    return NestedFactors(treatments, conditions) if conditions else Factors(treatments)
 
 
 def conditions_of(planned: pd.DataFrame) -> Conditions:

@@ -21,7 +21,6 @@ from scipy import optimize, stats
 
 from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.analysed_design import VALUE, MeasureData
-from robot_runner.analysis.statistics.nested_factors import NestedFactors
 from robot_runner.analysis.statistics.outcome import Proportion, Proportions
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import (
@@ -154,7 +153,7 @@ def _problem(data: MeasureData) -> str:
 
 
 def _notes(data: MeasureData, effects: Sequence[Effect]) -> Iterator[str]:
-    if isinstance(treatments := data.treatments, NestedFactors):
+    if (treatments := data.treatments).conditions:
         told = [named_within(name, treatments.within([name])) for name in treatments.conditions]
         parents = dict.fromkeys(parent for of in treatments.conditions.values() for parent in of)
         yield (

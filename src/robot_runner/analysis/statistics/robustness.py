@@ -97,6 +97,29 @@ def standing_hypotheses(
         )
 
 
+def gathered(standings: Sequence[Standing], most: int) -> Iterator[str]:
+    """Yield whether conclusions on a measure stand; of more than `most` that share a verdict, how many there are.
+
+    Those that do not stand are told one by one, and so is what changes without the covariates.
+    """
+    for beside in Beside:
+        of_kind = [each for each in standings if each.beside is beside]
+        yield from (each.conclusion for each in of_kind if each.stands is False)
+        for verdict, what in ((True, "conclusions"), (None, "effects")):
+            alike = [each for each in of_kind if each.stands is verdict]
+            if len(alike) <= most or beside is Beside.WITHOUT_COVARIATES:
+                yield from (each.conclusion for each in alike)
+                continue
+            measure = alike[0].measure
+            which = f"{len(alike)} {'other ' * (len(alike) < len(of_kind))}{what} on {measure}"
+            told = (
+                f"{which} stand."
+                if verdict
+                else f"{which} cannot be tested: whether these conclusions stand is not known."
+            )
+            yield f"{Otherwise(beside, {measure: alike[0].left_out}).in_words(measure)} {told}"
+
+
 def _standing_effect(
     measure: MeasureStatistics, effect: Effect, without: MeasureStatistics, otherwise: Otherwise
 ) -> Standing:

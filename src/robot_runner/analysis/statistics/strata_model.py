@@ -10,7 +10,7 @@ leading axes, one experiment each.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -20,11 +20,14 @@ from scipy import stats
 
 from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
-from robot_runner.analysis.statistics.effect_coding import Term, marginal_row
-from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
+from robot_runner.analysis.statistics.effect_coding import Factors, Term
+from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, NoVariation, TestMethod
 
 #: Of a column: less than this share of it is what rounding leaves.
 _ROUNDING = 1e-9
+
+#: Takes of columns what lies in one stratum.
+_Projection = Callable[[Floats], Floats]
 
 
 class Hypothesis(NamedTuple):
@@ -114,7 +117,7 @@ class StrataModel:
         notes: what a reader has to know besides.
     """
 
-    factors: Mapping[str, Sequence[str]]
+    factors: Factors
     hypotheses: Mapping[Term, Hypothesis]
     stratum_of: Mapping[Term, int]
     fits: tuple[StratumFit, ...]
@@ -154,7 +157,7 @@ class StrataModel:
         Args:
             weights: treatments by factor, with the weight of their mean.
         """
-        rows = [weight * marginal_row(self.factors, self.terms, treatments)[1:] for treatments, weight in weights]
+        rows = [weight * self.factors.row(self.terms, treatments)[1:] for treatments, weight in weights]
         row = np.sum(rows, axis=0)
         estimate: Floats = np.zeros(self.fits[0].beta.shape[:-1])
         parts: list[Floats] = []
@@ -190,7 +193,7 @@ class StrataModel:
 
 
 def fit_strata(
-    factors: Mapping[str, Sequence[str]],
+    factors: Factors,
     hypotheses: Mapping[Term, Hypothesis],
     values: Floats,
     blocks: Floats,
@@ -228,49 +231,35 @@ def fit_strata(
         if fit is None:
             why = "the factors go together so closely with each other or with blocks that effects cannot be told apart."
             return NotComputed("the test", why)
-        fits.append(fit)
+        # What rounding leaves is no measure of chance: beside a mean square of 0, nothing is tested in a stratum.
+        is_rounding = np.sqrt(fit.mean_square) <= rounding_of(values)
+        fits.append(fit._replace(mean_square=np.where(is_rounding, 0.0, fit.mean_square)))
     if fits[-1].freedom < 1:
         return NotComputed(
             "the test", "there are too few runs for the number of effects, so that chance has no measure."
         )
-    if np.all(np.sqrt(fits[-1].mean_square) <= rounding_of(values)):
-        return NotComputed("the test", "beside the effects all values are equal, so that chance has no measure.")
+    if not np.any(fits[-1].mean_square):
+        return NoVariation("the test", "beside the effects all values are equal, so that chance has no measure.")
     size = 1 if plots is None else len(plots) // (int(plots.max()) + 1)
     return StrataModel(factors, hypotheses, stratum_of, tuple(fits), size, *told)
 
 
-class _Averaging:
-    """Takes the mean of each whole plot, or what is left without it."""
-
-    def __init__(self, plots: Numbers, *, is_within: bool) -> None:
-        self._belongs = np.eye(int(plots.max()) + 1)[plots]
-        self._size = len(plots) / self._belongs.shape[1]
-        self._is_within = is_within
-
-    def __call__(self, columns: Floats) -> Floats:
-        of_plots = np.tensordot(self._belongs.T, columns, axes=1) / self._size
-        means = np.tensordot(self._belongs, of_plots, axes=1)
-        return columns - means if self._is_within else means
-
-
-def _strata(plots: Numbers | None, runs: int) -> list[tuple[_Averaging | _AsItIs, int]] | None:
+def _strata(plots: Numbers | None, runs: int) -> list[tuple[_Projection, int]] | None:
+    """Return what projects columns onto each stratum, and its dimensions; None where whole plots are unequal."""
     if plots is None:
-        return [(_AsItIs(), runs)]
+        return [(lambda columns: columns, runs)]
     sizes = np.bincount(plots)
     if sizes.min() != sizes.max():
         return None
-    between, within = (_Averaging(plots, is_within=is_within) for is_within in (False, True))
-    return [(between, len(sizes)), (within, runs - len(sizes))]
+    belongs = np.eye(len(sizes))[plots]
+
+    def of_plots(columns: Floats) -> Floats:
+        return np.tensordot(belongs, np.tensordot(belongs.T, columns, axes=1) / sizes[0], axes=1)
+
+    return [(of_plots, len(sizes)), (lambda columns: columns - of_plots(columns), runs - len(sizes))]
 
 
-class _AsItIs:
-    """Leaves columns as they are: there is one stratum."""
-
-    def __call__(self, columns: Floats) -> Floats:
-        return columns
-
-
-def _stratum_of(columns: Floats, strata: Sequence[tuple[_Averaging | _AsItIs, int]]) -> int | None:
+def _stratum_of(columns: Floats, strata: Sequence[tuple[_Projection, int]]) -> int | None:
     """Return in which stratum an effect lies wholly; None where in none."""
     whole = float(np.sum(columns**2))
     for place, (project, _) in enumerate(strata):

@@ -37,6 +37,11 @@ class NotComputed:
 
 
 @dataclass(frozen=True, slots=True)
+class NoVariation(NotComputed):
+    """Something that could not be computed as nothing varies there, or by no more than rounding would make it."""
+
+
+@dataclass(frozen=True, slots=True)
 class Interval:
     """A confidence interval.
 

@@ -9,20 +9,23 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from scipy import stats
 
 from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans, fit_adjusted
-from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS, Layout, layout_of, relative_ranks
+from robot_runner.analysis.statistics.cell_layout import (
+    MOST_FACTORS,
+    Layout,
+    incomplete_layout,
+    layout_of,
+    relative_ranks,
+)
 from robot_runner.analysis.statistics.cell_means import BOOTSTRAP, SIGN_FLIPS, CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.designed_columns import taken_beside_plots
 from robot_runner.analysis.statistics.designed_models import designed_model_of
-from robot_runner.analysis.statistics.effect_sizes import omega_squared
+from robot_runner.analysis.statistics.effect_sizes import f_of_p_value, omega_squared
 from robot_runner.analysis.statistics.lenth_test import LenthModel
 from robot_runner.analysis.statistics.linear_model import FittedModel, fit_model
-from robot_runner.analysis.statistics.listed_cells import incomplete_layout
-from robot_runner.analysis.statistics.nested_factors import NestedFactors
 from robot_runner.analysis.statistics.strata_model import StrataModel
 from robot_runner.analysis.statistics.surface_model import SurfaceModel
 from robot_runner.analysis.statistics.tested import (
@@ -31,6 +34,7 @@ from robot_runner.analysis.statistics.tested import (
     EffectTest,
     MeasureTest,
     NotComputed,
+    NoVariation,
     TestMethod,
     TestPart,
 )
@@ -106,11 +110,11 @@ def model_of(
             return NotComputed("the test", why)
         return fit_model(data, _ranks(data) if estimand is Estimand.RANK else None)
     found = CellMeans.of_values(layout, data.values, estimand, statistic)
-    why = _why_not_ranked(layout) if estimand is Estimand.RANK else ""
     if not found.has_variation:
-        why = "within each combination all values are equal, so that chance has no measure."
-        if layout.is_blocked:
-            why = "all blocks respond to the treatments in the same way, so that chance has no measure."
+        same = "all blocks respond to the treatments in the same way"
+        same = same if layout.is_blocked else "within each combination all values are equal"
+        return NoVariation("the test", f"{same}, so that chance has no measure.")
+    why = _why_not_ranked(layout) if estimand is Estimand.RANK else ""
     return NotComputed("the test", why) if why else found
 
 
@@ -187,7 +191,7 @@ def _effect(model: AnyModel, found: EffectTest, beside: EffectTest | None, choic
         f_value, both = (statistic**2, (1.0, *freedom)) if len(freedom) == 1 else (statistic, freedom)
         if found.parts or BOOTSTRAP in found.test or SIGN_FLIPS in found.test:
             # The interval is to belong to the p-value.
-            f_value = float(stats.f.isf(p_value, *both))
+            f_value = f_of_p_value(p_value, (both[0], both[1]))
         is_partial = len(levels_of(model)) > 1
         size = omega_squared(
             f_value, (both[0], both[1]), variance, float(model.spread), alpha=choices.alpha, is_partial=is_partial
@@ -313,7 +317,7 @@ _CONTAINMENT = (
 
 
 def _nested_notes(data: MeasureData) -> Iterator[str]:
-    if isinstance(treatments := data.treatments, NestedFactors):
+    if (treatments := data.treatments).conditions:
         yield treatments.in_words
 
 

@@ -26,7 +26,7 @@ from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.words import counted
 from robot_runner.legacy.conversion.bases import load_apart
-from robot_runner.legacy.conversion.callbacks import NOTHING
+from robot_runner.legacy.conversion.callbacks import NOTHING, is_told_as_of_codecarbon
 from robot_runner.legacy.conversion.converting import Conversion, convert, new_file
 from robot_runner.legacy.conversion.names import ONLY_FACTOR
 from robot_runner.legacy.recognition import recognise
@@ -192,7 +192,8 @@ def _differences(before: Experiment, after: Experiment) -> Iterator[Finding]:
     is_random = before.model.shuffle or after.model.shuffle
     if Counter(old) == Counter(new) and old != new and not is_random:
         yield Finding.error("run table", "the order of the runs is another", "Mend it by hand.")
-    lost = set(before.columns.names) - set(after.columns.names)
+    names = after.columns.names
+    lost = {name for name in before.columns.names if name not in names and not is_told_as_of_codecarbon(name, names)}
     if lost:
         yield Finding.warning(
             "run table",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from robot_runner.core.errors import Finding
@@ -224,14 +224,28 @@ def _subscribes(statement: ast.stmt) -> bool:
 _PLUGIN = "CodeCarbon"
 _HOME = "robot_runner.plugins.profilers"
 _COUNTRY = "country_iso_code"
-_COLUMNS = (
-    "CodeCarbon's columns are Emissions (kg), Energy (J), CPUEnergy (J) and MemoryEnergy (J) now; "
-    "the earlier ones were in kWh"
-)
+_INTERVAL = "measure_power_secs"
+#: What our profiler has no use for: its columns, and that its tracker may ask the internet.
+_OF_WRAPPER = {"data_columns", "online"}
+#: What CodeCarbon's columns are called by our profiler, the one of the plugin's first version among them.
+_MEASURES = {
+    "__co2_emissions": "Emissions",
+    "codecarbon__emissions": "Emissions",
+    "codecarbon__energy_consumed": "Energy",
+    "codecarbon__cpu_energy": "CPUEnergy",
+    "codecarbon__ram_energy": "MemoryEnergy",
+}
+_OF_CODECARBON = "codecarbon__"
 
 
-def convert_decorators(converted: ConvertedFile, config: ast.ClassDef) -> None:
-    """Remove the decorators, from the tree as well, and have the config list the profiler."""
+def convert_decorators(converted: ConvertedFile, config: ast.ClassDef, columns: Sequence[str]) -> None:
+    """Remove the decorators, from the tree as well, and have the config list the profiler and its columns.
+
+    Args:
+        converted: the file.
+        config: its config class.
+        columns: those that the run table had.
+    """
     plugins = {each.bound_as: plugin_of(f"{each.module}.{each.name}") for each in imports_of(converted.tree)}
     names = {bound for bound, plugin in plugins.items() if plugin is not None and plugin.ours == _PLUGIN}
     removed: list[ast.expr] = []
@@ -244,22 +258,53 @@ def convert_decorators(converted: ConvertedFile, config: ast.ClassDef) -> None:
         converted.edits.remove_lines(decorator.lineno, decorator.end_lineno or decorator.lineno)
     if removed:
         keywords = [keyword for each in removed if isinstance(each, ast.Call) for keyword in each.keywords]
-        countries = [keyword.value for keyword in keywords if keyword.arg == _COUNTRY]
-        _list_profiler(converted, config, countries[0] if countries else None)
+        settings = {each.arg: converted.edits.source(each.value) for each in keywords if each.arg is not None}
+        _list_profiler(converted, config, settings)
+        _list_columns(converted, config, columns)
 
 
-def _list_profiler(converted: ConvertedFile, config: ast.ClassDef, country: ast.expr | None) -> None:
-    if country is None:
+def _list_profiler(converted: ConvertedFile, config: ast.ClassDef, settings: Mapping[str, str]) -> None:
+    if _COUNTRY not in settings:
         problem = f"CodeCarbon's decorators do not say the {_COUNTRY}"
         converted.refuse(config.lineno, problem, f"Write it, as in {_COUNTRY}='NLD'.")
         return
     first, edits = config.body[0], converted.edits
-    listed = f"plugins = [{_PLUGIN}(country={edits.source(country)})]"
-    edits.insert(edits.start_of(first), f"{listed}\n{' ' * first.col_offset}")
+    given = f"country={settings[_COUNTRY]}"
+    given += f", interval_s={settings[_INTERVAL]}" if _INTERVAL in settings else ""
+    known = {_COUNTRY, _INTERVAL, *_OF_WRAPPER}
+    options = ", ".join(f'"{name}": {value}' for name, value in settings.items() if name not in known)
+    given += f", options={{{options}}}" if options else ""
+    edits.insert(edits.start_of(first), f"plugins = [{_PLUGIN}({given})]\n{' ' * first.col_offset}")
     converted.profilers.setdefault(_HOME, set()).add(_PLUGIN)
-    problem = f"CodeCarbon's decorators are a profiler now: {_COLUMNS}"
-    where = f"{converted.path}:{config.lineno}"
-    converted.findings.append(Finding.warning(where, problem, "Read them in your analysis."))
+
+
+def is_told_as_of_codecarbon(column: str, columns: Sequence[str]) -> bool:
+    """Return whether a column was CodeCarbon's, and its measure is among the new columns or has none."""
+    return _MEASURES[column] in columns if column in _MEASURES else column.startswith(_OF_CODECARBON)
+
+
+def _list_columns(converted: ConvertedFile, config: ast.ClassDef, columns: Sequence[str]) -> None:
+    """Have the run table's columns name those of the profiler, and say what became of each earlier one."""
+    ours = {name: _MEASURES[name] for name in columns if name in _MEASURES}
+    names = ", ".join(f'"{each}"' for each in dict.fromkeys(ours.values()))
+    keywords = [keyword for call in nodes(converted.tree, ast.Call) for keyword in call.keywords]
+    for listed in (each.value for each in keywords if each.arg == "data_columns" and names):
+        match listed:
+            case ast.List(elts=[]):
+                converted.edits.replace(listed, f"[{names}]")
+            case ast.List(elts=[*_, last]):
+                converted.edits.insert(converted.edits.end_of(last), f", {names}")
+            case _:
+                pass  # that there is no such column is found where the new config is loaded
+    told = [f"{name} is {measure} now" for name, measure in ours.items()]
+    told += [
+        f"{name} has no column any more, and stands in emissions.json of each run"
+        for name in columns
+        if name.startswith(_OF_CODECARBON) and name not in ours
+    ]
+    problem = "; ".join(["CodeCarbon's decorators are a profiler now", *told])
+    fix = "Read them so in your analysis: emissions in kg, energies in J, which were in kWh."
+    converted.findings.append(Finding.warning(f"{converted.path}:{config.lineno}", problem, fix))
 
 
 def _root(decorator: ast.expr) -> str:

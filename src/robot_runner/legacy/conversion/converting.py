@@ -231,7 +231,7 @@ class _Converting:
     def convert(self) -> None:
         """Make the text."""
         config, callbacks = self.config, self._callbacks
-        convert_decorators(self.file, config)
+        convert_decorators(self.file, config, self._experiment.columns.names)
         lines = [*convert_imports(self.file), *convert_base_imports(self.file, self._inherited)]
         self.file.findings += rename_clashing(self._session, self.file)
         where = f"{self.file.path}:{config.lineno}"

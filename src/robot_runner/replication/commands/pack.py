@@ -29,7 +29,7 @@ from robot_runner.cli.console import (
 from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.parser import Parser, UsageError, add_json, add_set
 from robot_runner.cli.screens.progress_bars import byte_progress
-from robot_runner.cli.target import folder_of_target, only_experiment
+from robot_runner.cli.target import target_or_only
 from robot_runner.core.words import counted, one_line
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Write the package; say what is in it, what is not, and what others will miss."""
-    folder = folder_of_target(arguments.target or only_experiment("pack"), arguments.set).root
+    folder = target_or_only("pack", arguments.target, arguments.set).root
     authors, licence = _authors(arguments.author), _licence(arguments.licence)
     from robot_runner.replication.container import as_base  # noqa: PLC0415 - only where a package is made
     from robot_runner.replication.packing import pack  # noqa: PLC0415 - takes a while to import

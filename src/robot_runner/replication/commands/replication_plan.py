@@ -26,6 +26,7 @@ from robot_runner.core.errors import Finding
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.words import counted, listed, one_line
 from robot_runner.replication.container import container_commands, is_pinned
+from robot_runner.replication.contents import config_of
 from robot_runner.replication.differences import Difference, ranked, remaining_differences
 from robot_runner.replication.replicating import Source, original_settings
 
@@ -96,7 +97,7 @@ def print_plan(
     head = Text(one_line(source.experiment), style="bold").append(f"  {sealed[0]}", f"not bold {sealed[1]}")
     console.print(head, soft_wrap=True)
     facts = [
-        ("Executes", f"config/{(manifest.get('config') or {}).get('file')}, seed {manifest.get('seed')}"),
+        ("Executes", f"{config_of(manifest)}, seed {manifest.get('seed')}"),
         (
             "As then",
             ", ".join(f"{name}={text}" for name, text in shown_settings(settings).items() if name not in deviations),

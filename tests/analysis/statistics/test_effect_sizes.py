@@ -1,0 +1,61 @@
+"""Sizes of effects that are far larger than chance, as simulations have them, whose p-values are next to nothing."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from tests.analysis.made_experiment import make_experiment
+
+from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.statistics.effect_sizes import f_of_p_value, noncentralities_of_f, noncentralities_of_t
+from robot_runner.core.design.factor import Factor
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+#: `qf(p, df1, df2, lower.tail = FALSE)` of R 4.2.
+QUANTILES = [
+    (4.11429377292715e-14, (2, 33.31803265646995), 89.3055009102836),
+    (1e-8, (3, 20), 40.9515860983881),
+    (1e-30, (3, 40), 443.94640253374797),
+    (0.05, (2, 20), 3.49282847673563),
+]
+
+
+@pytest.mark.parametrize(("p_value", "freedom", "f_value"), QUANTILES)
+def test_the_f_of_a_p_value_is_that_of_r_however_small_the_p_value_is(
+    p_value: float, freedom: tuple[float, float], f_value: float
+) -> None:
+    assert f_of_p_value(p_value, freedom) == pytest.approx(f_value, rel=1e-12)
+
+
+@pytest.mark.parametrize(("step", "has_interval"), [(2, True), (10, True), (1e7, False)])
+def test_an_effect_of_three_treatments_has_a_size_however_clear_it_is(
+    tmp_path: Path, step: float, has_interval: bool
+) -> None:
+    random = np.random.default_rng(1)
+
+    def values(treatments: dict[str, Any], repetition: int) -> dict[str, Any]:
+        return {"Energy": 1000 + step * "abc".index(treatments["Task"]) + random.normal()}
+
+    folder = make_experiment(tmp_path / "made", [Factor("Task", ["a", "b", "c"])], values, repetitions=20).root
+    measure = analyse(load_results(folder)).measure("Energy")
+    assert measure.test is not None
+    (effect,) = measure.test.effects
+    assert effect.p_value is not None
+    assert effect.p_value < 1e-16
+    (size,) = effect.effect_sizes
+    # Three means a step from each other, of a spread of about 1: their variance is two thirds of the step's square.
+    assert size.value == pytest.approx(1 - 1 / (1 + step**2 * 2 / 3), abs=0.07)
+    assert "the effect is large, omega squared = " in effect.conclusion
+    assert (size.interval is not None) is has_interval
+    missing = [each.what for each in measure.not_computed]
+    assert ("interval of omega squared of Task" in missing) is not has_interval
+
+
+@pytest.mark.parametrize("f_value", [1e11, 1e17, 1e40])
+def test_an_f_or_a_t_that_no_library_inverts_is_given_up_at_once(f_value: float) -> None:
+    assert noncentralities_of_f(f_value, (2, 33.3), 0.9) is None
+    assert noncentralities_of_t(-(f_value**0.5) - 1, 18, 0.95) is None
