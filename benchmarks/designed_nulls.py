@@ -19,12 +19,13 @@ from scipy import stats
 from benchmarks.table import Judged
 from robot_runner.analysis.planning.planned_study import PlannedResults
 from robot_runner.analysis.statistics.analysed_design import design_of
+from robot_runner.analysis.statistics.cell_layout import incomplete_layout
 from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.designed_models import designed_model_of
 from robot_runner.analysis.statistics.known_design import PLAIN
 from robot_runner.analysis.statistics.lenth_test import LenthModel, fit_lenth
-from robot_runner.analysis.statistics.listed_cells import incomplete_layout
+from robot_runner.analysis.statistics.nested_factors import codes_of
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.core.design.analysis_plan import Correction, Estimand, Statistic
@@ -145,9 +146,8 @@ def _wrongly(data: MeasureData, values: Floats) -> tuple[str, Floats] | None:
         return "one variance for all", _of_one_variance(data, values)
     if data.known.is_surface or len(values[0]) > len(data.frame[list(data.factors)].drop_duplicates()):
         return None
-    levels = {name: data.levels(name) for name in data.factors}
-    codes = {name: (data.frame[name].astype(str) == of[1]).to_numpy(dtype=int) for name, of in levels.items()}
-    model = fit_lenth(levels, codes, data.known.terms, values)
+    factors = data.treatments
+    model = fit_lenth(factors, codes_of(data.frame, factors), data.known.terms, values)
     if not isinstance(model, LenthModel):
         raise TypeError("the fraction is not orthogonal")
     effects = values @ model.columns
