@@ -15,7 +15,7 @@ from robot_runner.analysis.comparison.comparison_document import json_of_compari
 from robot_runner.analysis.libraries import MissingLibraryError
 from robot_runner.cli.main import main
 from robot_runner.core.errors import PackageError
-from robot_runner.core.events.measure import ROBOTS_OWNER
+from robot_runner.core.events.measure import OPERATOR_OWNER, ROBOTS_OWNER
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 from robot_runner.replication.commands import replication_verdict
 from robot_runner.replication.needed_runs import needed_runs, runs_for_difference, runs_for_equivalence
@@ -194,7 +194,7 @@ def _measure(name, unit="J", origin="simulated"):
     return ColumnDescription(name=name, role=ColumnRole.MEASURE, unit=unit, origin=origin)
 
 
-def test_how_long_the_machine_took_and_which_robot_was_free_are_not_primary():
+def test_how_long_the_machine_took_which_robot_was_free_and_what_the_operator_answered_are_not_primary():
     columns = [
         _measure("Energy"),
         _measure("Took", "ms", "measured"),
@@ -207,6 +207,9 @@ def test_how_long_the_machine_took_and_which_robot_was_free_are_not_primary():
     assert not any(why_not_primary([columns[1]], simulated).values())  # there is nothing else
     robot = ColumnDescription(name="Robot", role=ColumnRole.MEASURE, owner=ROBOTS_OWNER)
     assert why_not_primary([columns[0], robot], real) == {"Energy": "", "Robot": "it is which robot was free"}
+    voltage = ColumnDescription(name="voltage", role=ColumnRole.MEASURE, unit="V", owner=OPERATOR_OWNER)
+    assert why_not_primary([columns[0], voltage], real)["voltage"] == "it is what the operator answered"
+    assert why_not_primary([voltage], real) == {"voltage": ""}  # there is nothing else
     planned = {**simulated, "analysis": {"measures": ["Took"]}}
     assert [name for name, because in why_not_primary(columns, planned).items() if not because] == ["Took"]
 

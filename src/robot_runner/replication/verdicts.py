@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from robot_runner.core.events.measure import QUALITY_SUFFIX, ROBOTS_OWNER
+from robot_runner.core.events.measure import OPERATOR_OWNER, QUALITY_SUFFIX, ROBOTS_OWNER
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 from robot_runner.core.words import counted, enumerated, has_true_zero, listed, shown_value
 from robot_runner.replication.needed_runs import needed_runs
@@ -98,11 +98,16 @@ class ReplicationVerdict:
     measures: tuple[MeasureConclusion, ...]
 
 
+#: Why measures of these owners are not primary where no plan names any.
+_CIRCUMSTANCES = {ROBOTS_OWNER: "it is which robot was free", OPERATOR_OWNER: "it is what the operator answered"}
+
+
 def why_not_primary(columns: Sequence[ColumnDescription], manifest: Mapping[str, Any]) -> dict[str, str]:
     """Return why each measure of an experiment is not primary, by name; the primary ones have an empty text.
 
     The plan of the analysis names them, where there is one. Otherwise all are, but for how long this machine took on a
-    simulated robot, which depends on what else it did, and for which of several robots a run was executed on.
+    simulated robot, which depends on what else it did, for which of several robots a run was executed on, and for what
+    the operator answered, which tells of the circumstances.
     """
     measures = [
         column for column in columns if column.role is ColumnRole.MEASURE and not column.name.endswith(QUALITY_SUFFIX)
@@ -116,8 +121,9 @@ def why_not_primary(columns: Sequence[ColumnDescription], manifest: Mapping[str,
             found[column.name] = "" if column.name in planned else "the plan does not name it as primary"
         else:
             is_timing = is_simulated and column.unit in _TIMES and column.origin in _MEASURED
-            because = "it is which robot was free" if column.owner == ROBOTS_OWNER else ""
-            found[column.name] = "it is how long the machine took" if is_timing else because
+            found[column.name] = (
+                "it is how long the machine took" if is_timing else _CIRCUMSTANCES.get(column.owner, "")
+            )
     return found if not all(found.values()) else dict.fromkeys(found, "")
 
 
