@@ -23,7 +23,7 @@ _VARYING = re.compile(r"\([^()]*, pid \d+[^()]*\)|\d+(?:[.,]\d+)*")
 _SMALLEST_P = 0.001
 #: Usual levels of significance: no p-value is rounded to one, so that it is seen on which side it lies.
 _LEVELS = (0.1, 0.05, 0.01, 0.005)
-_P_DIGITS, _MOST_P_DIGITS = 3, 17
+_P_DIGITS, _SIZE_DIGITS, _MOST_DIGITS = 3, 2, 17
 _LARGE_STATISTIC = 999.5  # three digits of what is larger are written with an exponent
 _DIGITS = 4
 _LARGE, _SMALL, _HUGE = 1e4, 1e-4, 1e7
@@ -100,7 +100,7 @@ def shown_p(p_value: float | None) -> str:
         return MISSING
     if p_value < _SMALLEST_P:
         return f"< {_SMALLEST_P}"
-    texts = (f"{p_value:.{digits}f}" for digits in range(_P_DIGITS, _MOST_P_DIGITS + 1))
+    texts = (f"{p_value:.{digits}f}" for digits in range(_P_DIGITS, _MOST_DIGITS + 1))
     return next((text for text in texts if p_value in _LEVELS or float(text) not in _LEVELS), repr(p_value))
 
 
@@ -127,14 +127,25 @@ def p_values_in_words(p_value: float, adjusted: float | None) -> str:
 
 
 def shown_statistic(value: float) -> str:
-    """Return a statistic as it stands in a sentence.
+    """Return a statistic as it stands in a sentence: zeros at its end are digits, too.
 
     Example:
-        >>> [shown_statistic(each) for each in (1.8642, 999.7, 1830.2, 2.5e12)]
-        ['1.86', '1,000', '1,830', '2.5e+12']
+        >>> [shown_statistic(each) for each in (1.8642, 6.6, 999.7, 1830.2, 2.5e12)]
+        ['1.86', '6.60', '1,000', '1,830', '2.50e+12']
     """
     is_plain = _LARGE_STATISTIC <= abs(value) < _HUGE
-    return f"{value:,.0f}" if is_plain else f"{value:.3g}"
+    return f"{value:,.0f}" if is_plain else f"{value:#.3g}".rstrip(".")
+
+
+def shown_coefficient(value: float) -> str:
+    """Return a correlation or an effect size as it stands in a sentence; what is less than 1 is not rounded to it.
+
+    Example:
+        >>> [shown_coefficient(each) for each in (0.9944, 0.9971, -0.99996, 1.0)]
+        ['0.99', '0.997', '-0.99996', '1.00']
+    """
+    texts = (f"{value:.{digits}f}" for digits in range(_SIZE_DIGITS, _MOST_DIGITS + 1))
+    return next((text for text in texts if abs(value) >= 1 or abs(float(text)) < 1), repr(value))
 
 
 def shown_interval(interval: Interval | None, digits: int = _DIGITS) -> str:

@@ -91,6 +91,7 @@ DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
     "seconds since 1970": ([MAPS], 4, set(), {}),
     "many small groups": ([Factor("Speed", [0.5, 1.0, 1.5, 2.0, 2.5, 3.0])], 3, set(), {}),
     "two factors, unequal numbers": ([TASKS, MAPS], 4, {1, 8}, {}),
+    "two factors, spreads far apart": ([TASKS, MAPS], 5, set(), {}),
     "a planned contrast, doubtful values": ([TASKS], 6, set(), {"analysis": PLAN, "doubts": {"r_2": "weak"}}),
     "outliers left out": (
         [TASKS],
@@ -123,6 +124,7 @@ DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
         {"blocks": "Repetition"},
     ),
     "incomplete blocks": ([TASKS], 8, {1, 5, 9, 13}, {"blocks": "Repetition"}),
+    "incomplete blocks, tiny differences": ([TASKS, MAPS], 6, {3, 8, 9}, {"blocks": "Repetition"}),
     "blocks, margins and gaps": ([TASKS, MAPS], 6, {3, 8, 9}, {"blocks": "Repetition"}),
     "replicated blocks": ([MAPS, Factor("Room", ["a", "b", "c", "d", "e"])], 2, set(), {"blocks": "Room"}),
     "ranks": ([TASKS], 5, set(), {"analysis": {"measures": ["Energy"], "estimand": "rank"}}),
@@ -208,10 +210,14 @@ def experiment(folder: Path, name: str) -> Path:
     def values(treatments: dict[str, Any], repetition: int) -> dict[str, Any] | None:
         effect = sum(at[str(treatments[each])] for each, at in places.items())
         energy = 50 + (20 if "large" in name else 1.5) * effect + repetition % 3 + (1 + effect % 2) * random.normal()
+        if "far apart" in name and effect == 0:
+            energy += 1e6 * random.normal()
         if "ties" in name:  # of three values two are equal: to rounding, the p-value of Shapiro and Wilk is 0
             energy = 2 * round(energy / 2)
         if "since 1970" in name:
             energy = 1.764e9 + energy / 1000
+        if "tiny differences" in name:
+            energy = 50 + energy * 1e-7
         told = bool(random.random() < 0.3 + 0.2 * effect) if "yes or no" in name else float(energy)
         return None if next(runs) in missing else {"Energy": told, "CPU": float(random.lognormal())}
 

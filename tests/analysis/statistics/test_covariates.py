@@ -271,9 +271,13 @@ def test_runs_without_a_covariate_are_named(tmp_path: Path) -> None:
         return drained(treatments, repetition) | ({"Voltage": None} if repetition == 4 else {})
 
     statistics = experiment(tmp_path, value, ["Voltage"], shuffle=False)
-    left_out = statistics.measure("Energy").left_out
+    measure = statistics.measure("Energy")
+    left_out = measure.left_out
     assert [(each.run_id, each.reason) for each in left_out] == [("r_7", Reason.COVARIATE), ("r_8", Reason.COVARIATE)]
-    assert "Energy is compared without 2 runs of which a covariate is missing (r_7, r_8)." in statistics.warnings
+    why = "Energy is compared without 2 runs of which a covariate is missing (r_7, r_8); descriptions have them."
+    assert why in statistics.warnings
+    assert (measure.overall.n, sum(each.n for each in measure.by_treatment)) == (24, 24)
+    assert len(measure.quantiles.run_ids) == 22
     assert statistics.without_covariates[0].overall.n == 24
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from itertools import product
 
 import numpy as np
@@ -222,6 +223,29 @@ def test_the_bootstrap_agrees_with_the_approximation_where_that_holds():
     (effect,) = layout.effects
     again = bootstrapped(lambda drawn: welch_james(drawn, effect.between).p_value, moments)
     assert float(again) == pytest.approx(float(welch_james(moments, effect.between).p_value), abs=0.01)
+
+
+def test_welch_james_keeps_its_digits_where_variances_differ_by_far():
+    means, variances = [0, 3, 1, 5, 2, 4], [3, *(Fraction(each, 2**38) for each in (1, 5, 2, 7, 4))]
+    contrasts = [[1, -1, -1, 1, 0, 0], [1, -1, 1, -1, -2, 2]]
+    (a, b), (_, d) = (
+        [sum(x * y * of for x, y, of in zip(one, other, variances, strict=True)) for other in contrasts]
+        for one in contrasts
+    )
+    inverse = [[d / (a * d - b * b), -b / (a * d - b * b)], [-b / (a * d - b * b), a / (a * d - b * b)]]
+    differences = [sum(x * mean for x, mean in zip(each, means, strict=True)) for each in contrasts]
+    wald = sum(differences[i] * inverse[i][j] * differences[j] for i in (0, 1) for j in (0, 1))
+    shares = [
+        of * sum(contrasts[i][at] * inverse[i][j] * contrasts[j][at] for i in (0, 1) for j in (0, 1))
+        for at, of in enumerate(variances)
+    ]
+    chance = sum(each**2 for each in shares) / 9
+    moments = Moments(
+        np.array(means, dtype=float)[:, None], np.array(variances, dtype=float)[:, None, None], np.full(6, 9.0)
+    )
+    found = welch_james(moments, np.array(contrasts, dtype=float))
+    assert float(found.f_value) == pytest.approx(float(wald / (2 + 2 * chance - 6 * chance / 4)), rel=1e-9)
+    assert float(found.within) == pytest.approx(float(8 / (3 * chance)), rel=1e-9)
 
 
 def test_two_p_values_together_are_a_mean_of_both():

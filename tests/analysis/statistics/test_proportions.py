@@ -194,7 +194,7 @@ def test_a_treatment_that_always_succeeds_is_no_obstacle(tmp_path: Path) -> None
     assert effect.p_value == pytest.approx(2 / math.comb(16, 8))
     assert effect.conclusion == (
         "Planner has an effect on Success: the proportion of DWB is higher than that of TEB by 100.0 percentage points "
-        "(Mantel-Haenszel χ²(1) = 15, p < 0.001)."
+        "(Mantel-Haenszel χ²(1) = 15.0, p < 0.001)."
     )
     (pair,) = found.post_hoc[0].comparisons
     assert pair.interval is not None

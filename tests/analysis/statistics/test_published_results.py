@@ -296,6 +296,16 @@ def test_mixed_model_of_a_block_that_lacks_a_treatment():
     assert effect.freedom == (3.0, 24.0)
 
 
+def test_a_mixed_model_of_large_values_that_hardly_differ_keeps_its_digits():
+    measure = data.npk()
+    tenths = np.round(measure.values * 10)
+    plain, far = (fit_model(measure, response) for response in (tenths, 50 + tenths * 2.0**-30))
+    for one, other in zip(plain.effects(), far.effects(), strict=True):
+        assert other.statistic == pytest.approx(one.statistic, rel=1e-7)
+    assert far.fit.ratio == pytest.approx(plain.fit.ratio, rel=1e-6)
+    assert far.fit.beta[0] == pytest.approx(50 + plain.fit.beta[0] * 2.0**-30, rel=1e-14)
+
+
 def test_errors_of_a_mixed_model_whose_blocks_lack_different_treatments():
     # nlme: lme(effort ~ Type, random = ~ 1 | Subject) without Type 1 of Subject 1, 2 of 2, 3 of 3 and 4 of 4:
     # F = 25.1455787, the error of T2 - T3 and of T1 - T4 is 0.517140711.

@@ -20,12 +20,13 @@ def values_of(kind, count):
         "whole numbers": random.integers(0, 4, count).astype(float),
         "mostly alike": np.where(random.random(count) < 0.9, 0.0, random.normal(size=count)),
         "heavy tails": random.standard_cauchy(count),
+        "far from 0": 50 + 1e-9 * random.normal(size=count),
         "a step": np.repeat([0.0, 1.0], [count // 2, count - count // 2]),
     }[kind]
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", ["drifting", "whole numbers", "mostly alike", "heavy tails", "a step"])
+@pytest.mark.parametrize("kind", ["drifting", "whole numbers", "mostly alike", "heavy tails", "far from 0", "a step"])
 @pytest.mark.parametrize(("level", "least"), [(0.95, 1), (0.99, 1), (0.95, 0)])  # 0: some places are alike
 def test_it_is_the_slope_of_scipy_to_the_last_digit(kind, level, least):
     values = values_of(kind, MANY)
@@ -35,10 +36,20 @@ def test_it_is_the_slope_of_scipy_to_the_last_digit(kind, level, least):
 
 
 @pytest.mark.long
-def test_of_five_thousand_values_it_holds_a_few_megabytes_where_scipy_holds_hundreds():
-    values, places = values_of("drifting", 5_000), np.arange(1.0, 5_001.0)
+def test_places_of_which_two_are_hardly_apart_are_no_obstacle():
+    values, places = values_of("drifting", MANY), np.arange(float(MANY))
+    places[7] = places[6] + 1e-9
+    expected = stats.theilslopes(values, places, alpha=0.95)
+    assert theil_sen(places, values, 0.95) == (expected.slope, expected.low_slope, expected.high_slope)
+
+
+@pytest.mark.long
+def test_of_fifty_thousand_values_it_does_not_go_through_a_billion_pairs():
+    values, places = values_of("drifting", 50_000), np.arange(1.0, 50_001.0)
     tracemalloc.start()
-    theil_sen(places, values, 0.95)
+    found = theil_sen(places, values, 0.95)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 60e6
+    assert found.low < 0.002 < found.high
+    assert found.slope == pytest.approx(0.002, abs=1e-5)

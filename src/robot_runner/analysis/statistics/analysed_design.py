@@ -189,13 +189,13 @@ class MeasureData:
             return [group_of({}, values, run_ids, units, unit)]
         # By the codes of the treatments, so that groups come in the order of the treatments.
         codes = [np.asarray(self.every[factor].cat.codes) for factor in factors]
-        categories = [self.every[factor].cat.categories for factor in factors]
+        categories = [self.every[factor].cat.categories.astype(str).tolist() for factor in factors]
         order = np.lexsort(codes[::-1])
         keys = np.column_stack(codes)[order]
         starts = np.flatnonzero(np.any(np.diff(keys, axis=0), axis=1)) + 1
         return [
             group_of(
-                {name: str(names[code]) for name, names, code in zip(factors, categories, keys[first], strict=True)},
+                {name: names[code] for name, names, code in zip(factors, categories, keys[first], strict=True)},
                 values[rows],
                 run_ids[rows],
                 None if units is None else units[rows],

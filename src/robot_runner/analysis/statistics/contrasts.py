@@ -52,8 +52,8 @@ _ROUNDED = 1e-13
 #: Of means: by so much, some units in the last place, those of the same values differ, and no others.
 _LAST_PLACES = 1e-15
 
-#: A covariance worse conditioned than this cannot be inverted: two and more cells have no spread at all.
-_SINGULAR = 1e12
+#: Standard deviations of contrasts that differ by more are none: two and more cells have no spread at all.
+_SINGULAR = 1e6
 
 
 class Moments(NamedTuple):
@@ -181,9 +181,9 @@ def welch_james(moments: Moments, between: Floats) -> Tested | None:
     found = _wald(means, variances, between)
     if found is None:
         return None
-    wald, weights = found
+    wald, shares = found
     count = len(between)
-    a = np.sum((weights * variances) ** 2 / moments.freedom, axis=-1)
+    a = np.sum(shares**2 / moments.freedom, axis=-1)
     freedom = count * (count + 2) / (3 * a)
     f_value = wald / (count + 2 * a - 6 * a / (count + 2))
     return Tested(f_value, np.full_like(f_value, count), freedom, np.asarray(stats.f.sf(f_value, count, freedom)))
@@ -204,20 +204,22 @@ def combined(p_values: Sequence[Floats]) -> Floats:
 
 
 def _wald(means: Floats, variances: Floats, between: Floats) -> tuple[Floats, Floats] | None:
-    """Return Wald's statistic, and the weight that each variance has in the projection."""
+    """Return Wald's statistic, and the share that each group has in the projection: its leverage."""
     if len(between) == means.shape[-1] - 1 and np.all(variances > 0):
-        # All contrasts of the groups at once: no matrix is to be inverted.
+        # All contrasts of the groups at once: no matrix is to be taken apart.
         inverses = 1 / variances
         total = inverses.sum(axis=-1, keepdims=True)
         centre = np.sum(inverses * means, axis=-1, keepdims=True) / total
-        return np.sum(inverses * (means - centre) ** 2, axis=-1), inverses * (1 - inverses / total)
-    spread = np.einsum("ag,...g,bg->...ab", between, variances, between)
-    if not np.isfinite(spread).all() or np.max(np.linalg.cond(spread)) > _SINGULAR:
+        return np.sum(inverses * (means - centre) ** 2, axis=-1), 1 - inverses / total
+    # Of contrasts times standard deviations: their covariance would square what these differ by.
+    scaled = between * np.sqrt(variances)[..., None, :]
+    if not np.isfinite(scaled).all():
         return None
-    inverse = np.linalg.inv(spread)
-    differences = means @ between.T
-    wald = np.einsum("...a,...ab,...b->...", differences, inverse, differences)
-    return wald, np.einsum("ag,...ab,bg->...g", between, inverse, between)
+    left, sizes, right = np.linalg.svd(scaled, full_matrices=False)
+    if not np.all(sizes[..., 0] < _SINGULAR * sizes[..., -1]):
+        return None
+    differences = np.einsum("...as,...a->...s", left, means @ between.T) / sizes
+    return np.sum(differences**2, axis=-1), np.sum(right**2, axis=-2)
 
 
 def can_be_bootstrapped(between: Floats) -> bool:
@@ -239,7 +241,7 @@ def is_crowded(freedom: Floats, between: Floats) -> bool:
     found = _wald(np.zeros(len(freedom)), variances, between)
     if found is None:
         return True
-    a = float(np.sum((found[1] * variances) ** 2 / freedom))
+    a = float(np.sum(found[1] ** 2 / freedom))
     return count * (count + 2) / (3 * a) < _FEWEST_FREEDOM * count
 
 

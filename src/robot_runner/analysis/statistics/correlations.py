@@ -22,7 +22,7 @@ from robot_runner.analysis.statistics.outcome import Correlation, Drift
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import Interval, NotComputed, NoVariation
 from robot_runner.analysis.statistics.theil_sen import theil_sen
-from robot_runner.analysis.wording import difference_unit, p_in_words, with_unit
+from robot_runner.analysis.wording import difference_unit, p_in_words, shown_coefficient, with_unit
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.words import enumerated
 
@@ -206,7 +206,7 @@ def _warning(measure: str, unit: str, found: tuple[float, float, float], is_conf
     slope, rho, p_value = found
     # Of values most of which are alike, such as counts, most slopes of pairs are 0, and the median tells no direction.
     amount = f" by about {with_unit(abs(slope), difference_unit(unit))} a run" if slope else ""
-    figures = f"rho = {rho:.2f}, {p_in_words(p_value)}"
+    figures = f"rho = {shown_coefficient(rho)}, {p_in_words(p_value)}"
     head = f"{measure} {'rises' if rho > 0 else 'falls'} over the {order}{amount} ({figures})"
     if is_confounded:
         return f"{head}, and treatments are unevenly spread over that order: the drift may pass for an effect."

@@ -263,7 +263,7 @@ def planned_warnings(measure: MeasureStatistics) -> Iterator[str]:
     if lacking:
         yield (
             f"{measure.name} is compared without {counted(len(lacking), 'run')} of which a covariate is missing "
-            f"({listed(lacking)})."
+            f"({listed(lacking)}); descriptions have {'it' if len(lacking) == 1 else 'them'}."
         )
     rate = measure.rule_false_positives
     if rate is not None and rate > MOST_FALSE_POSITIVES:

@@ -27,6 +27,7 @@ from robot_runner.analysis.wording import (
     listed,
     p_in_words,
     p_values_in_words,
+    shown_coefficient,
     shown_level,
     shown_statistic,
     with_unit,
@@ -216,7 +217,9 @@ def _claim(measure: MeasureStatistics, test: MeasureTest, effect: Effect, pairs:
         what = f"an effect of {named}" if named else f"an interaction of {enumerated(effect.factors)}{aliases}"
         return f"The data do not show {what} on {measure.name}{within} ({figures}); {NO_PROOF}"
     size = next(iter(effect.effect_sizes), None)
-    sized = "" if size is None else f"; the effect is {size.magnitude.value}, {size.name} = {size.value:.2f}"
+    sized = (
+        "" if size is None else f"; the effect is {size.magnitude.value}, {size.name} = {shown_coefficient(size.value)}"
+    )
     if not named and aliases:
         return f"{' x '.join(effect.factors)}{aliases} has an effect on {measure.name}{within} ({figures}{sized})."
     if not named:

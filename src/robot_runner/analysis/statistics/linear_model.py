@@ -200,6 +200,13 @@ def _independent(columns: Floats) -> Floats:
 
 
 def _fitted(values: Floats, exog: Floats, blocks: NDArray[np.str_] | None) -> _Fit:
+    """Return the estimates of a model whose first column is the mean of all combinations, 1 in each row."""
+    centre = float(values.mean())  # of values far from 0, rounding would hide what they differ by
+    found = _best_fit(values - centre, exog, blocks)
+    return found._replace(beta=np.append(found.beta[0] + centre, found.beta[1:]))
+
+
+def _best_fit(values: Floats, exog: Floats, blocks: NDArray[np.str_] | None) -> _Fit:
     """Return the estimates of least squares; with blocks, those of restricted maximum likelihood.
 
     There it is a minimum over one number, the ratio of the two variances (Bates, Maechler, Bolker and Walker, Fitting

@@ -224,7 +224,8 @@ class MeasureStatistics:
         post_hoc: pairs of treatments of each factor; of combinations where factors interact.
         contrasts: of the hypotheses that name one.
         not_computed: what could not be computed and why.
-        left_out: the values that are left out; everything here is of the others.
+        left_out: the values that are left out; everything here is of the others, but descriptions and Levene's test
+            have those that lack a covariate alone, which are measured as well as any.
         rule_false_positives: how often two combinations of so many runs (the smallest and the largest) differ at 5 % by
             chance alone where outliers are left out by the plan's rule, by simulation, percent; None where none was.
         adjustment: how the tests were adjusted for covariates; descriptions are of values as measured.

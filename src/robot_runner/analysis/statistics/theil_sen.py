@@ -1,12 +1,16 @@
-"""The slope of Theil and Sen over thousands of runs, whose pairs would not fit into memory."""
+"""The slope of Theil and Sen over thousands of runs, whose pairs would not fit into memory, nor be counted one by one.
+
+The slopes of all pairs that are below a number are as many as the pairs that fall once a line of this slope is taken
+away, and a sort counts these. So the slope of a rank is the root of a function (Cole, Salowe, Steiger and Szemeredi, An
+optimal-time algorithm for slope selection, SIAM Journal on Computing 18, 1989, have the idea).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import optimize, stats
 
 from robot_runner.analysis.arrays import Floats
 
@@ -16,10 +20,9 @@ if TYPE_CHECKING:
 
 #: With so many values `scipy.stats.theilslopes` holds some 100 MB: it holds each pair several times, in both orders.
 _MOST_AT_ONCE = 2_000
-#: Pairs that tell about where a slope of a given rank lies; with so many, some 2 % of all slopes are near enough.
-_DRAWN = 200_000
-#: Standard errors of a drawn rank within which the rank is looked for at first.
-_ERRORS = 5.0
+#: How closely a slope is looked for, as a share of that from one corner of all values to the other.
+_PRECISION = 1e-18
+_MOST_STEPS = 500
 
 
 class TheilSen(NamedTuple):
@@ -49,7 +52,7 @@ def theil_sen(places: Floats, values: Floats, level: float) -> TheilSen:
     count = (len(values) * (len(values) - 1) - int(np.sum(alike * (alike - 1)))) // 2
     low, high = _ends(places, values, count, level)
     ranks = (low, (count - 1) // 2, count // 2, high)
-    slopes = _slopes_of_ranks(places, values, count, ranks)
+    slopes = _slopes_of_ranks(places, values, ranks)
     return TheilSen((slopes[ranks[1]] + slopes[ranks[2]]) / 2, slopes[low], slopes[high])
 
 
@@ -66,57 +69,40 @@ def _ends(places: Floats, values: Floats, count: int, level: float) -> tuple[int
     return max(round((count - half) / 2) - 1, 0), min(round((count + half) / 2), count - 1)
 
 
-def _slopes_of_ranks(places: Floats, values: Floats, count: int, ranks: tuple[int, ...]) -> dict[int, float]:
-    """Return the slopes of these ranks among the slopes of all pairs, from 0; `count` is their number."""
-    drawn = _drawn_slopes(places, values)
-    found: dict[int, float] = {}
-    errors = _ERRORS
-    while missing := [rank for rank in ranks if rank not in found]:
-        around = [_bracket(drawn, rank / count, errors) for rank in missing]
-        brackets = list(dict.fromkeys(around))
-        counted = dict(zip(brackets, _counted(places, values, brackets), strict=True))
-        for rank, bracket in zip(missing, around, strict=True):
-            below, slopes, numbers = counted[bracket]
-            place = int(np.searchsorted(below + np.cumsum(numbers), rank, side="right"))
-            if rank >= below and place < len(slopes):
-                found[rank] = float(slopes[place])
-        errors *= 4  # a rank that was not there is looked for further away
+def _slopes_of_ranks(places: Floats, values: Floats, ranks: tuple[int, ...]) -> dict[int, float]:
+    """Return the slopes of these ranks among the slopes of all pairs, from 0."""
+    order = np.lexsort((values, places))  # of values at the same place none falls, whatever the line
+    places, values = places[order], values[order]
+    centred = values - np.median(values)  # a line would be lost in the rounding of values that are far from 0
+    gaps = np.diff(places)
+    rise = float(np.ptp(values)) or 1.0
+    reach, precision = 2 * rise / float(gaps[gaps > 0].min()), _PRECISION * rise / float(np.ptp(places))
+
+    def beyond(slope: float, rank: int) -> float:
+        return _falling(centred - slope * places) - rank - 0.5
+
+    found = {}
+    for rank in set(ranks):
+        near = optimize.brentq(beyond, -reach, reach, (rank,), xtol=precision, maxiter=_MOST_STEPS)
+        # Once a line of its own slope is taken away, both values of a pair are alike, and so neighbours.
+        beside = np.argsort(centred - near * places, kind="stable")
+        run = np.diff(places[beside])
+        slopes = np.diff(values[beside])[run != 0] / run[run != 0]
+        found[rank] = float(slopes[np.argmin(np.abs(slopes - near))]) + 0.0  # and not -0.0
     return found
 
 
-def _drawn_slopes(places: Floats, values: Floats) -> Floats:
-    """Return the slopes of pairs drawn at random, sorted; they only tell where to look, so that any seed will do."""
-    random = np.random.default_rng(0)
-    first, gap = random.integers(0, len(values), _DRAWN), random.integers(1, len(values), _DRAWN)
-    second = (first + gap) % len(values)
-    apart = places[second] != places[first]
-    return np.sort((values[second] - values[first])[apart] / (places[second] - places[first])[apart])
-
-
-def _bracket(drawn: Floats, share: float, errors: float) -> tuple[float, float]:
-    """Return between which slopes that of a rank lies, which is given as a share of all."""
-    reach = errors * max(np.sqrt(share * (1 - share) * len(drawn)), 1.0)
-    low, high = int(share * len(drawn) - reach), int(share * len(drawn) + reach) + 1
-    return (
-        float(drawn[low]) if low >= 0 else -np.inf,
-        float(drawn[high]) if high < len(drawn) else np.inf,
-    )
-
-
-def _counted(
-    places: Floats, values: Floats, brackets: list[tuple[float, float]]
-) -> Iterator[tuple[int, Floats, NDArray[np.int64]]]:
-    """Yield for each bracket how many slopes are below it, and those within it: sorted, once each, with its number."""
-    below = [0] * len(brackets)
-    within: list[list[tuple[Floats, NDArray[np.int64]]]] = [[] for _ in brackets]
-    for gap in range(1, len(values)):  # pairs so many values apart, all at once
-        apart = places[gap:] > places[:-gap]
-        slopes = (values[gap:] - values[:-gap])[apart] / (places[gap:] - places[:-gap])[apart]
-        for place, (low, high) in enumerate(brackets):
-            below[place] += int(np.count_nonzero(slopes < low))
-            # Many slopes may be alike, as where values are whole numbers: they are held once.
-            within[place].append(np.unique(slopes[(slopes >= low) & (slopes <= high)], return_counts=True))
-    for number, parts in zip(below, within, strict=True):
-        slopes = np.concatenate([part for part, _ in parts])
-        order = np.argsort(slopes, kind="stable")
-        yield number, slopes[order], np.concatenate([numbers for _, numbers in parts])[order]
+def _falling(values: Floats) -> int:
+    """Return how many pairs of values have the larger one first, by merging sorted halves into ever larger ones."""
+    size = 1 << (len(values) - 1).bit_length()
+    rows: NDArray[np.intp] = np.arange(size)  # what is added behind is larger than all others
+    rows[np.argsort(values, kind="stable")] = np.arange(len(values))
+    found, half = 0, 1
+    while half < size:
+        rows = rows.reshape(-1, 2 * half)
+        order = np.argsort(rows, axis=1, kind="stable")
+        # The place of a value of the first half is its place there, and those of the other half that are smaller.
+        moved = np.flatnonzero(order < half) % (2 * half)
+        found += int(moved.sum()) - len(rows) * half * (half - 1) // 2
+        rows, half = np.take_along_axis(rows, order, axis=1), 2 * half
+    return found
