@@ -52,9 +52,18 @@ def test_names_are_relative_to_the_namespace_of_the_runs_robot(tmp_path: Path) -
         battery_above(50),
     ):
         assert condition.wait(context, timeout_s=2.0).holds, str(condition)
-    with pytest.raises(ConditionError, match=r"among them /alice/odom"):
+    with pytest.raises(ConditionError, match=r"/odom is not: \d topics are there, among them /alice/odom"):
         topic_present("/odom").wait(context, timeout_s=0.3)
+    with pytest.raises(ConditionError, match=r": \d+ messages on /alice/odom"):
+        message_on("odom", ODOMETRY, lambda _: False).wait(context, timeout_s=0.3)
     context.resources.close()
+
+
+def test_a_topic_on_which_nothing_came_is_named_as_on_the_graph_of_the_runs_robot(tmp_path: Path) -> None:
+    links = FakeLinks(robot=FakeRobotLink(FakeClock()), namespace="/front")
+    context = make_context(tmp_path, robot="ros2://alice", links=links)
+    with pytest.raises(ConditionError, match="no message on /alice/front/battery_state yet"):
+        battery_above(10, namespace="/front").wait(context, timeout_s=0.3)
 
 
 def test_what_is_on_the_graph_of_a_simulated_robot_holds_at_once(simulated: RobotRunnerContext) -> None:

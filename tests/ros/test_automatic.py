@@ -7,6 +7,7 @@ from tests.loopback_port import claim_port
 from tests.ros.ros1_master import needs_ros1, ros1_master
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.links import connect
 from robot_runner.ros import ros_environment
 from robot_runner.ros.ros_environment import found_robot
 
@@ -42,6 +43,16 @@ def test_a_sourced_ros_goes_first(monkeypatch, version, package, name):
     found = found_robot()
     assert found.name == name
     assert f"ROS {version} is sourced" in found.reason
+
+
+@pytest.mark.parametrize("robot", ["auto:namespace=/alice", "auto://alice", "auto:clock=graph"])
+def test_what_would_be_lost_by_looking_is_refused(monkeypatch, robot):
+    monkeypatch.setenv("ROS_VERSION", "1")
+    installed(monkeypatch, "rospy")
+    assert connect.found_robot("auto").name == "ros1"
+    for ask in (connect.found_robot, connect.resolved_robot):
+        with pytest.raises(LinkError, match=f"robot is {robot!r}, and what is looked for takes no options"):
+            ask(robot)
 
 
 def test_a_sourced_ros_without_its_client_library_does_not_count(monkeypatch):

@@ -10,12 +10,12 @@ import pytest
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.resources import Resources
-from robot_runner.core.links.connect import link_findings, lives_by_simulation, open_clock
+from robot_runner.core.links.connect import connect_robot, link_findings, lives_by_simulation, open_clock
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros import graph_links
 from robot_runner.ros.graph_clock import GraphClock
 from robot_runner.ros.graph_links import DDS, GRAPH_LINKS, ROS1, ROSBRIDGE
-from robot_runner.testing import FakeClock, FakeRobotLink, make_context
+from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, make_context
 
 
 class Opening(ModuleType):
@@ -89,6 +89,17 @@ def test_a_run_on_the_graph_s_clock_shares_its_link_with_the_robot(opening, tmp_
     assert isinstance(clock, GraphClock)
     assert clock.now() == 9.0
     assert resources.open("robot /", lambda: None) is opening.link
+
+
+def test_a_run_on_the_graph_s_clock_commands_the_robot_that_is_named_and_no_other(opening, tmp_path):
+    opening.link.subscribe = lambda topic, kind, callback: callback({"clock": {"sec": 9, "nanosec": 0}}) or print
+    opening.follows_graph_clock = lambda options: True  # as a master of ROS 1 says
+    for robot in ("dds:clock=graph,namespace=/alice", "ros1://alice"):
+        opening.opened.clear()
+        context = make_context(tmp_path, robot=robot, links=FakeLinks())
+        open_clock(robot, context.resources, 1)
+        assert connect_robot(context) is opening.link
+        assert [namespace.strip("/") for _, namespace in opening.opened] == ["alice"]
 
 
 def test_what_is_measured_on_a_real_computer_does_not_live_by_a_graph_s_clock(tmp_path):

@@ -388,6 +388,10 @@ sys.exit("no storage plugin" if "--clock" in sys.argv else 0)
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
     robot = f"dds:domain={domain},distro=jazzy"
     plugin = PlayBag(scans["mcap"], topics=["/scan"], rate=0.5, by="program")
+    monkeypatch.setenv("ROS_DOMAIN_ID", "101")
+    (elsewhere,) = plugin.check(Circumstances(robot=robot))
+    assert "ros2 would play on the graph that this machine's environment names" in elsewhere.problem
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     assert list(plugin.check(Circumstances(robot=robot))) == []
     context = make_context(tmp_path / "one", plugin, robot=robot, clock=SystemClock())
     measures = rehearse(context, plugin)

@@ -55,9 +55,10 @@ def _robot(clock, *, is_simulated=False, link=HeardRobotLink):
 
 @pytest.fixture
 def record(tmp_path):
-    def execute(plugin, make=_robot, **how):
+    def execute(plugin, make=_robot, robot="ros2", **how):
         clock = FakeClock(50.0)
-        context = make_context(tmp_path, plugin, links=FakeLinks(robot=make(clock, **how)), clock=clock)
+        links = FakeLinks(robot=make(clock, **how))
+        context = make_context(tmp_path, plugin, robot=robot, links=links, clock=clock)
         rehearse(context, plugin, mission=lambda: clock.sleep(2.0))
         return context
 
@@ -133,6 +134,23 @@ def test_the_simulated_robot_is_recorded_and_says_so(record, programs):
     assert messages_in(context.raw_data_folder) == context.measures["BagMessages"]
     with pytest.raises(PluginError, match="cannot record a simulated robot"):
         record(RosBag(["odom"], by="program"), is_simulated=True)
+
+
+@pytest.mark.parametrize(
+    ("robot", "is_its_graph"),
+    [
+        ("dds:domain=7", False),
+        ("rosbridge://robot:9090", False),
+        ("ros2:domain=3,namespace=/alice", True),
+        ("ros2://alice", True),
+    ],
+)
+def test_the_recorder_of_ros_is_used_on_no_other_graph_than_the_robot_s(
+    record, programs, monkeypatch, robot, is_its_graph
+):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "3")
+    messages = record(RosBag(["/odom"]), robot=robot).measures["BagMessages"]
+    assert (messages == 1) is is_its_graph, "the stand-in for the program records one message"
 
 
 def test_the_recorder_of_ros_is_used_where_it_is_there(record, programs):

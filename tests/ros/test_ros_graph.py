@@ -97,6 +97,25 @@ def test_a_node_that_is_not_there_yields_no_value_and_a_warning(measure):
     assert "no process node:/camera was seen; new ones are looked for every 0.05 s" in problems
 
 
+def test_a_node_without_a_slash_is_that_of_the_run_s_robot_and_no_other(tmp_path):
+    command = [sys.executable, "-c", "import time; time.sleep(60)", "--ros-args", "-r", "__node:=talker", "-r"]
+    clock = SystemClock()
+    values = {}
+    with subprocess.Popen([*command, "__ns:=/bob"]) as node:
+        for robot in ("alice", "bob"):
+            plugin = RosGraph(["talker"], rate_hz=20.0)
+            links = FakeLinks(robot=FakeRobotLink(clock))
+            context = make_context(tmp_path / robot, plugin, robot=f"ros2://{robot}", links=links, clock=clock)
+            rehearse(context, plugin, mission=lambda: time.sleep(0.3))
+            problems = [finding.problem for finding in context.broker.findings]
+            assert f"node /{robot}/talker is not on the graph" in problems, "the fake knows neither"
+            values[robot] = context.measures["Memory_talker"]
+            context.resources.close()
+        node.terminate()
+    assert values["alice"] is None
+    assert values["bob"] > 0.0
+
+
 def test_nodes_of_a_simulated_robot_have_no_processes():
     (finding,) = RosGraph(["/turtlebot3_node"]).check(Circumstances("simulated"))
     assert finding.is_error
@@ -112,7 +131,7 @@ def test_without_a_robot_the_check_says_how_to_name_one():
     ("arguments", "problem"),
     [
         ({"nodes": "/talker"}, "nodes is '/talker'"),
-        ({"nodes": ["talker"]}, "'talker' is not the full name"),
+        ({"nodes": ["~/talker"]}, "'~/talker' cannot be the name"),
         ({"nodes": ["/a/b", "/a_b"]}, "share a column"),
         ({"nodes": {"/a": ""}}, "selects no process"),
         ({"rate_hz": 0.0}, "rate_hz is 0"),

@@ -24,6 +24,7 @@ from robot_runner.ros import rosbridge_frames, rosbridge_session, rosbridge_tran
 from robot_runner.ros.graph_addresses import RosbridgeAddress
 from robot_runner.ros.rosbridge_link import findings, open_rosbridge_link
 from robot_runner.ros.shapes import completed
+from robot_runner.ros.turtlebot3.motion import Wheels
 from robot_runner.ros.type_catalogue import TypeCatalogue
 from robot_runner.testing import RosbridgeServer
 
@@ -196,6 +197,15 @@ def test_without_rosapi_the_server_s_own_node_tells_the_generation(generation):
         assert link.encoding is server.encoding
 
 
+@pytest.mark.parametrize(("generation", "said"), [(1, "?ros=2"), (2, "?ros=1"), (2, "?distro=noetic")])
+def test_an_address_that_says_the_other_generation_is_refused_at_once(generation, said):
+    with closing(RosbridgeServer(generation=generation, has_rosapi=False)) as server:
+        with pytest.raises(LinkError, match=f"says ROS {3 - generation}, and its rosbridge is one of ROS {generation}"):
+            linked(server, said)
+        with closing(linked(server, f"?ros={generation}")) as link:
+            assert link.encoding is (Encoding.ROS1 if generation == 1 else Encoding.CDR)
+
+
 @pytest.mark.parametrize("generation", [1, 2])
 def test_a_robot_is_stopped_and_reached_anew_while_rosapi_hangs(generation, monkeypatch):
     monkeypatch.setattr(rosbridge_types, "ANSWER", 0.3)
@@ -214,6 +224,23 @@ def test_a_robot_is_stopped_and_reached_anew_while_rosapi_hangs(generation, monk
             standby.publish("cmd_vel", "geometry_msgs/Twist", {})
         until(lambda: heard[2:] == [0.0, 0.0])
         server._rosapi.hangs = False
+
+
+def test_the_wheels_of_a_robot_are_stopped_by_the_type_that_was_commanded_once_rosapi_has_ended():
+    stamped = "geometry_msgs/TwistStamped"
+    with closing(RosbridgeServer(generation=2)) as server, closing(linked(server)) as robot:
+        heard = []
+        robot.subscribe("cmd_vel", stamped, lambda message: heard.append(message["twist"]["linear"]["x"]))
+        with closing(linked(server)) as link:
+            link.publish("cmd_vel", stamped, {"twist": {"linear": {"x": 0.2}}})
+            until(lambda: heard == [0.2])
+            server._rosapi.has_ended = True
+            with pytest.raises(LinkError, match="rosapi does not answer"):
+                link.subscribers("cmd_vel")
+            Wheels(link).command(0.0, 0.0)  # of another part, or of who stands by for a process that died
+            until(lambda: heard == [0.2, 0.0])
+            with pytest.raises(LinkError, match="rosapi does not answer"):
+                Wheels(link, topic="base/cmd_vel").command(0.0, 0.0)
 
 
 @pytest.mark.parametrize("generation", [1, 2])
@@ -358,7 +385,8 @@ def test_an_orientation_left_out_of_a_type_that_only_the_robot_knows_has_ros_def
 )
 def test_a_byte_of_a_type_that_only_the_robot_knows_has_a_sign_in_ros_1_and_none_in_ros_2(generation, level):
     told = {"fieldnames": ["one", "all"], "fieldtypes": ["byte", "byte"], "fieldarraylen": [-1, 0]}
-    rosapi = SimpleNamespace(details=lambda *_: [{"type": "my_robot/Level", **told}], raw_definitions=dict)
+    details = lambda *_: [{"type": "my_robot/Level", **told}]  # noqa: E731
+    rosapi = SimpleNamespace(details=details, raw_definitions=dict, version=lambda _: (generation, None))
     types = rosbridge_types.RobotTypes(rosapi, RosbridgeAddress.parse(f"rosbridge://robot?ros={generation}"))
     shape = types.shape("my_robot/Level")
     assert completed(shape, level, where="level") == level

@@ -9,6 +9,7 @@ import pytest
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Qos
+from robot_runner.ros.graph_links import GraphLinkKind
 from robot_runner.simulator import graph_robot, graph_simulation
 from robot_runner.simulator.graph_robot import SimulatedPlace
 from robot_runner.simulator.graph_simulation import GraphSimulation, check_pace, on_graph
@@ -327,6 +328,24 @@ def test_robots_of_one_room_live_on_one_graph_in_one_world():
     assert min(links["/bob"].messages("scan")[0]["ranges"]) < 0.5
     assert graph.robots["/bob"]._robot.pose.x > 0.45, "bob was not pushed"
     graph.close()
+
+
+def closable(link):
+    link.close = lambda: None
+    return link
+
+
+def test_a_robot_is_put_into_the_namespace_that_its_graph_is_named_with(monkeypatch):
+    monkeypatch.setattr(GraphLinkKind, "open", lambda *told: opened.append(told[-1]) or closable(GraphOfOne()))
+    for link, namespace, expected in (
+        ("dds://alice", "", "/alice"),
+        ("dds:domain=7,namespace=lab", "alice/", "/lab/alice"),
+        ("dds", "/bob", "/bob"),
+    ):
+        opened = []
+        with on_graph(SimulatedPlace(link=link, namespace=namespace)) as graph:
+            assert opened == [expected]
+            assert list(graph.robots) == [expected]
 
 
 def test_a_room_that_names_its_robots_takes_no_namespace(tmp_path):

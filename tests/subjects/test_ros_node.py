@@ -23,6 +23,8 @@ from tests.subjects.test_ros_launch import needs_roslaunch
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import PluginError
 from robot_runner.plugins.systems import RosNode
+from robot_runner.subjects.subject import Subject
+from robot_runner.testing import FakeLinks, make_context
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -237,3 +239,25 @@ def test_values_are_the_same_once_they_are_read_as_yaml(value: object) -> None:
     assert (found, type(found)) == (value, type(value))
     words = RosNode("nav", "planner", parameters={"speed": value}, ros=2).words()
     assert yaml.safe_load(words[-1].removeprefix("speed:=")) == value
+
+
+@pytest.mark.parametrize(
+    ("robot", "namespace", "started_in"),
+    [
+        ("ros2", "", None),
+        ("ros2", "/alice", "/alice"),
+        ("ros2://alice", "", "/alice"),
+        ("ros2:domain=7,namespace=/alice", "arm", "/alice/arm"),
+        (None, "alice", "/alice"),
+    ],
+)
+def test_a_node_is_started_within_the_namespace_of_the_run_s_robot(monkeypatch, tmp_path, robot, namespace, started_in):
+    started = []
+    monkeypatch.setattr(Subject, "_begin", lambda node, *_: started.append(node.words()))
+    for ros, told in ((1, f'ns="{str(started_in).strip("/")}"'), (2, f"__ns:={started_in}")):
+        node = RosNode("nav", "planner", namespace=namespace, ros=ros)
+        node._begin(make_context(tmp_path / str(ros), node, robot=robot, links=FakeLinks()), tmp_path)
+        assert any(told in word for word in started[-1]) is (started_in is not None)
+        shared = RosNode("nav", "planner", namespace=namespace, ros=ros, per="experiment")
+        shared._begin(make_context(tmp_path / f"all {ros}", shared, robot=robot, links=FakeLinks()), tmp_path)
+        assert started[-1] == shared.words() == RosNode("nav", "planner", namespace=namespace, ros=ros).words()

@@ -12,7 +12,7 @@ from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.condition import Condition
 from robot_runner.core.links.connect import is_simulated
-from robot_runner.core.plugin import Plugin, Profiler, System
+from robot_runner.core.plugin import Plugin, Profiler, System, with_parts
 from robot_runner.core.words import listed
 
 
@@ -46,20 +46,10 @@ def _without_run(place: str, condition: Condition) -> Iterator[Finding]:
             yield Finding.error(place, problem, "Await it in the mission, with wait(context, timeout_s=...).")
 
 
-def _namespaces(plugins: Iterable[object], seen: tuple[object, ...] = ()) -> Iterator[object]:
-    """Yield the namespace of each robot that a system commands, also of those that another one is made of."""
-    for plugin in plugins:
-        if not isinstance(plugin, Plugin) or any(plugin is each for each in seen):
-            continue
-        if isinstance(plugin, System) and hasattr(plugin, "namespace"):
-            yield plugin.namespace
-        for value in vars(plugin).values():
-            yield from _namespaces(value if isinstance(value, tuple | list) else (value,), (*seen, plugin))
-
-
 def _of_robots_apart(conditions: Mapping[str, Condition], plugins: Sequence[Plugin]) -> Iterator[Finding]:
     """Yield a warning for all that is about a simulated robot that no system has: there is one for each namespace."""
-    named = set(_namespaces(plugins))
+    systems = [each for each in with_parts(plugins) if isinstance(each, System)]
+    named = {each.namespace for each in systems if hasattr(each, "namespace")}
     if not named or not all(isinstance(each, str) for each in named):  # bound to a factor: any of its treatments
         return
     here = sorted({_as_named(str(each)) for each in named})

@@ -161,7 +161,7 @@ class _Present(_OnGraph):
             if self.kind == "service" and not there:
                 return Look(holds=False, seen="the graph tells of no services", is_known=False)
             seen = f"{len(there)} {self.kind}s are there{f', among them {near}' if near else ''}"
-            return Look(holds=False, seen=seen)
+            return Look(holds=False, seen=f"{name} is not: {seen}")
         found = link.topics().get(name) if self.message_type else None
         if self.message_type and found != self.message_type.replace("/msg/", "/"):  # as ROS 2 spells it
             is_known = found != "*"  # what a graph says where nothing tells the type

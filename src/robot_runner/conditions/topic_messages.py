@@ -17,7 +17,7 @@ from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import ConditionError, Finding, LinkError
 from robot_runner.core.events.condition import Condition, Look, LookAgain
 from robot_runner.core.events.context import RobotRunnerContext
-from robot_runner.core.links.connect import connect_robot, is_simulated
+from robot_runner.core.links.connect import connect_robot, is_simulated, robot_namespace
 from robot_runner.core.links.graph_names import field_of, full_name
 from robot_runner.core.links.robot import Message
 from robot_runner.core.words import one_line
@@ -56,7 +56,7 @@ def message_on(
     if predicate is not None and not callable(predicate):
         fix = "Give what takes a message: lambda message: message['data']."
         raise ConditionError(f"{predicate!r} is no predicate", where=topic, fix=fix)
-    return _MessageOn(topic, message_type, predicate, namespace, full_name(namespace, topic))
+    return _MessageOn(topic, message_type, predicate, namespace)
 
 
 def topic_above(
@@ -141,6 +141,9 @@ class _Listening:
 
     Args:
         take: gets each message; it must not raise.
+
+    Attributes:
+        name: the topic's full name, within the namespace of the run's robot.
     """
 
     def __init__(
@@ -155,6 +158,7 @@ class _Listening:
     ) -> None:
         self._wanted = (topic, message_type, take)
         self._context, self._namespace = context, namespace
+        self.name = full_name(robot_namespace(context, namespace), topic)
         self._opened = opened
         self._is_subscribed = False
         self._next = -math.inf
@@ -189,11 +193,13 @@ class _MessageOn(Condition):
     message_type: str
     predicate: Callable[[Message], bool] | None
     namespace: str
-    full_name: str
+
+    def __post_init__(self) -> None:
+        full_name(self.namespace, self.topic)
 
     def __str__(self) -> str:
         there = "came" if self.predicate is None else "satisfies the predicate"
-        return f"a message on {self.full_name} {there}"
+        return f"a message on {full_name(self.namespace, self.topic)} {there}"
 
     def check(self, robot: str | None) -> Iterable[Finding]:
         return check_robot_named(str(self), robot)
@@ -207,7 +213,7 @@ class _MessageOn(Condition):
         def look() -> Look:
             problem = listening.problem()
             holds, count = seen.since_last_look()
-            return Look(holds, problem or f"{count} messages on {self.full_name}", is_known=not problem)
+            return Look(holds, problem or f"{count} messages on {listening.name}", is_known=not problem)
 
         return look
 
@@ -285,11 +291,11 @@ class _TopicField(Quantity):
         def read() -> Reading:
             problem = listening.problem()
             if not newest:
-                return problem or f"no message on {full_name(self.namespace, self.topic)} yet"
+                return problem or f"no message on {listening.name} yet"
             at, message = newest[0]
             age = clock.now() - at
             if age > self.within_s:
-                return f"the newest message on {full_name(self.namespace, self.topic)} is {age:.1f} s old"
+                return f"the newest message on {listening.name} is {age:.1f} s old"
             return self.value_of(message)
 
         return read

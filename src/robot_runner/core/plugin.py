@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -246,6 +246,16 @@ def load_plugin(point: EntryPoint) -> type[Plugin]:
         fix = f"Derive it from robot_runner.plugins.{expected.__name__}."
         raise PluginError(f"{found!r} is no {expected.__name__}", where=point.where, fix=fix)
     return found
+
+
+def with_parts(plugins: Iterable[object], seen: tuple[object, ...] = ()) -> Iterator[Plugin]:
+    """Yield plugins, each before those that it is made of, as systems are whose missions go on together."""
+    for plugin in plugins:
+        if not isinstance(plugin, Plugin) or any(plugin is each for each in seen):
+            continue
+        yield plugin
+        for value in vars(plugin).values():
+            yield from with_parts(value if isinstance(value, tuple | list) else (value,), (*seen, plugin))
 
 
 def installed_plugins(kind: str | None = None) -> tuple[EntryPoint, ...]:

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from urllib.parse import parse_qsl, urlsplit
 
 from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.core.links.robot import Encoding
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.storage.input_files import input_file
 from robot_runner.ros.ros1_master import Master, master_address
@@ -84,6 +85,16 @@ def graph_of(robot: str) -> str:
             address = RosbridgeAddress.parse(name.address)
             return f"rosbridge {_LOCAL.get(address.host, address.host)}:{address.port}{address.path}"
     return robot
+
+
+def is_of_environment(robot: str, encoding: Encoding) -> bool:
+    """Whether programs of ROS that are executed here join the graph of a robot: there may be another robot on theirs.
+
+    Example:
+        >>> is_of_environment("rosbridge://robot:9090", Encoding.ROS1)
+        False
+    """
+    return graph_of(robot) == graph_of("ros1" if encoding is Encoding.ROS1 else "ros2")
 
 
 @dataclass(frozen=True, slots=True)

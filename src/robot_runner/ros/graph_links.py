@@ -125,7 +125,7 @@ class GraphLinkKind:
         del seed
         if not self.follows_graph_clock(name):
             return SystemClock()
-        link = resources.open(link_key("robot", ""), partial(self.open, name, SystemClock()))
+        link = resources.open(link_key("robot", ""), partial(self.open, name, SystemClock(), name.namespace))
         return resources.open("graph clock", partial(_started, link, clock_fix(name)))
 
     def follows_graph_clock(self, name: RobotName) -> bool:

@@ -21,6 +21,7 @@ from robot_runner.core.storage.input_files import InputFile
 from robot_runner.measuring.quality import Column, write_quality, write_samples
 from robot_runner.ros.bag_player import CLOCK, LinkPlayer, Played, ProgramPlayer, playing, refuse_rivals
 from robot_runner.ros.bag_recorder import PROGRAMS
+from robot_runner.ros.graph_addresses import is_of_environment
 from robot_runner.ros.recorded_bag import RecordedBag, RecordedTopic, bag_at
 from robot_runner.ros.robot_system import RobotSystem, check_numbers
 from robot_runner.ros.topic_statistics import nearest_rank, robot_findings
@@ -128,6 +129,9 @@ class PlayBag(RobotSystem):
                 if self.by is _By.PROGRAM and shutil.which(PROGRAMS[bag.encoding]) is None:
                     problem = f"the program {PROGRAMS[bag.encoding]!r}, which plays this bag, is not there"
                     yield Finding.error(self._where, problem, "Source the setup file of ROS, or say by='link'.")
+                robot = circumstances.robot
+                if self.by is _By.PROGRAM and robot is not None and not is_of_environment(robot, bag.encoding):
+                    yield _elsewhere(PROGRAMS[bag.encoding], self._where, robot)
         except PluginError as error:
             yield from (Finding.error(self._where, each.problem, each.fix) for each in error.findings)
         if tells_time and circumstances.robot is not None and _lives_by_graph(circumstances.robot):
@@ -158,7 +162,7 @@ class PlayBag(RobotSystem):
         self._is_simulated = link.is_simulated
         refuse_rivals(link, self._names)
         if self.by is _By.PROGRAM:
-            self._require_program(link)
+            self._require_program(link, str(context.robot))
             return
         self._link_player = LinkPlayer(self._bag, self._chosen, link, rate=self.rate, has_clock=self.has_clock)
         self._link_player.advertise()
@@ -230,10 +234,12 @@ class PlayBag(RobotSystem):
         names = [topic.name for topic in self._chosen]
         return names if CLOCK in names or not self.has_clock else [*names, CLOCK]
 
-    def _require_program(self, link: RobotLink) -> None:
+    def _require_program(self, link: RobotLink, robot: str) -> None:
         if self._bag is not None and (link.encoding is not self._bag.encoding or link.is_simulated):
             problem = f"{PROGRAMS[self._bag.encoding]} cannot play this bag on the graph of this robot"
             raise PluginError(problem, where=self.name, fix="Say by='link'.")
+        if self._bag is not None and not is_of_environment(robot, self._bag.encoding):
+            raise PluginError.of_findings([_elsewhere(PROGRAMS[self._bag.encoding], self.name, robot)])
 
     def _play_by_program(self, context: RobotRunnerContext, link: RobotLink) -> None:
         if self._bag is None:
@@ -282,6 +288,12 @@ class PlayBag(RobotSystem):
 def _command_zero(topic: RecordedTopic, context: RobotRunnerContext) -> None:
     still = velocity_command(topic.message_type, 0.0, 0.0)
     connect_robot(context).publish(topic.name, topic.message_type, still, qos=topic.qos)
+
+
+def _elsewhere(program: str, where: str, robot: str) -> Finding:
+    problem = f"{program} would play on the graph that this machine's environment names, and not on that of {robot!r}"
+    fix = "Say by='link', or set ROS_DOMAIN_ID or ROS_MASTER_URI to those of the robot."
+    return Finding.error(where, problem, fix)
 
 
 def _lives_by_graph(robot: str) -> bool:

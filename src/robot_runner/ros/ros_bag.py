@@ -14,11 +14,13 @@ from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.declared_host import LOCAL
+from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.links.ssh_command import ssh_findings
 from robot_runner.core.plugin import Circumstances
 from robot_runner.measuring.evaluation import note_own_window, publish_measures
 from robot_runner.ros.bag_file import LinkRecorder, began_late, messages_in
 from robot_runner.ros.bag_recorder import PROGRAMS, BagProgram, await_subscriptions, subscriptions_of
+from robot_runner.ros.graph_addresses import is_of_environment
 from robot_runner.ros.robot_system import check_numbers
 from robot_runner.ros.topic_statistics import TopicProfiler, TypedTopic, robot_findings, topic_label
 
@@ -37,10 +39,11 @@ class RosBag(TopicProfiler):
     """Records topics of a robot into a bag in the plugin's folder.
 
     `rosbag record` or `ros2 bag record` is used where it is there: on the robot's computer if a host is named, else on
-    this machine; it begins when the run starts, because it takes a while to. Where it is not there, and on the
-    simulated robot, the plugin itself records what this machine receives while all measure: an MCAP file of the
-    profile of ROS 2, or a bag of ROS 1. A bag is kept whole: its measures are about all of the time in which it was
-    recorded, and are doubted where that exceeds the mission by more than 1 %.
+    this machine, if its environment (`ROS_MASTER_URI`, `ROS_DOMAIN_ID`) names the robot's graph; it begins when the run
+    starts, because it takes a while to. Where it is not there, and on the simulated robot, the plugin itself records
+    what this machine receives while all measure: an MCAP file of the profile of ROS 2, or a bag of ROS 1. A bag is kept
+    whole: its measures are about all of the time in which it was recorded, and are doubted where that exceeds the
+    mission by more than 1 %.
 
     Args:
         topics: names, relative to the robot's namespace.
@@ -130,7 +133,7 @@ class RosBag(TopicProfiler):
             fix = "Name topics that the robot publishes: " + ", ".join(sorted(link.topics())) + "."
             raise PluginError(f"none of the topics {', '.join(self.topics)} is there", where=self.name, fix=fix)
         folder = context.raw_data_folder
-        if self._is_by_program(PROGRAMS[link.encoding], is_embedded=link.is_simulated):
+        if self._is_by_program(link, str(context.robot)):
             before = subscriptions_of(link, list(there))
             self._begun_at = context.clock.now()
             self._recorder = BagProgram(
@@ -191,12 +194,13 @@ class RosBag(TopicProfiler):
         if self._recorded is None and self._begun_at is not None:
             self._recorded = Window(self._begun_at, context.clock.now())
 
-    def _is_by_program(self, program: str, *, is_embedded: bool) -> bool:
-        if self.by is _By.LINK or is_embedded:
+    def _is_by_program(self, link: RobotLink, robot: str) -> bool:
+        program = PROGRAMS[link.encoding]
+        if self.by is _By.LINK or link.is_simulated:
             if self.by is _By.PROGRAM:
                 fix = "Leave `by` out: the simulated robot is on no graph."
                 raise PluginError(f"{program} cannot record a simulated robot", where=self.name, fix=fix)
             return False
         if self.host != LOCAL or self.setup is not None or self.by is _By.PROGRAM:
             return True
-        return shutil.which(program) is not None
+        return is_of_environment(robot, link.encoding) and shutil.which(program) is not None

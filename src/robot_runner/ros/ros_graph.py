@@ -14,6 +14,7 @@ from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_robot, is_simulated, is_simulation, robot_namespace
 from robot_runner.core.links.declared_host import LOCAL
+from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.plugin import Circumstances, Profiler
 from robot_runner.measuring.devices import connect_host
@@ -51,8 +52,9 @@ class RosGraph(Profiler):
     on its command line, as launch files do, or by the name of its program, if you say it.
 
     Args:
-        nodes: full names of the nodes to measure; or a mapping from them to what to look for instead: the name of a
-            program (`"component_container"`) or `pid:4711`.
+        nodes: the nodes to measure, by names that are relative to the robot's namespace unless they begin with `/`; or
+            a mapping from them to what to look for instead: the name of a program (`"component_container"`) or
+            `pid:4711`.
         name: tells several instances apart; the class's name if left out.
         host: the computer that the nodes run on: `localhost`, or as ssh takes it (`pi@robot`).
         rate_hz: samples a second, Hz.
@@ -60,7 +62,7 @@ class RosGraph(Profiler):
         namespace: which robot's link is used, where there are several.
 
     Raises:
-        PluginError: the rate is not positive, or nodes are not full names or would share a column.
+        PluginError: the rate is not positive, or the names of nodes cannot be, or would share a column.
 
     Example:
         >>> [measure.name for measure in RosGraph(["/turtlebot3_node"]).measures]
@@ -139,11 +141,10 @@ class RosGraph(Profiler):
         """Look at the graph, and begin to sample the processes of its nodes."""
         graph = self._look(context)
         if self.nodes:
-            for node in self.nodes:
-                if node not in graph["nodes"]:
-                    label = Selection((f"node:{node}",)).labels[0]
+            for node, label in zip(self.nodes, self.selection.labels, strict=True):
+                if (full := self._full_name(node, context)) not in graph["nodes"]:
                     doubted = (f"CPU_{label}", f"Memory_{label}")
-                    context.doubt(f"node {node} is not on the graph", fix=_FIX, measures=doubted)
+                    context.doubt(f"node {full} is not on the graph", fix=_FIX, measures=doubted)
             computer = self._computer(context)
             if not isinstance(computer, ProcessHost):
                 fix = "Name the computer that the nodes run on in `host`."
@@ -206,25 +207,28 @@ class RosGraph(Profiler):
     def _processes(self, context: RobotRunnerContext) -> list[str]:
         """Return the selector of each node's process; on ROS 1 by the number that the node tells."""
         name = None if context.robot is None else RobotName.parse(context.robot)
-        if name is None or name.link != _ROS1:
-            return list(self.nodes.values())
-        master = master_of({option: value for option, value in name.options.items() if option == "master"})
+        master = None
+        if name is not None and name.link == _ROS1:
+            master = master_of({option: value for option, value in name.options.items() if option == "master"})
         chosen = []
         for node, selector in self.nodes.items():
-            pid = master.pid_of(node) if selector.startswith("node:") else None
-            chosen.append(selector if pid is None else f"pid:{pid}")
+            full = self._full_name(node, context)
+            pid = master.pid_of(full) if master is not None and selector.startswith("node:") else None
+            by_name = f"node:{full}" if selector == f"node:{node}" else selector
+            chosen.append(by_name if pid is None else f"pid:{pid}")
         return chosen
+
+    def _full_name(self, node: str, context: RobotRunnerContext) -> str:
+        return full_name(robot_namespace(context, self.namespace), node)
 
 
 def _selectors(nodes: Sequence[str] | Mapping[str, str], where: str) -> dict[str, str]:
     if isinstance(nodes, str):
         raise PluginError(f"nodes is {nodes!r}", where=where, fix=f"Give a list: nodes=[{nodes!r}].")
     chosen = dict(nodes) if isinstance(nodes, Mapping) else {node: f"node:{node}" for node in nodes}
-    for node in chosen:
-        if not node.startswith("/"):
-            fix = f"Give it as the graph lists it: '/{node}'."
-            raise PluginError(f"{node!r} is not the full name of a node", where=where, fix=fix)
     try:
+        for node in chosen:
+            full_name("", node)
         return {node: process_selector(selector) for node, selector in chosen.items()}
     except LinkError as error:
         raise PluginError(error.problem, where=f"{where}, nodes", fix=error.fix) from error

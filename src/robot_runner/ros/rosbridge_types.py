@@ -53,13 +53,18 @@ class Rosapi:
         self._hung_at = -math.inf
         self._probes = itertools.count(1)
 
-    def version(self) -> tuple[int, str | None]:
-        """Return the generation of the robot's ROS, and its distribution if it tells.
+    def version(self, address: RosbridgeAddress) -> tuple[int, str | None]:
+        """Return the generation of the robot's ROS, and its distribution: as its address says, or else as it tells.
 
         Raises:
-            LinkError: nothing there tells.
+            LinkError: nothing there tells, or the server is one of the other generation.
         """
         seen = self._session.generation
+        if address.generation is not None:
+            if seen not in {None, address.generation}:
+                problem = f"the robot's address says ROS {address.generation}, and its rosbridge is one of ROS {seen}"
+                raise LinkError(problem, where=self._session.where, fix=f"Say ?ros={seen}, or leave it out.")
+            return address.generation, address.distro
         if seen == 1:  # whose rosapi does not tell it
             return 1, None
         told = self._ask("get_ros_version")
@@ -269,9 +274,7 @@ class RobotTypes:
 
     def __init__(self, rosapi: Rosapi, address: RosbridgeAddress) -> None:
         self._rosapi = rosapi
-        self.generation, distro = (address.generation, address.distro)
-        if self.generation is None:
-            self.generation, distro = rosapi.version()
+        self.generation, distro = rosapi.version(address)
         known = distro if self.generation == 1 or distro in ROS2_DISTROS else None
         self._catalogue = TypeCatalogue.of(self.generation, None if self.generation == 1 else known, address.types)
         self._told: dict[tuple[str, str], Shape] = {}

@@ -10,6 +10,8 @@ from functools import partial
 
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.connect import resolved_robot
+from robot_runner.core.links.graph_names import namespace_prefix
 from robot_runner.core.links.robot import Message, RobotLink
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros.graph_links import GRAPH_LINKS
@@ -208,13 +210,15 @@ def on_graph(place: SimulatedPlace) -> Iterator[GraphSimulation]:
         LinkError: the graph cannot be reached, such a robot is offered there already, or a package is missing.
     """
     check_pace(place)
-    name = RobotName.parse(place.link)
-    if name.link not in GRAPH_LINKS:
-        fix = did_you_mean(name.link, GRAPH_LINKS)
-        raise LinkError(f"no robot can be put on {name.link!r}", where="the simulated robot", fix=fix)
+    link = RobotName.parse(place.link).link
+    if link not in GRAPH_LINKS:
+        fix = did_you_mean(link, GRAPH_LINKS)
+        raise LinkError(f"no robot can be put on {link!r}", where="the simulated robot", fix=fix)
+    _, name = resolved_robot(place.link)
     room = None if place.room is None else read_room(place.room)
     model = None if place.model is None else RobotModel(place.model, room)
-    namespaces = _namespaces(place, room)
+    within = namespace_prefix(name.namespace)
+    namespaces = [f"{within}{namespace_prefix(each)}" for each in _namespaces(place, room)]
     with ExitStack() as closing:
         links = []
         for namespace in namespaces:

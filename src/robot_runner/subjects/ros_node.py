@@ -6,16 +6,23 @@ import json
 import math
 import re
 import shlex
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import escape, quoteattr
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
+from robot_runner.core.links.connect import robot_namespace
 from robot_runner.core.links.graph_names import namespace_prefix
 from robot_runner.core.storage.input_files import InputFile
 from robot_runner.subjects.read_files import with_what_it_names
 from robot_runner.subjects.ros_subject import RosSubject
 from robot_runner.subjects.surroundings import holds_revision, word
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from robot_runner.core.events.context import ExperimentContext
+    from robot_runner.subjects.supervised_program import SupervisedProgram
 
 _GRAPH_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _PARAMETER = re.compile(r"[A-Za-z0-9_./~-]+")
@@ -43,7 +50,8 @@ class RosNode(RosSubject):
         parameters_file: a YAML file of parameters, or several; a path where the node is executed.
         remappings: the names that the node uses, each with the one that it is to use instead.
         node_name: what the node is called; left out, what it calls itself (ROS 2), or the executable (ROS 1).
-        namespace: which it is started in, such as `/alice`.
+        namespace: which it is started in, such as `/alice`; below that of the run's robot (`robot = "ros2://alice"`),
+            but where it is started once for all runs.
         **options: `ros` and `rmw`, as of every `RosSubject`, and those of every `Subject`.
 
     Raises:
@@ -78,6 +86,7 @@ class RosNode(RosSubject):
             self.namespace = namespace_prefix(namespace)
         except LinkError as error:
             raise PluginError(error.problem, where=self.name, fix=error.fix) from error
+        self._started_in = self.namespace
         self.package, self.executable = word(self.name, package), word(self.name, executable)
         self.arguments = tuple(word(self.name, each) for each in arguments)
         self.parameters = dict(_flat(self.name, parameters or {}))
@@ -86,6 +95,13 @@ class RosNode(RosSubject):
         self.node_name = node_name
         self._own_files = tuple(word(self.name, each) for each in files if not holds_revision(each))
         self._named = (package, executable, *files)
+
+    def _begin(
+        self, context: ExperimentContext, folder: Path, begun: Callable[[int], object] = lambda _: None
+    ) -> SupervisedProgram:
+        if self._is_of_run:  # else several robots may share it
+            self._started_in = robot_namespace(context, self.namespace)
+        return super()._begin(context, folder, begun)
 
     def words(self) -> tuple[str, ...]:
         """Return the command."""
@@ -99,7 +115,7 @@ class RosNode(RosSubject):
     def ros_findings(self, where: str) -> Iterable[Finding]:
         """Yield that there is no such package, no such executable in it, or no file of parameters."""
         if self.ros == 1:
-            name = f"{self.namespace}/{self._name_in_ros1}"
+            name = f"{self._started_in}/{self._name_in_ros1}"
             answer = self.surroundings.ask(("sh", "-c", _ASK, self._launch_file(), name))
             if answer.code != 0:
                 found = [*_REFUSED.finditer(answer.complaint)]  # the last one: before it stands a line of its source
@@ -128,7 +144,7 @@ class RosNode(RosSubject):
         """Return the words of `ros2 run` (design.ros2.org, command line arguments)."""
         rules = [f"{old}:={new}" for old, new in self.remappings.items()]
         rules += [f"__node:={self.node_name}"] if self.node_name is not None else []
-        rules += [f"__ns:={self.namespace}"] if self.namespace else []
+        rules += [f"__ns:={self._started_in}"] if self._started_in else []
         options = [each for rule in rules for each in ("-r", rule)]
         options += [each for file in self.parameters_files for each in ("--params-file", file)]
         options += [each for name, value in self.parameters.items() for each in ("-p", f"{name}:={_yaml(value)}")]
@@ -142,7 +158,7 @@ class RosNode(RosSubject):
             "type": self.executable,
             "name": self._name_in_ros1,
             "args": shlex.join(self.arguments),  # which roslaunch splits as a shell would
-            "ns": self.namespace.strip("/"),
+            "ns": self._started_in.strip("/"),
             "output": "screen",
             "required": "true",
         }

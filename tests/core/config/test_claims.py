@@ -20,7 +20,7 @@ HEAD = """\
 from robot_runner import *
 from robot_runner.plugins import Profiler, System
 from robot_runner.plugins.profilers import Ina219, PsUtil, WattsUpPro
-from robot_runner.plugins.systems import BasicTurtlebot3
+from robot_runner.plugins.systems import BasicTurtlebot3, Together, Waypoints
 
 class Silent(Profiler):
     def start_measurement(self, context):
@@ -82,6 +82,28 @@ def test_a_real_robot_is_claimed_with_its_graph_and_namespace(
     own, held = claims(body)
     assert set(own) == {"robot:rosbridge://alice:9090"}
     assert held == {"robot:rosbridge://alice:9090/alice ROS_DOMAIN_ID=7"}
+
+
+def test_one_robot_is_claimed_alike_however_its_namespace_is_named(
+    claims: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for variable in ("ROS_DOMAIN_ID", "ROS_MASTER_URI"):
+        monkeypatch.delenv(variable, raising=False)
+    lone = "plugins = [BasicTurtlebot3(task='Video', task_factor=None)]"
+    named = "plugins = [BasicTurtlebot3(task='Video', task_factor=None, namespace='/lab/alice')]"
+    pair = "plugins = [Together(*(Waypoints([(1, 0)], name=a[-3:], namespace=a) for a in ('lab/alice', 'bob')))]"
+    bound = "plugins = [Waypoints([(1, 0)], namespace=treatment('Task'))]"
+    alice, bob = "robot:dds:domain=7/lab/alice", "robot:dds:domain=7/bob"
+    for robot, body, expected in (
+        ("dds:domain=7,namespace=/lab/alice", lone, {alice}),
+        ("dds:namespace=lab/alice/,domain=7", lone, {alice}),
+        ("dds:domain=7", named, {alice}),
+        ("dds:domain=7,namespace=lab", named.replace("/lab", ""), {alice}),
+        ("dds:domain=7", pair, {alice, bob}),
+        ("dds:domain=7", bound, {"robot:dds:domain=7/Video", "robot:dds:domain=7/Network"}),
+    ):
+        assert claims(f'robot = "{robot}"\nprobe = False\n{body}')[1] == expected, (robot, body)
+    assert claims(f'robot = "dds://alice"\n{lone}')[1] == {"robot:dds/alice"}
 
 
 @pytest.mark.parametrize("given", ["0", "-1", "many", "1.5", "99999999999"])

@@ -187,6 +187,20 @@ def test_a_simulator_behind_any_rosbridge_is_let_go_on_at_its_address(monkeypatc
     assert name.address == robot
 
 
+def test_a_simulator_of_another_robot_is_neither_reset_nor_paused():
+    link = FakeRobotLink(FakeClock())
+    for service in ("/bob/reset_world", "/bob/sim/pause_physics", "/alicent/unpause_physics"):
+        link.offer(service, "std_srvs/Empty", lambda _: {})
+    dialect = Simulation()._dialect
+    for demand in (dialect.reset_world, dialect.pause, dialect.unpause):
+        with pytest.raises(LinkError, match="there is no service '/alice/"):
+            demand.meet(link, namespace="/alice", timeout=0.0)
+    dialect.reset_world.meet(link, namespace="", timeout=1.0)
+    link.offer("/alice/sim/reset_world", "std_srvs/Empty", lambda _: {})
+    dialect.reset_world.meet(link, namespace="/alice", timeout=1.0)
+    assert [each.service for each in link.calls] == ["/bob/reset_world", "/alice/sim/reset_world"]
+
+
 @pytest.mark.parametrize(
     ("robot", "namespace", "opened"),
     [

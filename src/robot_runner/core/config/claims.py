@@ -17,11 +17,12 @@ from typing import Any
 from robot_runner.core.config.parameters import Parameters, RunProcess
 from robot_runner.core.config.plugin_checks import failed_check
 from robot_runner.core.design.run_table_model import RunTableModel
-from robot_runner.core.errors import Finding
+from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.events.manager import RUN_EVENTS, EventManager
 from robot_runner.core.events.measure import CONFIG_OWNER
-from robot_runner.core.links.connect import is_simulated
-from robot_runner.core.plugin import THIS_MACHINE, Plugin
+from robot_runner.core.links.connect import is_simulated, resolved_robot
+from robot_runner.core.links.graph_names import namespace_prefix
+from robot_runner.core.plugin import THIS_MACHINE, Plugin, with_parts
 from robot_runner.core.treatments import built_with, factors_of, values_of
 from robot_runner.core.words import counted, enumerated
 
@@ -115,10 +116,11 @@ class Claims:
         Who does not say keeps runs of this experiment apart, and no other experiment out. Of a cluster, claims are
         about machines that are not this one, but for the robot.
         """
-        found = {claim for combination in combinations for claim in self._declared(combination)}
+        chosen = [*combinations]
+        found = {claim for combination in chosen for claim in self._declared(combination)}
         here = found | {f"host:{host.address}" for host in self._parameters.hosts.values() if not host.is_local}
         here.update(self._parameters.claims or ())
-        return frozenset(self._robots()) | (frozenset() if self._parameters.cluster is not None else frozenset(here))
+        return frozenset(self._robots(chosen)) | frozenset(() if self._parameters.cluster is not None else here)
 
     def _declared(self, combination: Mapping[str, Any]) -> Iterator[str]:
         for plugin in self._plugins:
@@ -126,13 +128,30 @@ class Claims:
             if measures_computer or type(plugin).claims is not Plugin.claims:
                 yield from self._of_plugin(plugin, combination)
 
-    def _robots(self) -> Iterator[str]:
-        """Yield the real robots, each with the graph that it is on and the namespaces that plugins name there."""
+    def _robots(self, combinations: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+        """Yield the real robots, each with the graph that it is on and the namespaces that plugins name there.
+
+        One robot is claimed by one text, whether its namespace is part of its name or a plugin has it.
+        """
         graph = "".join(f" {name}={os.environ[name]}" for name in _GRAPHS if os.environ.get(name))
-        namespaces = sorted({str(getattr(plugin, "namespace", "")).strip("/") for plugin in self._plugins} - {""})
-        for link in self._parameters.links:
-            if not is_simulated(link):
-                yield from (f"robot:{link}{f'/{name}' if name else ''}{graph}" for name in namespaces or [""])
+        links = [link for link in self._parameters.links if not is_simulated(link)]
+        namespaces = self._namespaces(combinations) if links else set()
+        for link in links:
+            with suppress(LinkError):  # that there is no such robot is told where it is checked
+                name = resolved_robot(link)[1]
+                robot = f"robot:{name.graph}{namespace_prefix(name.namespace)}"
+                yield from (f"{robot}{f'/{each}' if each else ''}{graph}" for each in namespaces or {""})
+
+    def _namespaces(self, combinations: Sequence[Mapping[str, Any]]) -> set[str]:
+        """Return the namespaces that plugins, and those that they are made of, have in any of these runs."""
+        found = set()
+        for plugin in self._plugins:
+            apart = {str(values_of(plugin, each)): each for each in combinations}
+            for combination in apart.values():
+                with suppress(Exception):  # treatments that it does not take fail their run
+                    parts = with_parts([built_with(plugin, combination)])
+                    found |= {str(getattr(part, "namespace", "")).strip("/") for part in parts}
+        return found - {""}
 
     def _of_plugin(self, plugin: Plugin, combination: Mapping[str, Any]) -> tuple[str, ...]:
         treatments = values_of(plugin, combination) if factors_of(plugin) else {}

@@ -26,6 +26,8 @@ _TELLING, _PERIOD = 4.0, 0.1
 _REACHING = 10.0
 
 _listeners: list[Callable[[str, str], object]] = []
+#: The type of each topic on which this process commands a robot, by the topic's full name.
+_types: dict[str, str] = {}
 
 
 def hear_commanded(listener: Callable[[str, str], object]) -> None:
@@ -42,8 +44,14 @@ def tell_commanded(topic: str, message_type: str) -> None:
         /alice/cmd_vel geometry_msgs/Twist
         >>> _listeners.clear()
     """
+    _types[topic] = message_type
     for listener in _listeners:
         listener(topic, message_type)
+
+
+def commanded_type(topic: str) -> str | None:
+    """Return the type by which this process commanded a robot on a topic, by its full name; None where it did not."""
+    return _types.get(topic)
 
 
 def keep_commanding_zero(link: RobotLink, commanded: Sequence[tuple[str, str]]) -> list[str]:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean, nearest
-from robot_runner.core.events.context import Clock, RobotRunnerContext, SystemClock
+from robot_runner.core.events.context import Clock, ExperimentContext, RobotRunnerContext, SystemClock
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.links import kinds
 from robot_runner.core.links.graph_names import GraphNeed, full_name, namespace_prefix
@@ -93,7 +93,16 @@ def found_robot(robot: str | None) -> kinds.FoundRobot | None:
         LinkError: it is to be looked for, and none is there.
     """
     kind = None if robot is None else _kind_or_none(robot)
-    return kind.found_robot() if isinstance(kind, kinds.FindsRobot) else None
+    return _found(kind, str(robot)) if isinstance(kind, kinds.FindsRobot) else None
+
+
+def _found(kind: kinds.FindsRobot, robot: str) -> kinds.FoundRobot:
+    """Return the robot that is found; what a name says beside `auto` would be lost with it."""
+    name = RobotName.parse(robot)
+    if name != RobotName(name.link):
+        fix = f"Say {name.link!r} alone, or name the link: ros2://alice, dds:domain=7."
+        raise LinkError(f"robot is {robot!r}, and what is looked for takes no options", where="robot", fix=fix)
+    return kind.found_robot()
 
 
 def is_simulated(robot: str | None) -> bool:
@@ -219,27 +228,25 @@ def resolved_robot(robot: str) -> tuple[kinds.RobotLinkKind, RobotName]:
     name = RobotName.parse(robot)
     kind = kinds.link_kind(name.link)
     if isinstance(kind, kinds.FindsRobot):
-        if name.address is None:
-            return resolved_robot(kind.found_robot().name)
-    elif kind is not None:
-        return kind, name if name.address is None or kind.takes_address else _named_on_graph(name)
+        return resolved_robot(_found(kind, robot).name)
+    if kind is not None:
+        return kind, _with_namespace(robot, name if name.address is None or kind.takes_address else name.on_graph)
     fix = did_you_mean(robot.partition(":")[0], kinds.installed_links(), _SIMULATE)
     raise LinkError(f"robot is {robot!r}, which is no link of this version", where="robot", fix=fix)
 
 
-def _named_on_graph(name: RobotName) -> RobotName:
-    named = name.on_graph
+def _with_namespace(robot: str, name: RobotName) -> RobotName:
     try:
-        namespace_prefix(named.namespace)
+        namespace_prefix(name.namespace)
     except LinkError as error:
-        problem = f"robot is {name.address!r}, where {name.link}:// names a robot of a graph: {error.problem}"
+        problem = f"robot is {robot!r}, which names a robot of a graph by its namespace: {error.problem}"
         raise LinkError(
             problem, where="robot", fix=f"Say {name.link}://alice, or {name.link} for all of it."
         ) from error
-    return named
+    return name
 
 
-def robot_namespace(context: RobotRunnerContext, namespace: str = "") -> str:
+def robot_namespace(context: ExperimentContext, namespace: str = "") -> str:
     """Return the namespace on the graph of what a plugin calls `namespace`: below that of the run's robot, if any.
 
     Raises:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -39,6 +40,17 @@ class RobotName:
     def on_graph(self) -> RobotName:
         """The robot of a graph that stands in the place of an address."""
         return RobotName(self.link, namespace=(self.address or "").partition("://")[2])
+
+    @property
+    def graph(self) -> str:
+        """How its graph is reached, whichever of the robots there it is.
+
+        Example:
+            >>> RobotName.parse("ros2:namespace=/alice,domain=7").graph
+            'ros2:domain=7'
+        """
+        options = ",".join(f"{name}={value}" for name, value in self.options.items())
+        return self.address or f"{self.link}:{options}".rstrip(":")
 
     @classmethod
     def parse(cls, text: str) -> RobotName:
@@ -124,8 +136,23 @@ def _link_findings(given: list[tuple[str, str]]) -> list[Finding]:
     links = [link for _, link in given]
     if not all(isinstance(link, str) and link for link in links):
         return [_finding("a robot is no text", "Give the name of a link, such as 'ros2://alice'.")]
-    twice = [link for link in dict.fromkeys(links) if links.count(link) > 1 and not link.startswith("simulated")]
-    return [_finding(f"{link!r} is named twice", "Two runs would drive one robot: name each once.") for link in twice]
+    meant = {link: _meant(link) for link in links if not link.startswith("simulated")}
+    counts = Counter(meant[link] for link in links if link in meant)
+    twice = {robot: link for link, robot in meant.items() if counts[robot] > 1}  # of its spellings, one is told
+    return [
+        _finding(f"{link!r} is named twice", "Two runs would drive one robot: name each once.")
+        for link in twice.values()
+    ]
+
+
+def _meant(link: str) -> str:
+    """Return the same for each way to write one robot: `ros2://alice` and `ros2:namespace=/alice`."""
+    try:
+        name = RobotName.parse(link)
+    except LinkError:  # told where it is to be reached
+        return link
+    name = name if name.address is None else name.on_graph
+    return f"{name.graph}//{name.namespace.strip('/')}"
 
 
 def _finding(problem: str, fix: str) -> Finding:

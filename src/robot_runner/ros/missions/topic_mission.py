@@ -34,7 +34,8 @@ class TopicMission(RobotSystem):
         topic: where it is published, relative to the robot's namespace unless it begins with `/`.
         message_type: its ROS type, such as `geometry_msgs/Twist`.
         publish: the message; `treatment(...)` may stand for any field, and what is left out has its ROS default.
-        until: a condition, such as `topic_above(...)`, or a number of seconds.
+        until: a condition, such as `topic_above(...)`, which has a `namespace` of its own to say whom it is about; or a
+            number of seconds.
         rate_hz: how often it is published, 1/s; 0 for once.
         timeout_s: how long the condition may take, s of the run's clock; the run fails then.
         afterwards: the safe message, published when the mission is over or breaks off, and by whoever is left when the

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Any
 
 from robot_runner.core.errors import LinkError, PluginError, did_you_mean
-from robot_runner.core.links.graph_names import full_name, missing
+from robot_runner.core.links.graph_names import full_name, missing, namespace_prefix
 from robot_runner.core.links.robot import Message, RobotLink
 
 #: Where a robot is to stand: x, y (m) and yaw (rad).
@@ -27,7 +27,7 @@ class Demand:
 
     Attributes:
         services: the names that it may have, the likeliest first, relative to the robot's namespace unless they begin
-            with `/`; one that is not there is looked for under any other name with the same end.
+            with `/`; one that is not there is looked for under any other name in that namespace with the same end.
         service_type: its type.
         request: what it is called with.
         refusal: says of a response why it was refused; empty where it was done.
@@ -70,8 +70,12 @@ class Demand:
         there = [each for each in names if each in known]
         if there:
             return there[0]
-        end = "/" + names[0].rpartition("/")[2]
-        alike = [name for name, kind in known.items() if name.endswith(end) and kind in {self.service_type, "*"}]
+        end, below = "/" + names[0].rpartition("/")[2], f"{namespace_prefix(namespace)}/"  # not another robot's
+        alike = [
+            name
+            for name, kind in known.items()
+            if name.startswith(below) and name.endswith(end) and kind in {self.service_type, "*"}
+        ]
         if len(alike) == 1:
             return alike[0]
         fix = f"Start the simulator with the plugin or the bridge that offers it ({self.service_type})."

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import Clock
-from robot_runner.core.links.commanded_topics import VELOCITIES
+from robot_runner.core.links.commanded_topics import VELOCITIES, commanded_type
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import Advertiser, RobotLink
 from robot_runner.ros.graph_transport import is_simulated_time
@@ -51,7 +51,12 @@ class Wheels:
             self._link.advertise(self._own_topic, self._type or self._subscribed_type())
 
     def _subscribed_type(self) -> str:
-        told = {each.message_type for each in self._link.subscribers(self._topic) if not each.is_own}
+        try:
+            told = {each.message_type for each in self._link.subscribers(self._topic) if not each.is_own}
+        except LinkError:  # rosapi may have ended, and a robot that was commanded is to be stopped all the same
+            if (known := commanded_type(self._topic)) is None:
+                raise
+            return known
         if subscribed := told & VELOCITIES:
             self._type = min(subscribed)  # of both, the one that every robot takes
         # Where it is another type, publishing says so; where there is none yet, it is asked for again next time.

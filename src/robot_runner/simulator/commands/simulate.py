@@ -32,7 +32,7 @@ def add_arguments(parser: Parser) -> None:
         "--link",
         metavar="LINK",
         required=True,
-        help="the graph: ros1, ros2 or dds, with the options that robot takes in a config, such as dds:domain=7",
+        help="the graph: ros1, ros2, dds or a rosbridge, as robot names it in a config: dds:domain=7, rosbridge://robot",
     )
     parser.add_argument("--namespace", metavar="NAME", default="", help="the namespace of the robot, such as /alice")
     parser.add_argument("--seed", metavar="N", type=int, default=1, help="the seed of its noise; 1 if it is left out")
