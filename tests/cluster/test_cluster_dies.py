@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.cluster.conftest import BIN, LEASE, PATIENCE, Cluster, Proxy, Watched, journal_of, table_of, until
 
+from robot_runner.core.execution.standby import goes_on
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
@@ -71,10 +73,16 @@ def test_runs_end_where_their_orchestrator_was_killed_with_its_gateway(cluster: 
     cluster.worker("one")
     experiment = cluster.experiment(watched.config)
     run = watched.pid()
+    (mark,) = (path for path in watched.folder.glob(".probe-*") if path.name.count("-") == 1)
+    os.utime(mark, (0.0, 0.0))
+    until(lambda: mark.stat().st_mtime > 0.0, "the lease is renewed")
     for pid in _children(experiment.pid):  # the gateway has a session of its own
         os.kill(pid, signal.SIGKILL)
     os.killpg(experiment.pid, signal.SIGKILL)
     killed = time.monotonic()
+    experiment.wait(PATIENCE)
+    assert _is_alive(run)
+    assert goes_on(watched.folder), "who claims the same robot waits"
     until(lambda: not _is_alive(run), "the run ends with its lease")
     assert time.monotonic() - killed < LEASE + 10
     assert (watched.told / "r_1.closed").exists()

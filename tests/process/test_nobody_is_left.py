@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 from tests.conftest import HEAD, written_config
-from tests.process.conftest import wait_until
+from tests.process.conftest import kill_together, wait_until
 
 Start = Callable[..., Any]
 
@@ -239,6 +239,34 @@ def test_who_claims_the_same_robot_waits_for_what_a_killed_experiment_has_left_a
     assert waiting.end() == 0
     story = first.text_of("story").splitlines()
     assert story.index("ends r_2") < story.index("begins other")
+
+
+GATE = """
+class Hanging(Condition):
+    def __str__(self): return "it does not hang"
+    def watch(self, context, opened):
+        def look():
+            if not (flag := Path(__file__).with_name("hangs")).exists():
+                flag.touch()
+                HANG
+            return Look(True, "it does not")
+        return look
+""".replace("HANG", HANG)
+
+
+@pytest.mark.long
+def test_a_restart_ends_a_gate_that_hangs_in_c_and_says_so(start: Start, write_config: Callable[..., Path]) -> None:
+    head = HEAD.replace("import *\n", f"import *\n{GATE}", 1)
+    experiment = start(config=write_config("gates = [Gate(Hanging())]\ngrace_in_s = 0.5", head=head))
+    experiment.wait_for("hangs")
+    kill_together([experiment.keeper(), experiment.process.pid])
+    assert experiment.processes(), "the gate goes on"
+    again = start(config=experiment.config)
+    assert again.end() == 0, again.output
+    said = "an earlier execution was killed; what it did beside its runs was still going on and was waited for"
+    assert said in " ".join(again.output.split())
+    assert experiment.nobody_is_left()
+    assert not list(again.folder.glob(".aside-*"))
 
 
 @pytest.mark.long

@@ -161,6 +161,8 @@ def test_what_only_an_execution_needs_is_not_packed(tmp_path):
     mark = ".probe-0123456789abcdef"
     for name in (".lock", ".alive_2", ".pause", ".stop", mark, f"{mark}-fedcba9876543210"):
         (folder.root / name).touch()
+    (folder.root / ".aside-x3kd81_q" / "runs").mkdir(parents=True)  # of a gate that was killed
+    (folder.root / ".aside-x3kd81_q" / ".alive").touch()
     chosen = choose_contents(folder.files, ["r_1", "r_2"])
     assert ([each.name for each in chosen.files], chosen.left_out) == (before, ())
 

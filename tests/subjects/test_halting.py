@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import fcntl
+import sys
 import time
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -11,9 +13,12 @@ import pytest
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.resources import Resources
+from robot_runner.core.execution.left_over import is_subject_left
 from robot_runner.core.links.robot import GraphEndpoint
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.subjects import halting
-from robot_runner.subjects.halting import CommandedRobot
+from robot_runner.subjects.halting import CommandedRobot, Halting
+from robot_runner.subjects.supervised_program import Start
 from robot_runner.testing import make_context
 
 if TYPE_CHECKING:
@@ -103,6 +108,19 @@ def test_a_robot_that_is_not_reached_keeps_no_other_from_being_stopped(
     else:
         robots.command_zero()
     assert "/bob/cmd_vel" in told
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell who holds a lock")
+def test_until_the_process_that_halts_the_robot_has_ended_others_see_that_it_is_there(tmp_path: Path) -> None:
+    start = Start(tmp_path / "subjects" / "Planner" / "1")
+    start.folder.mkdir(parents=True)
+    supervisor, folder = start.events.open("w"), ExperimentFolder(tmp_path)
+    with supervisor:
+        fcntl.flock(supervisor, fcntl.LOCK_EX)
+        halts = Halting(start, "Planner")
+        assert is_subject_left(folder), "from its beginning on"
+    halts.finish()
+    assert not is_subject_left(folder)
 
 
 class GraphOfTwo(SlowGraph):

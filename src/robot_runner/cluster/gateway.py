@@ -187,6 +187,8 @@ class Gateway:
             self._replies.tell("joined", member.facts())
             while not (member.is_lost or self._is_ending.is_set()):
                 member.renewed = time.monotonic()
+                with contextlib.suppress(OSError):  # other experiments see by it since when nobody looks after the runs
+                    os.utime(self._facts["worker_facts"]["probe"]["path"], follow_symlinks=False)
                 await cluster_members.answer_of(client, member, self._facts["lease"], on_worker.renew, self._session)
                 await asyncio.sleep(self._facts["lease"] / 4)
         except cluster_members.ANSWER as error:

@@ -190,8 +190,8 @@ _TRANSIENT = re.compile(
 #: What file managers leave in folders that somebody has looked at.
 DESKTOP_FILES = frozenset({".DS_Store", "Thumbs.db"})
 _BYTE_CODE = "__pycache__"
-#: The copy of a repository that was being made when the execution was killed.
-_HALF_MADE = re.compile(r"\..*\.git\.tmp")
+#: The copy of a repository that was being made when the execution was killed, and what was executed beside its runs.
+_HALF_MADE = re.compile(r"\..*\.git\.tmp|\.aside-[a-z0-9_]{8}")
 _WORKING_FOLDERS = frozenset({".git", ".ipynb_checkpoints", ".venv"})
 
 

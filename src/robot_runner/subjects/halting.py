@@ -11,14 +11,15 @@ part of what is measured, or just before, where the program is about to be ended
 
 from __future__ import annotations
 
+import fcntl
 import json
 import select
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 
 from robot_runner.core.errors import LinkError, PluginError, RobotRunnerError
@@ -76,6 +77,17 @@ class CommandedTopics:
         ends = [line["problem"] for line in self._lines() if "problem" in line]
         return ends[-1] if ends else None if self.by_robot() else ""
 
+    @contextmanager
+    def locked(self) -> Iterator[tuple[int, ...]]:
+        """Lock the file, and yield what a process has to inherit to hold that lock from then on, until it ends.
+
+        So who wants the robot next sees that it is about to be halted.
+        """
+        with self._path.open("a", encoding="utf-8") as file:
+            with suppress(OSError):  # its file system offers no locks of this kind
+                fcntl.flock(file, fcntl.LOCK_SH)
+            yield (file.fileno(),)
+
     def _write(self, line: dict[str, str]) -> None:
         with self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
@@ -104,13 +116,15 @@ class Halting:
         self._begin()
 
     def _begin(self) -> None:
-        self._process = subprocess.Popen(  # noqa: S603 - our own module
-            [sys.executable, "-P", "-m", __name__, str(self._start.folder)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,  # what a terminal interrupts is not its end
-        )
+        with self._commanded.locked() as inherited:
+            self._process = subprocess.Popen(  # noqa: S603 - our own module
+                [sys.executable, "-P", "-m", __name__, str(self._start.folder)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,  # what a terminal interrupts is not its end
+                pass_fds=inherited,
+            )
 
     def prepare(self) -> None:
         """Have it join the robot's graph before the program is ended, so that the robot stands still at once."""

@@ -7,7 +7,7 @@ import pytest
 from robot_runner.cli.commands import continue_
 from robot_runner.core.execution import experiment_status
 from robot_runner.core.execution.experiment_status import ExperimentStatus
-from robot_runner.core.storage.lock import Holder, Request, take_request
+from robot_runner.core.storage.lock import Holder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,7 +31,7 @@ def test_an_experiment_that_nobody_executes_is_not_told(robot_runner: Callable, 
     assert not (folder / ".control").exists()
 
 
-def test_an_experiment_that_does_not_hear_is_said_not_to(
+def test_an_experiment_that_does_not_hear_is_said_not_to_and_hears_nothing_later(
     robot_runner: Callable, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     waiting = ExperimentStatus(
@@ -54,5 +54,5 @@ def test_an_experiment_that_does_not_hear_is_said_not_to(
     monkeypatch.setattr(experiment_status, "_PATIENCE", 0.0)
     answer = robot_runner("continue", "config.py")
     assert answer.code == 2
-    assert "the experiment has not taken the request" in answer.err
-    assert take_request(folder / ".control") == Request()
+    assert "the experiment has not taken the request within 0 s; it was taken back" in answer.err
+    assert not (folder / ".control").exists()

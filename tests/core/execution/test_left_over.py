@@ -8,6 +8,7 @@ import itertools
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,11 +18,12 @@ from robot_runner.core.errors import StorageError
 from robot_runner.core.execution.left_over import (
     RunMark,
     RunsElsewhere,
+    await_left_over,
     end_left_over,
     left_over,
     runs_elsewhere,
 )
-from robot_runner.core.execution.standby import await_standby
+from robot_runner.core.execution.standby import await_standby, goes_on
 from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:
@@ -48,6 +50,29 @@ def opened_by(tmp_path: Path) -> Iterator[Callable[[str], Started]]:
         return process
 
     (tmp_path / ".alive").touch()
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture
+def locking() -> Iterator[Callable[[Path], Started]]:
+    """Return what starts a program that locks a file, and takes no signal to end."""
+    started: list[Started] = []
+
+    def start(path: Path) -> Started:
+        path.parent.mkdir(parents=True)
+        program = (
+            f"import fcntl, signal, time; file = open({str(path)!r}, 'w'); fcntl.flock(file, fcntl.LOCK_EX); "
+            "signal.signal(signal.SIGTERM, signal.SIG_IGN); print(flush=True); time.sleep(60)"
+        )
+        process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE)
+        started.append(process)
+        assert process.stdout is not None
+        process.stdout.readline()
+        return process
+
     yield start
     for process in started:
         process.kill()
@@ -122,3 +147,49 @@ def test_what_is_left_of_a_run_is_found_in_a_folder_whose_name_is_no_text(tmp_pa
         left.stdout.readline()
         assert left_over(folder) == [left.pid]
         left.kill()
+
+
+def test_an_experiment_goes_on_as_long_as_software_that_went_on_through_its_runs_is_being_ended(
+    tmp_path: Path, locking: Callable[[Path], Started]
+) -> None:
+    assert not goes_on(tmp_path)
+    events = tmp_path / "subjects" / "Planner" / "1" / "events.jsonl"
+    supervisor = locking(events)
+    assert goes_on(tmp_path)
+    supervisor.kill()
+    supervisor.wait()
+    assert not goes_on(tmp_path)
+
+
+def test_an_experiment_goes_on_as_long_as_what_it_executed_beside_its_runs(
+    tmp_path: Path, locking: Callable[[Path], Started]
+) -> None:
+    gate = locking(tmp_path / ".aside-x3kd81_q" / ".alive")
+    assert goes_on(tmp_path)
+    finding = await_left_over(ExperimentFolder(tmp_path), 0.1)
+    assert gate.wait(10) == -9
+    assert finding is not None
+    assert "what it did beside its runs was still going on and was waited for" in finding.problem
+    assert not list(tmp_path.glob(".aside-*"))
+    assert not goes_on(tmp_path)
+
+
+def test_an_experiment_goes_on_as_long_as_a_program_that_a_run_of_it_has_started(tmp_path: Path) -> None:
+    program = "import time; print(flush=True); time.sleep(60)"
+    environment = {"ROBOT_RUNNER_RUN_OF": str(tmp_path)}
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, env=environment) as left:
+        assert left.stdout is not None
+        left.stdout.readline()
+        assert goes_on(tmp_path)
+        left.kill()
+    assert not goes_on(tmp_path)
+
+
+@pytest.mark.parametrize(("touched", "is_so"), [(0.0, True), (-32.0, True), (-34.0, False), (3600.0, False)])
+def test_an_experiment_goes_on_elsewhere_until_the_leases_have_ended_that_somebody_renewed(
+    tmp_path: Path, touched: float, is_so: bool
+) -> None:
+    mark = tmp_path / ".probe-0123456789abcdef"
+    mark.write_bytes(RunsElsewhere("cluster tcp://scheduler:8786", 33.0).content())
+    os.utime(mark, times=(0.0, time.time() + touched))
+    assert goes_on(tmp_path) is is_so

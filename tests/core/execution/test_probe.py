@@ -210,7 +210,9 @@ def test_a_probe_comes_before_everything_else_and_calls_profilers_alone(
     assert [line.partition(":")[0] for line in probed] == ["A at probe of heavy", "B at probe of heavy"]
     assert before == "before"
     folders = [Path(line.partition(": ")[2]) for line in probed]
-    assert not any(folder.exists() or here in folder.parents for folder in folders)
+    experiment = here / "results" / "metered"
+    assert not any(folder.exists() or experiment / "runs" in folder.parents for folder in folders)
+    assert not list(experiment.glob(".aside-*"))
 
 
 def test_what_a_probe_saw_is_in_the_journal_and_its_doubts_are_shown(

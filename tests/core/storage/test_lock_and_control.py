@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from robot_runner.core.errors import ExecutionError, StorageError
+from robot_runner.core.storage import lock
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.lock import (
     ExperimentLock,
@@ -202,6 +203,21 @@ def test_a_command_that_answers_one_question_is_left_alone_by_who_asks_another(t
     assert take_request(control, ("r_3", "swap the battery")) is not None
     send_continue(control)  # of an older client
     assert take_request(control, ("r_3", "close the door")) is not None
+
+
+def test_a_command_that_is_taken_back_while_it_is_read_was_not_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    control = tmp_path / ".control"
+    send_continue(control)
+    text = control.read_bytes()
+
+    def read(path: Path, **_: object) -> bytes:
+        path.unlink()
+        return text
+
+    monkeypatch.setattr(lock, "read_bytes", read)
+    assert take_request(control) is None
 
 
 @pytest.mark.parametrize("nonsense", ["dance", '{"command": "dance"}'])

@@ -1,7 +1,8 @@
 """What is done beside the runs and might open links or start threads: in a process of its own, under a keeper.
 
 The orchestrator forks runs and opens nothing itself. A probe, a gate, or a host that starts anew is therefore executed
-as a run is, in a scratch folder: what it opens, breaks or leaves behind is gone with its process.
+as a run is, in a scratch folder: what it opens, breaks or leaves behind is gone with its process. That folder is in
+the experiment's, as long as this process executes that, so that the next one finds what a kill has left alive.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from collections.abc import Callable, Collection, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, gettempdir
 from typing import Any
 
 from robot_runner.core.config.experiment import Experiment
@@ -18,11 +19,14 @@ from robot_runner.core.config.parameters import RunProcess
 from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents, methods_of
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.execution.executor import begin_run
+from robot_runner.core.execution.left_over import ASIDE
 from robot_runner.core.execution.patience import Steps
 from robot_runner.core.execution.places import Watch
 from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.lock import holder_of
+from robot_runner.core.storage.system_refusals import storage_errors
 
 
 def executed_aside(
@@ -61,7 +65,7 @@ def executed_aside(
             if event in events:
                 manager.subscribe(event, callback, owner=profiler.name, kind=OwnerKind.PROFILER)
     manager.subscribe(RobotRunnerEvents.LAUNCH_MISSION, mission, owner=CONFIG_OWNER, kind=OwnerKind.CONFIG)
-    with TemporaryDirectory(prefix="robot-runner-", ignore_cleanup_errors=True) as folder:
+    with _scratch_folder(experiment.folder) as folder:
         aside = replace(
             experiment,
             parameters=parameters,
@@ -73,3 +77,14 @@ def executed_aside(
         with closing(begin_run(aside, task, builder, watch, may_command=False)) as run:
             yield run
             return run.outcome()
+
+
+def _scratch_folder(folder: ExperimentFolder) -> TemporaryDirectory[str]:
+    """Make the folder in which something is executed aside, which is removed on leaving.
+
+    Raises:
+        StorageError: it cannot be made.
+    """
+    where, prefix = (folder.root, ASIDE) if holder_of(folder.lock) else (None, "robot-runner-")
+    with storage_errors(where or Path(gettempdir()), "written"):
+        return TemporaryDirectory(prefix=prefix, dir=where, ignore_cleanup_errors=True)

@@ -18,7 +18,7 @@ from robot_runner.core.execution.places import InFlight
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import moved_in_words, moved_runs, unrecorded_findings
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.lock import Holder, holder_of, is_requested, send_continue
+from robot_runner.core.storage.lock import Holder, holder_of, is_requested, send_continue, take_request
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
@@ -255,17 +255,20 @@ def continue_and_see(
 
     Raises:
         StorageError: the folder cannot be written.
-        ExecutionError: the request was not taken within five seconds.
+        ExecutionError: the request was not taken within five seconds; it was taken back.
     """
     asked = None if waiting_for is None else (str(waiting_for["next_run"]), str(waiting_for["step"]))
     send_continue(files.control, answers, asked)
     end = time.monotonic() + _PATIENCE
-    while files.control.exists():
-        if time.monotonic() > end:
-            raise ExecutionError(
-                f"the experiment has not taken the request after {_PATIENCE:g} s",
-                where=where,
-                fix="Look at what it waits for now (robot-runner status): somebody else may have answered. If it is "
-                "still the same, press ENTER in its own terminal.",
-            )
-        time.sleep(_LOOK)
+    try:
+        while files.control.exists() and time.monotonic() <= end:
+            time.sleep(_LOOK)
+    finally:  # who is told that nobody has taken it does not expect the robot to move later
+        was_left = take_request(files.control, asked) is not None
+    if was_left or files.control.exists():
+        raise ExecutionError(
+            f"the experiment has not taken the request within {_PATIENCE:g} s; it was taken back",
+            where=where,
+            fix="Look at what it waits for now (robot-runner status): somebody else may have answered. If it is "
+            "still the same, press ENTER in its own terminal.",
+        )

@@ -9,6 +9,8 @@ So the run itself, the orchestrator, or the next one that executes the experimen
 
 Of runs that other machines execute, a mark in the folder tells as long as the execution lasts: where, and for how long
 they may go on once nobody looks after them.
+
+What is executed beside the runs has the same marks, in a folder of its own in the experiment's.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ import fcntl
 import json
 import os
 import re
+import shutil
 import signal
 import sys
 import time
@@ -38,6 +41,8 @@ _VARIABLE = "ROBOT_RUNNER_RUN_OF"
 _LOOK, _DYING = 0.05, 5.0
 #: Enough for any process's id.
 _DIGITS = 20
+#: How folders are called in which something is executed beside the runs: a probe, a gate, a host that starts anew.
+ASIDE = ".aside-"
 #: How the mark of runs elsewhere is called, with the session of their execution; what answers it has a longer name.
 MARK_OF_ELSEWHERE = ".probe-"
 _ELSEWHERE = re.compile(r"\.probe-[0-9a-f]{16}")
@@ -86,6 +91,12 @@ def _mark(folder: ExperimentFolder) -> str:
     return root if folder.slot == 1 else f"{root}#{folder.slot}"
 
 
+def marked_folders(folder: ExperimentFolder) -> list[ExperimentFolder]:
+    """Return where an experiment has marks: the folder at each slot, and each in which something is executed aside."""
+    asides = [ExperimentFolder(path) for path in sorted(folder.root.glob(f"{ASIDE}*")) if not path.is_symlink()]
+    return [*map(folder.at_slot, folder.used_slots()), *asides]
+
+
 def left_over(folder: ExperimentFolder) -> list[int]:
     """Return the processes that runs at a slot left alive, but for those that may outlive them (Linux)."""
     name = os.fsencode(f"{_VARIABLE}={_mark(folder)}")  # as the system has it, whatever a folder is called
@@ -127,7 +138,7 @@ def await_left_over(folder: ExperimentFolder, grace: float) -> Finding | None:
         ExecutionError: it is still alive afterwards; that takes a system without /proc, or another user's process.
     """
     began = time.monotonic()
-    slots = [folder.at_slot(number) for number in folder.used_slots()]
+    slots = marked_folders(folder)
     alive = [slot for slot in slots if is_alive(slot)]
     was_alive = bool(alive)
     for slot in alive:
@@ -144,11 +155,14 @@ def await_left_over(folder: ExperimentFolder, grace: float) -> Finding | None:
     for slot in slots:
         if was_open_to_strangers(slot.alive, folder.root):  # as earlier versions made it; one could lock it for ever
             remove(slot.alive, folder.root)
+        if slot.root != folder.root:  # what was written there is not kept
+            shutil.rmtree(slot.root, ignore_errors=True)
     if not (was_alive or killed):
         return None
-    runs = (
-        "its run was still alive and was" if len(alive) == 1 else f"{len(alive)} of its runs were still alive and were"
-    )
+    count = sum(slot.root == folder.root for slot in alive)
+    runs = f"{count} of its runs were still alive and were" if count > 1 else "its run was still alive and was"
+    if not count:
+        runs = "what it did beside its runs was still going on and was"
     waited = f"{runs} waited for ({seconds:.1f} s)" if was_alive else "its run had ended"
     left = f"; what was left of it was killed: {', '.join(map(str, killed))}" if killed else ""
     return Finding.warning(str(folder.root), f"an earlier execution was killed; {waited}{left}")
@@ -183,7 +197,18 @@ class RunsElsewhere:
 
 def runs_elsewhere(folder: ExperimentFolder) -> list[RunsElsewhere]:
     """Return what may go on elsewhere: there is one for each execution over other machines that did not end."""
-    return [_elsewhere(path, folder) for path in sorted(folder.root.iterdir()) if _ELSEWHERE.fullmatch(path.name)]
+    return [_elsewhere(path, folder) for path in _marks_of_elsewhere(folder)]
+
+
+def go_on_elsewhere(folder: ExperimentFolder) -> bool:
+    """Whether other machines may go on with runs at this moment: who looks after them touches the mark each time."""
+    now = time.time()  # and not the monotonic one, which begins anew with the machine
+    marks = _marks_of_elsewhere(folder)
+    return any(abs(now - mark.lstat().st_mtime) < _elsewhere(mark, folder).seconds for mark in marks)
+
+
+def _marks_of_elsewhere(folder: ExperimentFolder) -> list[Path]:
+    return [path for path in sorted(folder.root.iterdir()) if _ELSEWHERE.fullmatch(path.name)]
 
 
 def _elsewhere(mark: Path, folder: ExperimentFolder) -> RunsElsewhere:
@@ -212,18 +237,37 @@ def _wait(is_so: Callable[[], bool], seconds: float) -> bool:
 
 def is_alive(folder: ExperimentFolder) -> bool:
     """Whether a keeper, a run, or what they forked is alive; what may outlive its run does not count."""
-    if not _is_locked(folder):
+    if not _is_locked(folder.alive, folder.root):
         return False
-    alive, spared = folder.alive.resolve(), outliving(folder.outliving)
-    holders = [pid for pid in processes() if pid != os.getpid() and has_locked(pid, alive)]
+    holders, spared = _holders(folder.alive), outliving(folder.outliving)
     if not holders:  # seen: without /proc none is, and another user's is not
         return not (sys.platform == "linux" and was_open_to_strangers(folder.alive, folder.root))
     return not all(is_spared(pid, spared) for pid in holders)
 
 
-def _is_locked(folder: ExperimentFolder) -> bool:
+def is_subject_left(folder: ExperimentFolder) -> bool:
+    """Whether software under test that goes on through all runs is being ended, or a robot that it had commanded.
+
+    Who does that has locked a file of its start for as long as it takes.
+    """
+    return any(_is_locked_by_us(path, folder.root) for path in folder.subjects.glob("*/*/*.jsonl"))
+
+
+def _is_locked_by_us(path: Path, root: Path) -> bool:
+    with suppress(OSError, StorageError):  # nothing that was written by a start
+        return _is_locked(path, root) and (sys.platform != "linux" or bool(_holders(path)))
+    return False
+
+
+def _holders(path: Path) -> list[int]:
+    """Return the other processes that hold the lock of a file; another user's are not seen."""
+    locked = path.resolve()
+    return [pid for pid in processes() if pid != os.getpid() and has_locked(pid, locked)]
+
+
+def _is_locked(path: Path, root: Path) -> bool:
     try:
-        descriptor = open_descriptor(folder.alive, folder.root, os.O_RDWR)
+        descriptor = open_descriptor(path, root, os.O_RDWR)
     except MissingFileError:
         return False
     try:

@@ -24,7 +24,14 @@ from robot_runner.core.errors import ExecutionError, Finding, LinkError, Storage
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.events.resources import Resources
-from robot_runner.core.execution.left_over import has_locked, is_alive
+from robot_runner.core.execution.left_over import (
+    go_on_elsewhere,
+    has_locked,
+    is_alive,
+    is_subject_left,
+    left_over,
+    marked_folders,
+)
 from robot_runner.core.execution.processes import ends, forked, settle_streams
 from robot_runner.core.execution.run_events import made_safe, run_contexts
 from robot_runner.core.execution.run_records import failure_fields
@@ -230,11 +237,18 @@ class _Connection:
 
 
 def goes_on(root: Path) -> bool:
-    """Return whether anything of an experiment that nobody executes is alive: a run, or who makes its systems safe."""
+    """Return whether anything goes on of an experiment that nobody executes.
+
+    That is a run, here or on another machine, or what was done beside the runs; software under test; or who makes
+    systems safe.
+    """
     folder = ExperimentFolder.found_at(root)
     with suppress(OSError, StorageError):  # of a folder that cannot be looked at, that is not known
-        slots = map(folder.at_slot, folder.used_slots())
-        return not holder_of(folder.lock) and any(is_alive(slot) or _locked_by(slot) is not None for slot in slots)
+        if holder_of(folder.lock):
+            return False
+        marked = marked_folders(folder)
+        is_here = any(is_alive(each) or _locked_by(each) is not None or left_over(each) for each in marked)
+        return is_here or is_subject_left(folder) or go_on_elsewhere(folder)
     return False
 
 

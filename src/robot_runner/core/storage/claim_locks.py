@@ -30,7 +30,10 @@ _TRIES, _BETWEEN = 50, 0.01
 _HAVE_IT_WAIT = (
     "Have this one wait: `robot-runner queue add`, or `run --wait`; or end the other with Ctrl-C in its terminal."
 )
-_AWAIT_ITS_END = "It ends by itself: try again in a moment, or have this one wait: `robot-runner run --wait`."
+_AWAIT_ITS_END = (
+    "It ends by itself: try again in a moment, or have this one wait: `robot-runner run --wait`. If it goes on for "
+    "minutes, start the other one again, which ends it."
+)
 _NAME_A_FOLDER = "Set XDG_STATE_HOME to a folder of your own."
 
 

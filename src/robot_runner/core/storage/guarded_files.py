@@ -323,8 +323,8 @@ def replace(path: Path, content: str | bytes, root: Path | None = None, *, is_la
         file.write(content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content)
 
 
-def remove(path: Path, root: Path | None = None) -> None:
-    """Remove a file, or the link that stands in its place; one that is missing is no fault.
+def remove(path: Path, root: Path | None = None) -> bool:
+    """Remove a file, or the link that stands in its place, and return whether it was there.
 
     Raises:
         StorageError: the way to it leads over a link or outside, or the system refuses.
@@ -334,7 +334,8 @@ def remove(path: Path, root: Path | None = None) -> None:
         refusals(path, root, "removed") as (top, (*folders, name)),
         folder_inside(top, folders) as folder,
     ):
-        _unlink(name, folder)
+        return _unlink(name, folder)
+    return False
 
 
 def _opened(path: Path, root: Path | None, flags: int, kind: str, buffering: int) -> BinaryIO:
@@ -375,9 +376,11 @@ def _require_own(path: Path, found: os.stat_result) -> None:
         raise StorageError(problem, where=str(path), fix="Copy it, and put the copy in its place.")
 
 
-def _unlink(name: str, folder: int) -> None:
+def _unlink(name: str, folder: int) -> bool:
     with suppress(FileNotFoundError):
         os.unlink(name, dir_fd=folder)
+        return True
+    return False
 
 
 def _too_large(path: Path, problem: str, limit: int) -> DamagedFileError:

@@ -207,8 +207,7 @@ def take_request(control: Path, asked: Asked | None = None) -> Request | None:
     request = _understood(text)
     if request is not None and asked is not None and request.asked not in {None, asked}:
         return None
-    remove(control)
-    return request
+    return request if remove(control) else None  # else who has left it has taken it back meanwhile
 
 
 def _understood(text: bytes) -> Request | None:
