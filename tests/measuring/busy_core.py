@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 
     from robot_runner.measuring.host import UtilisationSample
 
+#: The name of the subject that `busy_family` keeps busy: all processes of the machine are looked through, among which
+#: may be those of tests that another process executes at the same time.
+FAMILY = f"Family{os.getpid()}"
+
 _PROGRAM = """\
 import os, time
 os.sched_setaffinity(0, {{{core}}})
@@ -97,16 +101,15 @@ time.sleep(100)
 
 
 @contextmanager
-def busy_family(subject: str, *around: str, program: str = _FAMILY) -> Iterator[Busy]:
-    """Keep a subject busy whose work is done by children, most of which live for a moment each.
+def busy_family(*around: str, program: str = _FAMILY) -> Iterator[Busy]:
+    """Keep a subject of the name `FAMILY` busy whose work is done by children, most of which live for a moment each.
 
     Args:
-        subject: its name.
         around: a command that executes the one that follows it.
         program: what it executes.
     """
     command = [*around, sys.executable, "-I", "-S", "-c", program]
-    marked = {**os.environ, SUBJECT_VARIABLE: subject}
+    marked = {**os.environ, SUBJECT_VARIABLE: FAMILY}
     with subprocess.Popen(command, stdout=subprocess.PIPE, env=marked, start_new_session=True) as process:
         try:
             assert process.stdout is not None

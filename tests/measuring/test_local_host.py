@@ -8,7 +8,7 @@ from types import SimpleNamespace
 from typing import NamedTuple
 
 import pytest
-from tests.measuring.busy_core import ZOMBIE, busy_core, busy_family, counted_seconds, needs_affinity, wait
+from tests.measuring.busy_core import FAMILY, ZOMBIE, busy_core, busy_family, counted_seconds, needs_affinity, wait
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
@@ -52,9 +52,9 @@ def test_a_busy_core_reads_100_percent_and_its_process_what_the_kernel_says(host
 
 @pytest.mark.long
 def test_children_of_a_subject_that_come_and_go_between_two_looks_are_counted(host):
-    with busy_family("Planner") as busy:
+    with busy_family() as busy:
         begun = time.monotonic()
-        sampler = host.sample_processes(10.0, ["subject:Planner"])
+        sampler = host.sample_processes(10.0, [f"subject:{FAMILY}"])
         spent = -busy.cpu_seconds
         wait(1.2)
         samples = sampler.stop()
@@ -67,8 +67,8 @@ def test_children_of_a_subject_that_come_and_go_between_two_looks_are_counted(ho
 def test_a_child_that_is_awaited_long_after_it_has_ended_counts_once(host, monkeypatch):
     monkeypatch.setattr(local_host, "RESCAN", 0.0)
     monkeypatch.setattr(local_host, "_YOUNG", 1000)
-    with busy_family("Planner", program=ZOMBIE) as busy:
-        sampler = host.sample_processes(20.0, ["subject:Planner"])
+    with busy_family(program=ZOMBIE) as busy:
+        sampler = host.sample_processes(20.0, [f"subject:{FAMILY}"])
         busy.wait_for_children(0.3)
         wait(0.2)
         samples = sampler.stop()
@@ -79,15 +79,15 @@ def test_a_child_that_is_awaited_long_after_it_has_ended_counts_once(host, monke
 def test_a_process_that_is_new_is_seen_by_the_next_sample(monkeypatch):
     psutil = pytest.importorskip("psutil")
     monkeypatch.setattr(local_host, "RESCAN", 1000.0)
-    processes = local_host.LocalProcesses(psutil, ["subject:Planner"])
+    processes = local_host.LocalProcesses(psutil, [f"subject:{FAMILY}"])
     assert processes.counters() == ()
-    with busy_family("Planner") as busy:
+    with busy_family() as busy:
         assert busy.pid in [one.pid for one in processes.counters()]
 
 
 def test_what_a_subject_has_started_belongs_to_it_where_its_mark_was_taken_away(host):
-    with busy_family("Planner", "sh", "-c", 'env -i "$@"; true', "sh"):
-        sampler = host.sample_processes(10.0, ["subject:Planner"])
+    with busy_family("sh", "-c", 'env -i "$@"; true', "sh"):
+        sampler = host.sample_processes(10.0, [f"subject:{FAMILY}"])
         wait(0.5)
         assert sampler.stop()[-1].processes[0].count >= 2  # the shell, and what sudo would have started
 

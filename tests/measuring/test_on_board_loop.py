@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.measuring.busy_core import ZOMBIE, busy_core, busy_family, counted_seconds, needs_affinity, wait
+from tests.measuring.busy_core import FAMILY, ZOMBIE, busy_core, busy_family, counted_seconds, needs_affinity, wait
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
@@ -63,9 +63,9 @@ def test_the_best_way_is_chosen() -> None:
 
 
 def test_a_process_that_is_new_is_seen_by_the_next_sample_of_the_loop_in_python() -> None:
-    processes = loop.Processes(["subject:Planner"])
+    processes = loop.Processes([f"subject:{FAMILY}"])
     assert processes.counters(0.0) == []
-    with busy_family("Planner") as busy:
+    with busy_family() as busy:
         assert f"0:{busy.pid}:" in " ".join(processes.counters(0.001))
 
 
@@ -116,9 +116,9 @@ def test_a_busy_core_reads_100_percent_and_its_process_what_the_kernel_says(
 def test_children_of_a_subject_that_come_and_go_between_two_looks_are_counted(
     host: Callable[..., SshHost], form: str
 ) -> None:
-    with busy_family("Planner") as busy:
+    with busy_family() as busy:
         begun = time.monotonic()
-        sampler = host(form).sample_processes(10.0, ["name:nobody", "subject:Planner"])
+        sampler = host(form).sample_processes(10.0, ["name:nobody", f"subject:{FAMILY}"])
         spent = -busy.cpu_seconds
         wait(1.2)
         samples = sampler.stop()
@@ -130,8 +130,8 @@ def test_children_of_a_subject_that_come_and_go_between_two_looks_are_counted(
 @pytest.mark.long
 @pytest.mark.parametrize("form", PYTHON_AND_SHELL)
 def test_a_child_that_is_awaited_long_after_it_has_ended_counts_once(host: Callable[..., SshHost], form: str) -> None:
-    with busy_family("Planner", program=ZOMBIE) as busy:
-        sampler = host(form).sample_processes(20.0, ["subject:Planner"])
+    with busy_family(program=ZOMBIE) as busy:
+        sampler = host(form).sample_processes(20.0, [f"subject:{FAMILY}"])
         busy.wait_for_children(0.3)
         wait(0.2)
         samples = sampler.stop()
@@ -141,8 +141,8 @@ def test_a_child_that_is_awaited_long_after_it_has_ended_counts_once(host: Calla
 
 @pytest.mark.long
 def test_what_a_subject_has_started_belongs_to_it_where_its_mark_was_taken_away(host: Callable[..., SshHost]) -> None:
-    with busy_family("Planner", "sh", "-c", 'env -i "$@"; true', "sh"):
-        sampler = host("python3").sample_processes(10.0, ["name:nobody", "subject:Planner"])
+    with busy_family("sh", "-c", 'env -i "$@"; true', "sh"):
+        sampler = host("python3").sample_processes(10.0, ["name:nobody", f"subject:{FAMILY}"])
         wait(0.5)
         assert sampler.stop()[-1].processes[1].count >= 2  # the shell, and what sudo would have started
 

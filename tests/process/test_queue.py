@@ -11,6 +11,7 @@ import sys
 import time
 from collections import Counter
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -298,10 +299,28 @@ def test_what_wants_a_robot_that_may_be_moving_waits_until_somebody_has_looked(
     assert set(done_runs(tmp_path / "results" / "same").values()) == {1}
 
 
-def test_the_number_of_an_experiment_that_was_dropped_is_given_to_no_other() -> None:
+FACTS: dict[str, Any] = {
+    "config": "/e.py", "options": [], "started_in": "/", "experiment": "e", "results": "/e", "claims": [],
+    "python": "python", "environment": {}, "config_sha256": "",
+}  # fmt: skip
+
+
+def test_who_takes_out_all_that_have_ended_leaves_one_whose_robot_nobody_has_looked_at(
+    robot_runner: Callable[..., Any],
+) -> None:
     queue = ExperimentQueue()
-    facts = {"options": [], "started_in": "/", "experiment": "e", "results": "/e", "claims": [], "python": "python"}
-    facts |= {"config": "/e.py", "environment": {}, "config_sha256": ""}
+    for problem in ("some run failed", "THE ROBOT MAY BE MOVING; some run failed"):
+        queue.write(replace(queue.add(**FACTS), ended_at="2026-01-01T00:00:00.000Z", exit_code=1, problem=problem))
+    dropped = robot_runner("queue", "drop", "--ended")
+    assert "1 is out of the queue" in dropped.out
+    assert "2 stays in the queue: THE ROBOT MAY BE MOVING; look at it, then name it: " in dropped.out
+    assert [each.number for each in queue.read()[0]] == [2]
+    assert "2 is out of the queue" in robot_runner("queue", "drop", 2, "--ended").out
+    assert queue.read() == ([], [])
+
+
+def test_the_number_of_an_experiment_that_was_dropped_is_given_to_no_other() -> None:
+    queue, facts = ExperimentQueue(), FACTS
     assert [queue.add(**facts).number for _ in range(11)] == list(range(1, 12))
     for number in (11, 10, 2):
         queue.drop(number)

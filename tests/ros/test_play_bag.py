@@ -364,6 +364,25 @@ def test_rosbag_play_plays_it_and_its_end_ends_the_mission(tmp_path, master_uri,
     assert not context.broker.findings
 
 
+@pytest.mark.parametrize(
+    ("kind", "robot", "fix"),
+    [
+        ("mcap", "ros2:domain=7", "Say by='link', or set ROS_DOMAIN_ID to that of the robot."),
+        ("bag", "ros1:master=http://robot:11311", "Say by='link', or set ROS_MASTER_URI to that of the robot."),
+        ("bag", "ros2", "Say by='link'."),  # the program plays it on a graph of ROS 1
+        ("mcap", "rosbridge://robot", "Say by='link'."),  # nothing tells which graph is behind it
+    ],
+)
+def test_who_would_play_on_another_graph_is_told_what_helps(monkeypatch, scans, kind, robot, fix):
+    monkeypatch.setattr(shutil, "which", lambda _: "/opt/ros/bin/program")
+    for variable in ("ROS_DOMAIN_ID", "ROS_MASTER_URI"):
+        monkeypatch.delenv(variable, raising=False)
+    plugin = PlayBag(scans[kind], topics=["/scan"], by="program")
+    (elsewhere,) = plugin.check(Circumstances(robot=robot))
+    assert elsewhere.is_error
+    assert elsewhere.fix == fix
+
+
 @over_dds
 @pytest.mark.long
 def test_the_player_of_ros_2_gets_its_words_and_its_failure_is_told(tmp_path, monkeypatch, scans):

@@ -8,7 +8,7 @@ import os
 import socket
 import threading
 import time
-from contextlib import closing
+from contextlib import closing, suppress
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from types import SimpleNamespace
 
@@ -291,6 +291,28 @@ def test_what_is_too_big_for_a_server_is_said(server):
         with pytest.raises(LinkError, match="message too big") as caught:
             link.publish("chatter", STRING, {"data": "a"})
     assert "Send less at once" in caught.value.fix
+
+
+def test_types_that_two_threads_learn_at_once_are_both_known(monkeypatch):
+    both = threading.Barrier(2)
+    learn = TypeCatalogue.with_definition
+
+    def learn_meanwhile(catalogue, *told):
+        with suppress(threading.BrokenBarrierError):  # of threads that wait for each other there is one at a time
+            both.wait(0.2)
+        return learn(catalogue, *told)
+
+    monkeypatch.setattr(TypeCatalogue, "with_definition", learn_meanwhile)
+    texts = {"my_robot/Arm": "float64 angle\n", "my_robot/Leg": "float64 length\n"}
+    rosapi = SimpleNamespace(raw_definitions=lambda: texts, version=lambda _: (2, None))
+    types = rosbridge_types.RobotTypes(rosapi, RosbridgeAddress.parse("rosbridge://robot"))
+    threads = [threading.Thread(target=types.shape, args=(name,)) for name in texts]
+    for each in threads:
+        each.start()
+    for each in threads:
+        each.join()
+    rosapi.raw_definitions = dict
+    assert [types.is_known_here(name) for name in texts] == [True, True]
 
 
 @pytest.mark.parametrize("generation", [1, 2])

@@ -35,7 +35,7 @@ class Blocks:
         by: the factors whose treatments are the blocks.
 
     Example:
-        >>> from robot_runner.core.design.factor import Factor, factor_name
+        >>> from robot_runner.core.design.factor import Factor
         >>> from robot_runner.core.design.run_table_model import RunTableModel
         >>> factors = [Factor("Day", ["Mon", "Tue", "Wed"]), Factor("Planner", ["A", "B", "C"])]
         >>> model = RunTableModel(factors, repetitions=2, design=Blocks("Day"))

@@ -47,7 +47,7 @@ class Crossover(Described):
         washout_in_s: how long a unit rests between two periods, s, so that what one treatment left is gone.
 
     Example:
-        >>> from robot_runner.core.design.factor import Factor, factor_name
+        >>> from robot_runner.core.design.factor import Factor
         >>> from robot_runner.core.design.run_table_model import RunTableModel
         >>> factors = [Factor("Robot", ["A", "B"]), Factor("Period", [1, 2]), Factor("Planner", ["old", "new"])]
         >>> model = RunTableModel(factors, design=Crossover("Robot", "Period", washout_in_s=60))

@@ -15,7 +15,7 @@ from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.commanded_topics import VELOCITIES
 from robot_runner.core.links.connect import connect_robot, join_beforehand
-from robot_runner.core.links.robot import RobotLink
+from robot_runner.core.links.robot import Encoding, RobotLink
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.storage.input_files import InputFile
 from robot_runner.measuring.quality import Column, write_quality, write_samples
@@ -33,6 +33,13 @@ if TYPE_CHECKING:
     from robot_runner.core.plugin import Circumstances
 
 _FIX = "Execute the run again with nothing else going on, or play the bag more slowly (rate)."
+
+
+#: By which variable each program finds its graph, and over which links a robot may be on that one.
+_GRAPH_OF_PROGRAM = {
+    PROGRAMS[Encoding.ROS1]: ("ROS_MASTER_URI", {"ros1"}),
+    PROGRAMS[Encoding.CDR]: ("ROS_DOMAIN_ID", {"ros2", "dds"}),
+}
 
 
 class _By(StrEnum):
@@ -292,8 +299,11 @@ def _command_zero(topic: RecordedTopic, context: RobotRunnerContext) -> None:
 
 def _elsewhere(program: str, where: str, robot: str) -> Finding:
     problem = f"{program} would play on the graph that this machine's environment names, and not on that of {robot!r}"
-    fix = "Say by='link', or set ROS_DOMAIN_ID or ROS_MASTER_URI to those of the robot."
-    return Finding.error(where, problem, fix)
+    variable, links = _GRAPH_OF_PROGRAM[program]
+    fix = "Say by='link'"
+    if RobotName.parse(robot).link in links:  # of a rosbridge nothing tells which graph is behind it
+        fix += f", or set {variable} to that of the robot"
+    return Finding.error(where, problem, f"{fix}.")
 
 
 def _lives_by_graph(robot: str) -> bool:

@@ -7,6 +7,7 @@ import json
 import logging
 import math
 import os
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -277,6 +278,7 @@ class RobotTypes:
         self.generation, distro = rosapi.version(address)
         known = distro if self.generation == 1 or distro in ROS2_DISTROS else None
         self._catalogue = TypeCatalogue.of(self.generation, None if self.generation == 1 else known, address.types)
+        self._learning = threading.Lock()  # what two threads learn at once is kept of both
         self._told: dict[tuple[str, str], Shape] = {}
 
     @property
@@ -334,7 +336,8 @@ class RobotTypes:
         if not text or text.startswith(_UNTOLD):
             return False
         try:
-            self._catalogue = self._catalogue.with_definition(message_type, text)
+            with self._learning:
+                self._catalogue = self._catalogue.with_definition(message_type, text)
         except LinkError as error:
             _logger.warning("what the robot tells of %s is of no use: %s", message_type, error)
             return False

@@ -288,6 +288,7 @@ def test_a_robot_that_is_driven_in_the_orchestrator_s_process_is_told(tmp_path: 
         "context.publish('Twist', 'Twist of it')",
         "connect_robot(context).publish('lamp', LAMP, {'data': True})",
         "connect_robot(context).publish('cmd_vel', TWIST, {})",
+        "connect_robot(context).publish('cmd_vel', TWIST, {'linear': {'x': 0.0, 'y': 0}, 'angular': {}})",
     ],
 )
 def test_what_else_is_published_in_the_orchestrator_s_process_is_right(tmp_path: Path, call: str) -> None:

@@ -106,6 +106,20 @@ def test_one_robot_is_claimed_alike_however_its_namespace_is_named(
     assert claims(f'robot = "dds://alice"\n{lone}')[1] == {"robot:dds/alice"}
 
 
+def test_nobody_looks_for_a_robot_to_know_what_is_claimed(
+    write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def look() -> None:
+        raise AssertionError("nobody is to look")
+
+    monkeypatch.setattr("robot_runner.ros.ros_environment.found_robot", look)
+    experiment = prepare(write_config('robot = "auto"', head=HEAD), is_for_here=False).experiment
+    assert experiment is not None
+    assert "robot:auto" in held_claims(
+        Claims(experiment.parameters, experiment.plugins, experiment.events), experiment.model
+    )
+
+
 @pytest.mark.parametrize("given", ["0", "-1", "many", "1.5", "99999999999"])
 def test_a_number_of_workers_that_is_none_is_refused(write_config: Callable[..., Path], given: str) -> None:
     with pytest.raises(ConfigError, match='1 to 10,000, or "auto"'):

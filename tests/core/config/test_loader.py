@@ -104,6 +104,7 @@ def test_a_missing_package_is_named(write_config: Write) -> None:
         ("from robot_runner.plugins.profilers import PsUtill", "Did you mean 'PsUtil'?"),
         ("from robot_runner.plugins import Factor", "It is elsewhere: from robot_runner import Factor"),
         ("from pathlib import Pth", "Did you mean 'Path'?"),
+        ("raise ImportError(\"cannot import name 'x' from 'no.such'\")", "Mend this line."),
     ],
 )
 def test_where_a_name_is_imported_from_is_told(write_config: Write, line: str, fix: str) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.factor import Combination, Factor
 from robot_runner.core.errors import DesignError
 
 
@@ -44,6 +44,13 @@ class Vector:
 
     def __str__(self) -> str:
         return str(self.elements)
+
+
+class Unsettled(Vector):
+    """A setting of another library, which says in its own way that it cannot be hashed."""
+
+    def __hash__(self) -> int:
+        raise ValueError("some of it is not settled")
 
 
 class Broken:
@@ -212,6 +219,13 @@ def test_an_array_is_recognised_by_its_text() -> None:
     factor = Factor("Goal", [Vector(0, 1), Vector(2, 3)])
     assert factor.position_of(Vector(2, 3)) == 1
     assert factor.position_of(Vector(4, 5)) is None
+
+
+def test_a_treatment_that_can_be_changed_is_each_run_s_own_whatever_it_raises_for_a_hash() -> None:
+    planned = Combination({"Goal": 0, "Way": 1}, (Unsettled(1, 2), ["dock"]))
+    own = planned.of_one_run()
+    assert [str(each) for each in own.treatments] == ["(1, 2)", "['dock']"]
+    assert not any(one is other for one, other in zip(own.treatments, planned.treatments, strict=True))
 
 
 def test_the_nearest_treatment_is_suggested_or_all_are_listed() -> None:

@@ -53,6 +53,40 @@ def test_a_second_experiment_is_refused_with_the_name_of_the_first_until_that_is
         assert held.findings == []
 
 
+def _started_again() -> int:
+    """Start the first experiment again, to its end, and return the exit code."""
+    return subprocess.run([sys.executable, "-c", HOLDING], check=False, stdin=subprocess.DEVNULL, timeout=60).returncode
+
+
+def test_who_waits_for_what_is_left_of_an_experiment_does_not_keep_that_from_being_started_again() -> None:
+    assert _started_again() == 0
+    codes: list[int] = []
+
+    def goes_on(folder: Path) -> bool:
+        codes.append(_started_again())
+        return True
+
+    waiting = HeldClaims(["serial:/dev/ttyUSB0"], "second", Path("/results/second"), None, goes_on)
+    with pytest.raises(ExecutionError, match="in use by what is left of the experiment 'first'"), waiting:
+        pass
+    assert codes == [0]
+
+
+def test_who_has_taken_a_claim_while_its_last_holder_was_looked_at_is_looked_at_as_well() -> None:
+    assert _started_again() == 0
+    looked: list[Path] = []
+
+    def goes_on(folder: Path) -> bool:
+        looked.append(folder)
+        if len(looked) == 1:
+            assert _started_again() == 0
+        return False
+
+    with HeldClaims(["serial:/dev/ttyUSB0"], "second", Path("/results/second"), None, goes_on):
+        pass
+    assert looked == [Path("/results/first")] * 2
+
+
 def test_where_claims_cannot_be_written_it_is_said_and_nothing_is_refused(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -31,6 +31,7 @@ from robot_runner.core.config.claims import Claims, held_claims
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import Finding, StorageError, did_you_mean
+from robot_runner.core.links.commanded_topics import MAY_BE_MOVING
 from robot_runner.core.secret_names import shown_assignments
 
 _WHERE = "robot-runner queue"
@@ -206,13 +207,18 @@ def _as_json(queued: QueuedExperiment, state: str, more: str) -> dict[str, Any]:
 
 def _drop(arguments: Namespace) -> int:
     queue = ExperimentQueue()
-    ended = [each.number for each in queue.read()[0] if each.has_ended] if arguments.ended else []
-    numbers = list(dict.fromkeys([*arguments.numbers, *ended]))
+    ended = [each for each in queue.read()[0] if each.has_ended] if arguments.ended else []
+    moving = [each.number for each in ended if each.may_have_left_a_robot_moving]
+    numbers = list(dict.fromkeys([*arguments.numbers, *(each.number for each in ended if each.number not in moving)]))
     if not numbers and not arguments.ended:
         raise UsageError("NUMBER is missing", where=f"{_WHERE} drop", fix="See `robot-runner queue list`.")
     for number in numbers:
         queue.drop(number)
         print(f"{number} is out of the queue")
+    for number in moving:
+        if number not in numbers:
+            look = f"look at it, then name it: robot-runner queue drop {number}"
+            print(f"{number} stays in the queue: {MAY_BE_MOVING}; {look}")
     return 0
 
 

@@ -261,11 +261,22 @@ def _drives_without_standby(code: _LocalCode, events: EventManager) -> Iterator[
 
 def _commands_velocity(node: ast.AST, called: _CalledCode) -> bool:
     match node:
-        case ast.Call(func=ast.Attribute(attr="publish"), args=[_, _, ast.Dict(keys=[])]):
+        case ast.Call(func=ast.Attribute(attr="publish"), args=[_, _, ast.Dict() as message]) if _is_zero(message):
             return False  # to stand still
         case ast.Call(func=ast.Attribute(attr="publish"), args=[_, message_type, *_]):
             name = message_type.value if isinstance(message_type, ast.Constant) else called.named(message_type)
             return isinstance(name, str) and name.replace("/msg/", "/") in VELOCITIES
+        case _:
+            return False
+
+
+def _is_zero(message: ast.expr) -> bool:
+    """Return whether all numbers of a message, as it is written in the code, are 0; one without any is so, too."""
+    match message:
+        case ast.Dict(values=fields):
+            return all(map(_is_zero, fields))
+        case ast.Constant(value=int() | float() as number):
+            return number == 0
         case _:
             return False
 

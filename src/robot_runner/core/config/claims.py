@@ -20,8 +20,9 @@ from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.events.manager import RUN_EVENTS, EventManager
 from robot_runner.core.events.measure import CONFIG_OWNER
-from robot_runner.core.links.connect import is_simulated, resolved_robot
+from robot_runner.core.links.connect import is_simulated, looks_for_robot, resolved_robot
 from robot_runner.core.links.graph_names import namespace_prefix
+from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.plugin import THIS_MACHINE, Plugin, with_parts
 from robot_runner.core.treatments import built_with, factors_of, values_of
 from robot_runner.core.words import counted, enumerated
@@ -138,7 +139,8 @@ class Claims:
         namespaces = self._namespaces(combinations) if links else set()
         for link in links:
             with suppress(LinkError):  # that there is no such robot is told where it is checked
-                name = resolved_robot(link)[1]
+                # Where a robot is still to be looked for, none was found, or it is not asked what is here.
+                name = RobotName.parse(link) if looks_for_robot(link) else resolved_robot(link)[1]
                 robot = f"robot:{name.graph}{namespace_prefix(name.namespace)}"
                 yield from (f"{robot}{f'/{each}' if each else ''}{graph}" for each in namespaces or {""})
 

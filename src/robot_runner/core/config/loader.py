@@ -265,7 +265,7 @@ def _fix_of_import(error: BaseException) -> str:
     homes = [door for door in doors if name in dir(importlib.import_module(door))]
     if homes:
         return f"It is elsewhere: from {homes[0]} import {name}"
-    return did_you_mean(name, dir(sys.modules[module]), "")
+    return did_you_mean(name, dir(sys.modules[module]), "") if module in sys.modules else ""
 
 
 @contextmanager

@@ -348,8 +348,8 @@ class Combination(Mapping[str, Any]):
 def _of_one_run(treatment: Any) -> Any:
     try:
         hash(treatment)
-    except TypeError:  # what can be changed cannot be hashed
-        with suppress(Exception):  # a stranger's object
+    except Exception:  # noqa: BLE001 - what can be changed cannot be hashed, and strangers' objects say so in many ways
+        with suppress(Exception):
             return deepcopy(treatment)
     return treatment
 

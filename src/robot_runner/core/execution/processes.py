@@ -23,6 +23,8 @@ from robot_runner.core.storage.outliving import is_spared, process_stat, process
 
 #: Where nothing wakes us, we look this often, in seconds.
 _LOOK = 0.02
+#: A poll cannot wait longer than 24 days, s.
+_A_DAY = 86_400.0
 
 # Fields of /proc/<pid>/stat behind the program's name.
 _PARENT, _GROUP, _SESSION = 1, 2, 3
@@ -209,7 +211,7 @@ def is_killed(pid: int) -> bool:
 
 
 def ends(pid: int, seconds: float | None = None) -> bool:
-    """Wait until a process has ended, as a zombie too; return whether it has within so many seconds."""
+    """Wait until a process has ended, as a zombie too; return whether it has within so many seconds, a day at most."""
     if hasattr(os, "pidfd_open"):
         try:
             descriptor = os.pidfd_open(pid)
@@ -217,7 +219,7 @@ def ends(pid: int, seconds: float | None = None) -> bool:
             return True
         poll = select.poll()
         poll.register(descriptor, select.POLLIN)
-        has_ended = bool(poll.poll(None if seconds is None else seconds * 1000))
+        has_ended = bool(poll.poll(None if seconds is None else min(seconds, _A_DAY) * 1000))
         os.close(descriptor)
         return has_ended
     deadline = None if seconds is None else time.monotonic() + seconds

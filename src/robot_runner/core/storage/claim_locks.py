@@ -128,8 +128,8 @@ class HeldClaims:
                 self._held = opened.pop_all()
             return refusals
 
-    def _hold(self, claim: str, opened: ExitStack) -> Iterator[Finding]:
-        """Lock the file of a claim; yield who has it where somebody has."""
+    def _hold(self, claim: str, opened: ExitStack, looked_at: ClaimHolder | None = None) -> Iterator[Finding]:
+        """Lock the file of a claim; yield who has it where somebody has, or has something left: not so `looked_at`."""
         try:
             path = _path_of(claim)
             path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -146,9 +146,14 @@ class HeldClaims:
             yield Finding.error("claims", f"{claim} is in use by {holder.in_words()}", _HAVE_IT_WAIT)
             return
         before = _holder(descriptor)
-        if before.folder != self._signature.folder and self._goes_on(Path(before.folder)):
-            problem = f"{claim} is in use by what is left of {before.in_words()}, which was killed"
-            yield Finding.error("claims", problem, _AWAIT_ITS_END)
+        if before.folder != self._signature.folder and before != looked_at:
+            # That takes a while, in which others are not to be refused for our sake: who is started again, say.
+            fcntl.lockf(descriptor, fcntl.LOCK_UN)
+            if self._goes_on(Path(before.folder)):
+                problem = f"{claim} is in use by what is left of {before.in_words()}, which was killed"
+                yield Finding.error("claims", problem, _AWAIT_ITS_END)
+            else:
+                yield from self._hold(claim, opened, before)
             return
         with suppress(OSError):  # on a full disk nobody learns who holds it, and others are kept out all the same
             sign(descriptor, replace(self._signature, since=utc_now()))
