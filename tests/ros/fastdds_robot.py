@@ -180,7 +180,9 @@ class FastNode:
 
     def _read(self) -> None:
         for line in self.process.stdout:
-            verb, *words = line.split()
+            verb, *words = line.split() or [""]
+            if not words:  # Fast DDS writes its own log between ours, blank lines included
+                continue
             if verb == "sample":
                 made, writer, number, client, request, *data = words
                 sample = Sample(writer, int(number), client, int(request), bytes.fromhex("".join(data)))
