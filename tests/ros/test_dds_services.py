@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.test_graph_link import STRING, TWIST
-from tests.waiting import PATIENCE
+from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
@@ -18,7 +18,7 @@ from robot_runner.ros.dds_link import open_dds_link
 
 pytest.importorskip("cyclonedds", reason="it is not published built for every machine")
 
-from robot_runner.ros import dds_services
+from robot_runner.ros import dds_services, dds_transport
 from robot_runner.ros.dds_reception import RawSample, Reception
 from robot_runner.ros.dds_transport import DdsTransport
 
@@ -80,6 +80,31 @@ def test_a_service_that_is_matched_later_is_called_from_a_callback(opened, monke
     assert is_over.wait(PATIENCE)
     assert answers == [True]
     assert time.monotonic() - asked[0] < 5.0
+
+
+def test_a_message_comes_once_whose_callback_waits_while_its_subscription_adapts_to_the_publisher(opened, monkeypatch):
+    robot, link, heard, made = opened(), opened(), [], []
+    reading = dds_transport._Subscription._reading
+
+    def reading_while_it_is_published(subscription):
+        made.append(reading(subscription))
+        if len(made) == 2:  # that for the publisher, beside the one that was there first
+            robot.advertise("chatter", STRING)
+            robot.publish("chatter", STRING, {"data": "now"})
+            time.sleep(0.2)  # both readers have it
+        return made[-1]
+
+    def take(message):
+        heard.append(message["data"])
+        link._transport.wait(threading.Event(), 0.2)
+
+    monkeypatch.setattr(dds_transport._Subscription, "_reading", reading_while_it_is_published)
+    link.subscribe("chatter", STRING, take)
+    robot.advertise("chatter", STRING)
+    wait_until(lambda: "now" in heard and not made[0].is_open)
+    robot.publish("chatter", STRING, {"data": "last"})
+    wait_until(lambda: "last" in heard)
+    assert heard == ["now", "last"]
 
 
 def test_a_reply_to_another_client_that_comes_while_a_client_is_made_is_left_out(opened, monkeypatch):

@@ -15,6 +15,7 @@ from tests.ros.test_ros1_link import execute, opened
 from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.links.commanded_topics import command_for_certain
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros import ros1_publisher
 
@@ -86,6 +87,27 @@ class TestCommands:
         other.close()
         wait_until(lambda: not publisher_of("/cmd_vel").connections)
         link.close()
+
+
+@quiet_about_rospy
+def test_what_makes_a_robot_safe_comes_although_its_node_connects_anew_and_loses_what_it_has_read(opened, monkeypatch):
+    """As where the master tells a node twice of a publisher, as where one begins and another one is killed."""
+    transport = import_module("rospy.impl.tcpros_base").TCPROSTransport
+    handler, receive = import_module("rospy.impl.tcpros").get_tcpros_handler(), transport.receive_once
+    robot, link, heard, replaced = opened(), opened(), [], []
+
+    def receive_and_connect_anew(connection):
+        messages = receive(connection)
+        if connection.name == "/lamp" and not replaced:
+            replaced.append(connection)
+            handler.create_transport("/lamp", connection.endpoint_id, ["TCPROS", *connection.dest_address])
+        return messages
+
+    monkeypatch.setattr(transport, "receive_once", receive_and_connect_anew)
+    robot.subscribe("lamp", STRING, lambda message: heard.append(message["data"]))
+    command_for_certain(link, "lamp", STRING, {"data": "off"})
+    wait_until(lambda: "off" in heard)
+    assert [each.done for each in replaced] == [True]
 
 
 def test_a_connection_that_rospy_has_nothing_to_send_on_is_idle():

@@ -217,8 +217,9 @@ class Reception:
             if not source.is_open:
                 return
             source.is_open = False
-            self._sources = tuple(each for each in self._sources if each is not source)
-            self._waitset.detach(source.condition)
+            if source in self._sources:  # it may never have been served
+                self._sources = tuple(each for each in self._sources if each is not source)
+                self._waitset.detach(source.condition)
             delete(source.condition)
             delete(source.reader)
 

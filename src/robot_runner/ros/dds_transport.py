@@ -15,7 +15,7 @@ from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos
 from robot_runner.ros.dds_foreign_services import ForeignServices
 from robot_runner.ros.dds_graph import Endpoint, matched_subscriptions, ros_type, wire_topic
 from robot_runner.ros.dds_qos import adapted_profile, policies_of, reader_profile, writer_profile
-from robot_runner.ros.dds_reception import RawSample, WireType, delete, topic_wire_type
+from robot_runner.ros.dds_reception import RawSample, Source, WireType, delete, topic_wire_type
 from robot_runner.ros.dds_services import OfferedService, ServiceClient, await_service, is_foreign
 from robot_runner.ros.dds_session import Session
 from robot_runner.ros.graph_transport import (
@@ -250,6 +250,7 @@ class _Subscription:
         """Begin to receive."""
         self._asked = self._policies()
         self._source = self._reading()
+        self._session.reception.serve(self._source)
 
     @property
     def is_open(self) -> bool:
@@ -273,12 +274,15 @@ class _Subscription:
         asked = self._policies()
         if asked != self._asked:
             self._asked = asked
-            fresh = self._reading()
-            self._session.reception.drain(self._source)
-            self._before = dict(self._last)
-            with self._lock:  # another thread may have closed it meanwhile
-                stale, self._source = (fresh, self._source) if self._is_closed else (self._source, fresh)
-            self._end(stale)
+            former, fresh = self._source, self._reading()
+            self._session.reception.drain(former)
+            # A callback may have waited, and another thread may have closed it, or it has adapted once more.
+            with self._lock:
+                takes_over = not self._is_closed and self._source is former
+                if takes_over:
+                    self._source, self._before = fresh, dict(self._last)
+                    self._session.reception.serve(fresh)  # only now: what both have received is known
+            self._end(former if takes_over else fresh)
 
     def close(self) -> None:
         with self._lock:
@@ -304,7 +308,7 @@ class _Subscription:
 
     def _reading(self) -> Any:
         reader = self._session.reader(self._wire_topic, self._wire_type, self._asked)
-        return self._session.reception.add(reader, self._receive, self._topic)
+        return Source(reader, self._receive, self._topic)
 
     def _end(self, source: Any) -> None:
         self._session.nodes.remove(source.reader.guid)

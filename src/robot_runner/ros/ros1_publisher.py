@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable, Iterable
@@ -26,6 +27,9 @@ CONNECTING = 2.0
 _CLOSING_SECONDS = 0.5
 #: How long a message may take to leave where rospy does not tell whether it has, s.
 _UNTOLD_SECONDS = 0.2
+#: For how long after it has connected a subscriber may still connect anew, s. A node of rospy does wherever the master
+#: tells it twice of a publisher, as where one begins and another one is killed, and loses what it had not read by then.
+_SETTLING = 1.0
 #: How often a queue is looked at until it is empty, s.
 POLL = 0.002
 
@@ -117,7 +121,7 @@ class Publisher:
         within(self._publisher.unregister, where=self._topic, doing="leaving the topic")
 
     def reach(self) -> bool:
-        """Return whether all subscribers are connected, once they are."""
+        """Return whether all subscribers are connected, once they are, and have been long enough to remain so."""
         subscribers = len(list(self._subscribers()))  # who is dead would not connect
         deadline = time.monotonic() + CONNECTING
         while self._publisher.get_num_connections() < subscribers:
@@ -127,19 +131,25 @@ class Publisher:
                 _logger.warning("%s: %d of its %d subscribers are reached", self._topic, connected, subscribers)
                 return False
             self._arrivals.wait(left)
-        return True
+        return time.monotonic() - self._arrivals.last >= _SETTLING
 
     def _not_taken(self, problem: str) -> LinkError:
         return LinkError(problem, where=self._topic, fix="Look whether the robot is on and in this network.")
 
 
 class _Arrivals:
-    """Tells that a subscriber has connected; rospy calls it."""
+    """Tells that a subscriber has connected; rospy calls it.
+
+    Attributes:
+        last: when the last one did, on the steady clock, s.
+    """
 
     def __init__(self) -> None:
         self._arrived = threading.Event()
+        self.last = -math.inf
 
     def peer_subscribe(self, *_: object) -> None:
+        self.last = time.monotonic()
         self._arrived.set()
 
     def peer_unsubscribe(self, *_: object) -> None:
