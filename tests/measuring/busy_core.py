@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,7 +18,7 @@ import pytest
 from robot_runner.measuring.host import SUBJECT_VARIABLE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from robot_runner.measuring.host import UtilisationSample
 
@@ -117,6 +118,27 @@ def busy_family(*around: str, program: str = _FAMILY) -> Iterator[Busy]:
             yield Busy(-1, process.pid)
         finally:
             os.killpg(process.pid, signal.SIGKILL)
+
+
+@contextmanager
+def late_program(folder: Path) -> Iterator[tuple[str, int, Callable[[], None]]]:
+    """Start a script that turns into a program once it is told to; yield its name, the process, and what tells it."""
+    program = folder / f"late{os.getpid()}"
+    shutil.copy(shutil.which("sleep") or "/bin/sleep", program)
+    with subprocess.Popen(["sh", "-c", 'read go; exec "$0" 1000', program], stdin=subprocess.PIPE) as process:
+        command = Path(f"/proc/{process.pid}/comm")
+
+        def turn() -> None:
+            assert process.stdin is not None
+            process.stdin.write(b"go\n")
+            process.stdin.flush()
+            while command.read_text().strip() != program.name:
+                wait(0.01)
+
+        try:
+            yield program.name, process.pid, turn
+        finally:
+            process.kill()
 
 
 def counted_seconds(samples: Sequence[UtilisationSample], place: int = 0) -> float:

@@ -4,11 +4,21 @@ import os
 import time
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
 
 import pytest
-from tests.measuring.busy_core import FAMILY, ZOMBIE, busy_core, busy_family, counted_seconds, needs_affinity, wait
+from tests.measuring.busy_core import (
+    FAMILY,
+    ZOMBIE,
+    busy_core,
+    busy_family,
+    counted_seconds,
+    late_program,
+    needs_affinity,
+    wait,
+)
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
@@ -65,8 +75,8 @@ def test_children_of_a_subject_that_come_and_go_between_two_looks_are_counted(ho
 
 @pytest.mark.long
 def test_a_child_that_is_awaited_long_after_it_has_ended_counts_once(host, monkeypatch):
-    monkeypatch.setattr(local_host, "RESCAN", 0.0)
-    monkeypatch.setattr(local_host, "_YOUNG", 1000)
+    monkeypatch.setattr(local_host, "SCAN", 0.0)
+    monkeypatch.setattr(local_host, "YOUNG", 1000.0)
     with busy_family(program=ZOMBIE) as busy:
         sampler = host.sample_processes(20.0, [f"subject:{FAMILY}"])
         busy.wait_for_children(0.3)
@@ -78,11 +88,23 @@ def test_a_child_that_is_awaited_long_after_it_has_ended_counts_once(host, monke
 
 def test_a_process_that_is_new_is_seen_by_the_next_sample(monkeypatch):
     psutil = pytest.importorskip("psutil")
-    monkeypatch.setattr(local_host, "RESCAN", 1000.0)
+    monkeypatch.setattr(local_host, "SCAN", 0.0)
     processes = local_host.LocalProcesses(psutil, [f"subject:{FAMILY}"])
     assert processes.counters() == ()
     with busy_family() as busy:
         assert busy.pid in [one.pid for one in processes.counters()]
+
+
+@pytest.mark.skipif(not Path("/proc").exists(), reason="what a process has become is read in Linux's /proc")
+def test_a_script_that_turns_into_a_program_is_seen_by_the_next_sample(monkeypatch, tmp_path):
+    psutil = pytest.importorskip("psutil")
+    monkeypatch.setattr(local_host, "SCAN", 0.0)
+    with late_program(tmp_path) as (name, pid, turn):
+        processes = local_host.LocalProcesses(psutil, [f"name:{name}"])
+        for _ in range(6):
+            assert processes.counters() == ()
+        turn()
+        assert [one.pid for one in processes.counters()] == [pid]
 
 
 def test_what_a_subject_has_started_belongs_to_it_where_its_mark_was_taken_away(host):
@@ -171,7 +193,7 @@ def test_a_process_stays_the_same_where_the_computers_clock_is_set(monkeypatch):
     psutil = pytest.importorskip("psutil")
     booted = iter(range(1_700_000_000, 1_700_001_000))
     monkeypatch.setattr("psutil._pslinux.boot_time", lambda: float(next(booted)), raising=False)
-    monkeypatch.setattr(local_host, "RESCAN", 0.0)
+    monkeypatch.setattr(local_host, "SCAN", 0.0)
     processes = local_host.LocalProcesses(psutil, [f"pid:{os.getpid()}"])
     assert len({one.started for _ in range(4) for one in processes.counters()}) == 1
 

@@ -14,7 +14,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.measuring.busy_core import FAMILY, ZOMBIE, busy_core, busy_family, counted_seconds, needs_affinity, wait
+from tests.measuring.busy_core import (
+    FAMILY,
+    ZOMBIE,
+    busy_core,
+    busy_family,
+    counted_seconds,
+    late_program,
+    needs_affinity,
+    wait,
+)
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
@@ -66,7 +75,16 @@ def test_a_process_that_is_new_is_seen_by_the_next_sample_of_the_loop_in_python(
     processes = loop.Processes([f"subject:{FAMILY}"])
     assert processes.counters(0.0) == []
     with busy_family() as busy:
-        assert f"0:{busy.pid}:" in " ".join(processes.counters(0.001))
+        assert f"0:{busy.pid}:" in " ".join(processes.counters(0.05))
+
+
+def test_a_script_that_turns_into_a_program_is_seen_by_the_next_sample_of_the_loop_in_python(tmp_path: Path) -> None:
+    with late_program(tmp_path) as (name, pid, turn):
+        processes = loop.Processes([f"name:{name}"])
+        for look in range(6):
+            assert processes.counters(look * 0.05) == []
+        turn()
+        assert f"0:{pid}:" in " ".join(processes.counters(0.3))
 
 
 @pytest.mark.parametrize("form", PYTHON_AND_SHELL)

@@ -57,7 +57,7 @@ OTHERS: dict[str, str] = {
         ),
         "the robot's own computer, by the loop that is sent there": tuple(
             f"measuring/on_board/loop.py: {function}"
-            for function in ("__init__", "first_bytes", "first_line", "main", "opened", "send", "whole_file")
+            for function in ("__init__", "first_bytes", "first_line", "main", "opened", "send")
         ),
         "the user's own config or module, which is executed anyway": (
             "cli/queueing.py: digest_of",

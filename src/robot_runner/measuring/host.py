@@ -9,8 +9,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.measuring.device_clock import ClockRecord
 
-#: Seconds between two looks for new processes, where that is not done with each sample; and between two looks at those
-#: that may still turn into another program.
+#: Seconds between two looks for new processes, where they are not looked for with nearly each sample (`loop.SCAN`).
 RESCAN = 1.0
 
 

@@ -23,20 +23,15 @@ from robot_runner.measuring.cpu_counters import (
     utilisation_of,
 )
 from robot_runner.measuring.host import (
-    RESCAN,
     SUBJECT_VARIABLE,
     FileSample,
     SamplingReport,
     UtilisationSample,
     checked_words,
 )
-from robot_runner.measuring.on_board.loop import names_of
+from robot_runner.measuring.on_board.loop import SCAN, YOUNG, names_of
 from robot_runner.measuring.periodic import PeriodicSampler, Sampling
 
-#: Looks that are taken at a process at once, with each sample: it may not have been given its program yet.
-_FRESH = 2
-#: Looks during which a process may still turn into another program.
-_YOUNG = 5
 #: Which cores are switched on, such as `0,3-5`. Source: Linux, Documentation/admin-guide/cputopology.rst.
 _ONLINE = "/sys/devices/system/cpu/online"
 
@@ -53,17 +48,17 @@ class LocalProcesses:
         self._psutil = psutil
         self._selectors = tuple(selectors)
         self._looks_for_subjects = any(one.startswith("subject:") for one in self._selectors)
-        self._ages: dict[int, int] = {}
+        self._young_until: dict[int, float] = {}
         self._subjects: dict[int, str] = {}
         self._matched: dict[int, tuple[Any, tuple[int, ...]]] = {}
         self._next_scan = 0.0
 
     def counters(self) -> tuple[ProcessCounters, ...]:
         """Return the counters of each process that matches."""
-        is_due = time.monotonic() >= self._next_scan
-        if is_due:
-            self._next_scan = time.monotonic() + RESCAN
-        self._scan(_YOUNG if is_due else _FRESH)
+        now = time.monotonic()
+        if now >= self._next_scan:
+            self._next_scan = now + SCAN
+            self._scan(now)
         return tuple(counters for pid in list(self._matched) for counters in self._of(pid))
 
     def _of(self, pid: int) -> list[ProcessCounters]:
@@ -90,14 +85,19 @@ class LocalProcesses:
             for place in places
         ]
 
-    def _scan(self, looks: int) -> None:
-        new = _FRESH - 1 if not self._ages else 0  # what is there at first has its program
-        self._ages = {pid: self._ages.get(pid, new) for pid in self._psutil.pids()}
-        self._subjects = {pid: subject for pid, subject in self._subjects.items() if pid in self._ages}
-        for pid, age in self._ages.items():
-            if age < looks:
-                self._ages[pid] += 1
+    def _scan(self, now: float) -> None:
+        known, self._young_until = self._young_until, {}
+        for pid in self._psutil.pids():
+            until = self._young_until[pid] = known.get(pid) or now + YOUNG - self._age_of(pid)
+            if pid not in known or now < until:
                 self._look_at(pid, self._matched.pop(pid, (None, ())))
+        self._subjects = {pid: subject for pid, subject in self._subjects.items() if pid in self._young_until}
+
+    def _age_of(self, pid: int) -> float:
+        """Return for how long a process has been there, s; nothing for one that has ended."""
+        with suppress(self._psutil.Error):
+            return max(0.0, time.time() - float(self._psutil.Process(pid).create_time()))
+        return 0.0
 
     def _look_at(self, pid: int, known: tuple[Any, tuple[int, ...]]) -> None:
         before, places = known
@@ -213,7 +213,7 @@ class LocalSampler(Generic[R, S]):
             problems=tuple(failures),
             cpu_seconds=sampling.cpu_seconds,
             form=self._form,
-            rescan=1 / self._rate,
+            rescan=max(SCAN, 1 / self._rate),
         )
 
 
@@ -264,7 +264,7 @@ class LocalHost:
         def evaluate(sampling: Sampling[CounterSample]) -> Sequence[UtilisationSample]:
             pairs = zip(sampling.times, sampling.readings, strict=True)
             readings = [replace(reading, time=at) for at, reading in pairs]
-            return utilisation_of(readings, cores=counters.cores, selectors=count, rescan=1 / rate)
+            return utilisation_of(readings, cores=counters.cores, selectors=count, rescan=max(SCAN, 1 / rate))
 
         return self._sampler(counters.read, evaluate, rate, "psutil, in a thread of the run's process")
 

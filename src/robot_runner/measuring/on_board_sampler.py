@@ -16,7 +16,7 @@ from robot_runner.measuring.cpu_counters import (
     utilisation_of,
 )
 from robot_runner.measuring.device_clock import ClockMap, ClockRecord
-from robot_runner.measuring.host import RESCAN, FileSample, SamplingReport, UtilisationSample
+from robot_runner.measuring.host import FileSample, SamplingReport, UtilisationSample
 from robot_runner.measuring.on_board_session import FORMS, OnBoardSession, new_token
 
 _KILOBYTE = 1024.0
@@ -197,7 +197,7 @@ class OnBoardSampler(Generic[S_co]):
 
     @property
     def _rescan(self) -> float:
-        return 1 / self._rate if FORMS[self._session.form].sees_new_at_once else max(RESCAN, 1 / self._rate)
+        return max(FORMS[self._session.form].rescan, 1 / self._rate)
 
     def _lines(self) -> list[list[str]]:
         self.end()

@@ -25,6 +25,8 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import Clock
 from robot_runner.core.storage.outliving import is_alive
 from robot_runner.measuring.device_clock import ClockExchange, ClockOffset, estimate_offset
+from robot_runner.measuring.host import RESCAN
+from robot_runner.measuring.on_board.loop import SCAN
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,17 +36,17 @@ class Form:
     Attributes:
         program: the file that is sent there.
         description: what samples, in words.
-        sees_new_at_once: whether new processes are looked for with each sample.
+        rescan: seconds between two looks for new processes, at the least.
     """
 
     program: str
     description: str
-    sees_new_at_once: bool = False
+    rescan: float = RESCAN
 
 
 #: What can be sent, best first, by the name that the bootstrap program knows.
 FORMS = {
-    "python3": Form("loop.py", "a loop in Python that reads Linux's /proc", sees_new_at_once=True),
+    "python3": Form("loop.py", "a loop in Python that reads Linux's /proc", rescan=SCAN),
     "sh": Form("loop.sh", "a loop of the POSIX shell that reads Linux's /proc"),
     "ps": Form("loop.sh", "a loop of the POSIX shell that asks ps: CPU time in steps of up to a second"),
 }

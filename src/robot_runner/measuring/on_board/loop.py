@@ -40,9 +40,8 @@ PAGE = os.sysconf("SC_PAGE_SIZE")
 CORES = os.sysconf("SC_NPROCESSORS_ONLN")
 OPTIONS_WITH_VALUE = ("-X", "-W")  # of Python
 INTERPRETERS = ("python", "perl", "ruby", "node", "sh", "bash", "dash")
-RESCAN = 1.0  # seconds between two looks at what may still turn into another program
-FRESH = 2  # looks that are taken at a process at once, with each sample: it may not have been given its program yet
-YOUNG = 5  # looks during which a process may still turn into another program
+SCAN = 0.04  # seconds, at the least, between two looks for new processes and at young ones: they cost more than samples
+YOUNG = 5.0  # seconds since its start during which a process may still turn into another program
 PREFIX = "robot-runner-samples-"
 MOST = 1 << 18  # bytes of /proc/stat: those of a computer with hundreds of cores
 
@@ -53,23 +52,11 @@ def say(*words: object) -> None:
     sys.stdout.flush()
 
 
-def first_bytes(path: str) -> bytes:
-    """Return what a small file holds; nothing if it cannot be read."""
+def first_bytes(path: str, most: int = 4096) -> bytes:
+    """Return what a file holds, up to so many bytes, -1 for all of it; nothing if it cannot be read."""
     try:
-        file = os.open(path, os.O_RDONLY)
-        try:
-            return os.read(file, 4096)
-        finally:
-            os.close(file)
-    except OSError:
-        return b""
-
-
-def whole_file(path: str) -> bytes:
-    """Return what a file holds; nothing if it cannot be read."""
-    try:
-        with open(path, "rb") as file:
-            return file.read()
+        with open(path, "rb", buffering=0) as file:
+            return file.read(most)
     except OSError:
         return b""
 
@@ -132,18 +119,18 @@ class Processes:
 
     def __init__(self, selectors: "list[str]") -> None:
         self.selectors = [selector.partition(":")[::2] for selector in selectors]
-        self.ages = {}  # type: dict[str, int]
+        self.young_until = {}  # type: dict[str, float]
         self.matched = {}  # type: dict[str, list[int]]
         self.next_scan = 0.0
 
     def counters(self, now: float) -> "list[str]":
         """Return the counters of each process that matches."""
-        is_due = now >= self.next_scan
-        self.next_scan = now + RESCAN if is_due else self.next_scan
-        self.scan(YOUNG if is_due else FRESH)
+        if now >= self.next_scan:
+            self.next_scan = now + SCAN
+            self.scan(now)
         found = []
         for pid, places in self.matched.items():
-            fields = first_bytes(f"/proc/{pid}/stat").rpartition(b")")[2].split()
+            fields = fields_of(pid)
             if fields:
                 cpu, reaped = ((int(fields[at]) + int(fields[at + 1])) / TICK for at in (11, 13))
                 rest = f"{pid}:{fields[19].decode()}:{cpu:.3f}:{int(fields[21]) * PAGE}:{int(fields[1])}"
@@ -153,29 +140,35 @@ class Processes:
                     found.append(f"{place}:{rest}:{children:.3f}")
         return found
 
-    def scan(self, looks: int) -> None:
-        """Look for processes that match; one that has been looked at so often keeps its program."""
-        new = FRESH - 1 if not self.ages else 0  # what is there at first has its program
-        self.ages = {pid: self.ages.get(pid, new) for pid in os.listdir("/proc") if pid.isdigit()}
-        for pid in [pid for pid in self.matched if pid not in self.ages]:
-            del self.matched[pid]
-        for pid, age in self.ages.items():
-            if age < looks:
-                self.ages[pid] += 1
-                self.matched.pop(pid, None)
-                places = self.places(pid)
-                if places:
-                    self.matched[pid] = places
+    def scan(self, now: float) -> None:
+        """Look for processes that match; one that is not young any more keeps its program."""
+        known, self.young_until = self.young_until, {}
+        for pid in filter(str.isdigit, os.listdir("/proc")):
+            until = self.young_until[pid] = known.get(pid) or now + YOUNG - age_of(pid)
+            if pid not in known or now < until:
+                self.matched[pid] = self.places(pid)
+        self.matched = {pid: places for pid, places in self.matched.items() if places and pid in self.young_until}
 
     def places(self, pid: str) -> "list[int]":
         """Return which selectors a process matches."""
         words = first_bytes(f"/proc/{pid}/cmdline").decode("utf-8", "replace").split("\0")
         names = names_of(words, first_bytes(f"/proc/{pid}/comm").decode("utf-8", "replace").strip())
         found = [place for place, one in enumerate(self.selectors) if is_match(one[0], one[1], pid, names, words)]
-        stat = first_bytes(f"/proc/{pid}/stat").rpartition(b")")[2].split()
+        stat = fields_of(pid)
         parents = self.matched.get(stat[1].decode(), []) if stat else []
         # A process that a subject has started belongs to it, also where sudo removed the mark.
         return found + [at for at in parents if self.selectors[at][0] == "subject" and at not in found]
+
+
+def fields_of(pid: str) -> "list[bytes]":
+    """Return what the kernel tells of a process, from its state on (proc(5)); nothing of one that has ended."""
+    return first_bytes(f"/proc/{pid}/stat").rpartition(b")")[2].split()
+
+
+def age_of(pid: str) -> float:
+    """Return for how long a process has been there, s."""
+    fields = fields_of(pid)
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - int(fields[19]) / TICK if fields else 0.0
 
 
 def names_of(words: "list[str]", known: str) -> "set[str]":
@@ -203,7 +196,7 @@ def is_match(kind: str, value: str, pid: str, names: "set[str]", words: "list[st
         return pid == value
     if kind == "subject":
         mark = f"ROBOT_RUNNER_SUBJECT={value}".encode()
-        return mark in whole_file(f"/proc/{pid}/environ").split(b"\0")
+        return mark in first_bytes(f"/proc/{pid}/environ", -1).split(b"\0")
     if kind == "node":
         namespace, _, bare = value.strip("/").rpartition("/")
         is_there = not namespace or "__ns:=/" + namespace in words or "__ns:=" + namespace in words
