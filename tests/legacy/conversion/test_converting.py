@@ -625,6 +625,15 @@ def test_columns_and_settings_of_codecarbon_are_those_of_our_profiler(
     assert "there is no column 'codecarbon__emissions', 'codecarbon__energy_consumed' any more" in lost.problem
 
 
+def test_a_measure_that_is_called_like_one_of_codecarbons_is_refused(config: Callable[..., Path]) -> None:
+    settings = "data_columns=[DataColumns.ENERGY_CONSUMED], country_iso_code='NLD'"
+    path = config(MEASURING, head=RUNNER.replace("from pathlib", f"{CARBON}from pathlib"), table=CARBON_TABLE)
+    text = path.read_text().replace("class Runner", f"@carbon.emission_tracker({settings})\nclass Runner", 1)
+    path.write_text(text.replace('data_columns=["own"]', 'data_columns=["own", "Energy"]'))
+    with pytest.raises(ConfigError, match="the config has a measure 'Energy', and so has CodeCarbon's profiler"):
+        convert(path)
+
+
 def test_codecarbon_without_a_country_is_refused(config: Callable[..., Path]) -> None:
     path = config(MEASURING, head=RUNNER.replace("from pathlib", f"{CARBON}from pathlib"))
     path.write_text(path.read_text().replace("class Runner", "@carbon.emission_tracker(online=True)\nclass Runner", 1))

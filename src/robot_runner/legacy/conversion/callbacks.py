@@ -293,6 +293,10 @@ def _list_columns(converted: ConvertedFile, config: ast.ClassDef, columns: Seque
             case ast.List(elts=[]):
                 converted.edits.replace(listed, f"[{names}]")
             case ast.List(elts=[*_, last]):
+                there = {each.value for each in listed.elts if isinstance(each, ast.Constant)}
+                for name in sorted({*ours.values()} & there):
+                    problem = f"the config has a measure {name!r}, and so has CodeCarbon's profiler"
+                    converted.refuse(listed.lineno, problem, "Call the config's otherwise, then convert.")
                 converted.edits.insert(converted.edits.end_of(last), f", {names}")
             case _:
                 pass  # that there is no such column is found where the new config is loaded
