@@ -195,45 +195,47 @@ def test_a_worker_of_another_version_executes_nothing_and_the_difference_is_told
     assert {record["place"] for record in journal_of(watched.folder, "attempt_started")} == {"with"}
 
 
-@pytest.mark.long
-def test_a_run_waits_until_no_other_experiment_has_what_it_claims_of_the_worker_s_machine(
-    cluster: Cluster, watched: Watched, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As on this machine, where two experiments that measure the computer would measure each other."""
+@pytest.fixture
+def measuring(cluster: Cluster, watched: Watched, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Watched:
+    """An experiment that has a worker, whose machine it claims for itself."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     watched.config.write_text(watched.config.read_text().replace("claims = []", 'claims = ["host:localhost"]'))
     watched.go()
     cluster.worker("one", XDG_STATE_HOME=str(tmp_path / "state"))
+    return watched
+
+
+@pytest.mark.long
+def test_a_run_waits_until_no_other_experiment_has_what_it_claims_of_the_worker_s_machine(
+    cluster: Cluster, measuring: Watched, tmp_path: Path
+) -> None:
+    """As on this machine, where two experiments that measure the computer would measure each other."""
     with HeldClaims(["host:localhost"], "neighbour", tmp_path / "neighbour"):
-        experiment = cluster.experiment(watched.config)
-        until(lambda: "the experiment 'neighbour'" in str(journal_of(watched.folder, "finding")), "it is told")
-        assert not list(watched.told.glob("*.begun"))
+        experiment = cluster.experiment(measuring.config)
+        until(lambda: "the experiment 'neighbour'" in str(journal_of(measuring.folder, "finding")), "it is told")
+        assert not list(measuring.told.glob("*.begun"))
     answer = _answer(experiment)
     assert experiment.returncode == 0, answer
-    assert len(list(watched.told.glob("*.begun"))) == 3
+    assert len(list(measuring.told.glob("*.begun"))) == 3
     with HeldClaims(["host:localhost"], "neighbour", tmp_path / "neighbour"):
-        experiment = cluster.experiment(watched.config, "--redo", "r_1")
-        until(lambda: len(journal_of(watched.folder, "attempt_started")) == 4, "it is ordered")
+        experiment = cluster.experiment(measuring.config, "--redo", "r_1")
+        until(lambda: len(journal_of(measuring.folder, "attempt_started")) == 4, "it is ordered")
         experiment.send_signal(signal.SIGINT)
         assert "Interrupted" in _answer(experiment)
 
 
 @pytest.mark.long
 def test_a_run_waits_until_the_run_of_a_process_that_was_killed_has_let_go_of_the_worker_s_machine(
-    cluster: Cluster, watched: Watched, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cluster: Cluster, measuring: Watched, tmp_path: Path
 ) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    watched.config.write_text(watched.config.read_text().replace("claims = []", 'claims = ["host:localhost"]'))
-    watched.go()
-    cluster.worker("one", XDG_STATE_HOME=str(tmp_path / "state"))
     killed = ExperimentFolder(tmp_path / "killed")
     killed.root.mkdir()
     with HeldClaims(["host:localhost"], "killed", killed.root):
         """Its lock is gone with it."""
     with closing(RunMark(killed)):
-        experiment = cluster.experiment(watched.config)
-        until(lambda: "what is left of the experiment 'killed'" in str(journal_of(watched.folder, "finding")), "told")
-        assert not list(watched.told.glob("*.begun"))
+        experiment = cluster.experiment(measuring.config)
+        until(lambda: "what is left of the experiment 'killed'" in str(journal_of(measuring.folder, "finding")), "told")
+        assert not list(measuring.told.glob("*.begun"))
     assert experiment.wait(60) == 0, _answer(experiment)
 
 

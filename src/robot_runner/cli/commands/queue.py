@@ -56,7 +56,9 @@ def action_parsers() -> dict[str, Parser]:
     add_json(listing)
     dropping = Parser("queue drop", "Take experiments out of the queue; their results stay.")
     dropping.add_argument("numbers", metavar="NUMBER", nargs="*", type=int, help="as `queue list` shows them")
-    dropping.add_argument("--ended", action="store_true", help="take out all that have ended")
+    dropping.add_argument(
+        "--ended", action="store_true", help="take out all that have ended, but those that may have left a robot moving"
+    )
     running = Parser("queue run", "Execute what is in the queue, one experiment after another.")
     running.add_argument("number", metavar="NUMBER", nargs="?", type=int, help="execute this one alone")
     running.add_argument("--stay", action="store_true", help="wait for more where none is left")
