@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 from robot_runner.cli.main import main
 
 if __name__ == "__main__":
+    # A shell that finds Python by a relative entry of PATH hands such a path on, which is nothing in another folder.
+    sys.executable = os.path.abspath(sys.executable)  # noqa: PTH100 - a symbolic link of a virtual environment stays
     sys.exit(main())

@@ -27,6 +27,22 @@ def test_help_names_every_command(robot_runner: Callable, words: list[str]) -> N
     assert answer.err == ""
 
 
+@pytest.mark.long
+def test_python_that_a_relative_entry_of_path_has_found_is_found_from_each_folder(tmp_path: Path) -> None:
+    config, told = tmp_path / "study.py", tmp_path / "told"
+    config.write_text(f"import sys\nclass RobotRunnerConfig:\n    open({str(told)!r}, 'w').write(sys.executable)\n")
+    folder, python = os.path.split(sys.executable)
+    subprocess.run(
+        [python, "-m", "robot_runner", "check", str(config)],
+        executable=os.path.relpath(sys.executable, tmp_path),
+        cwd=tmp_path,
+        env={**os.environ, "PATH": os.path.relpath(folder, tmp_path)},
+        stdout=subprocess.DEVNULL,
+        check=False,
+    )
+    assert told.read_text() == sys.executable
+
+
 @pytest.mark.parametrize("command", installed_commands())
 @pytest.mark.parametrize("words", [["{}", "--help"], ["help", "{}"]])
 def test_every_command_has_help_of_its_own(robot_runner: Callable, command: str, words: list[str]) -> None:
