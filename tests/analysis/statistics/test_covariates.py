@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 import pytest
+import statsmodels.formula.api as smf
 from benchmarks.null_designs import NullDesign
 from scipy import stats
 from tests.analysis.made_experiment import make_experiment
@@ -145,6 +146,30 @@ def test_blocks_are_tested_as_clubsandwich_does() -> None:
     joint = model.fit.hotelling(np.eye(4)[:3])
     assert joint is not None
     assert [float(joint.f_value), float(joint.within)] == pytest.approx([17.8996511453, 5.29051876618], rel=1e-8)
+
+
+def test_an_effect_of_two_treatments_within_blocks_is_the_test_of_their_difference() -> None:
+    whole = ergo_stool()
+    frame = whole.frame[whole.frame["Type"].isin(["T1", "T2"])].reset_index(drop=True)
+    frame["Type"] = frame["Type"].cat.remove_unused_categories()
+    model = planned_model_of(replace(whole, frame=frame, every=frame), Estimand.MEAN)
+    assert isinstance(model, AdjustedMeans)
+    [effect], difference = model.effects(), model.difference([({"Type": "T2"}, 1.0), ({"Type": "T1"}, -1.0)])
+    assert abs(effect.statistic) == pytest.approx(abs(difference.estimate / difference.error))
+    assert effect.p_value == pytest.approx(difference.p_value)
+
+
+def test_adjusted_means_of_blocks_that_lack_a_run_are_those_of_a_model_of_blocks() -> None:
+    whole = ergo_stool()
+    frame = whole.frame.drop(index=whole.frame.index[[0, 5]]).reset_index(drop=True)
+    model = planned_model_of(replace(whole, frame=frame, every=frame), Estimand.MEAN)
+    assert isinstance(model, AdjustedMeans)
+    table = frame.rename(columns={VALUE: "y", covariate_column("x"): "x", " block": "b"})
+    expected = smf.ols("y ~ C(Type) + C(b) + x", table).fit()
+    for name in ("T1", "T2", "T3", "T4"):
+        found = model.difference([({"Type": name}, 1.0)]).estimate
+        predicted = expected.predict(table.assign(Type=name, x=table["x"].mean()))
+        assert float(found) == pytest.approx(float(predicted.mean()), rel=1e-9)
 
 
 #: Adjusted means, the difference of the first and the last, and the slope, each with its standard error.

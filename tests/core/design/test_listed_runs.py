@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
+
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.listed_runs import ListedRun, ListedRunTableModel
+from robot_runner.core.errors import DesignError
 
 TASK = Factor("Task", ["Video", "Network"])
 
@@ -28,3 +31,11 @@ def test_its_runs_are_never_too_many_to_be_planned() -> None:
     model = ListedRunTableModel(factors, [ListedRun("one", {factor.name: "on" for factor in factors})])
     assert not model.is_too_large
     assert [run.run_id for run in model.plan()] == ["one"]
+
+
+def test_ids_that_two_runs_share_but_for_case_or_that_name_no_folder_are_refused_at_once():
+    listed = [ListedRun(run_id, {"Task": "Video"}) for run_id in ("a", "A", "b", "c", "../c")]
+    with pytest.raises(DesignError) as refused:
+        ListedRunTableModel([TASK], listed)
+    problems = [finding.problem for finding in refused.value.findings]
+    assert problems == ["2 runs have the id 'a'", "a run cannot have the id '../c'"]

@@ -91,7 +91,12 @@ def test_each_combination_is_known_by_itself() -> None:
     assert found.known[0].half_width == pytest.approx(half_width_of(values["Video",], level))
     assert found.known[0].wanted == pytest.approx(10.0)
     assert found.needs_more
-    assert "for Idle, ± 5 % is wanted (1 of 2 means precise)" in found.in_words()
+    assert found.in_words() == "Energy: ± 141 % for Idle, ± 5 % is wanted (1 of 2 means precise)"
+
+
+def test_of_a_half_width_in_a_unit_the_widest_is_told_in_that_unit() -> None:
+    found = judged({("Video",): [200.0, 202, 198, 201, 199], ("Idle",): [10.0, 20, 5, 12, 30]}, rule("4 J"))
+    assert found.in_words() == "Energy: ± 21.7 J for Idle, ± 4 J is wanted (1 of 2 means precise)"
 
 
 def test_differences_are_those_within_repetitions() -> None:
