@@ -60,7 +60,8 @@ class Estimate:
         if self.seconds is None:
             return unknown or "not known"
         made_of = "; ".join([*self.parts, *filter(None, [unknown])])
-        return f"{_about(self.seconds, is_least=self.is_least)}{f' ({made_of})' if made_of else ''}"
+        lasts = _about(self.seconds, is_least=self.is_least) if self.seconds or self.is_least else "none"
+        return f"{lasts}{f' ({made_of})' if made_of else ''}"
 
 
 @dataclass(frozen=True, slots=True)
