@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import combinations, permutations
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.storage.executed_runs import done_runs, executed_order, moved_runs
+from robot_runner.core.storage.executed_runs import done_runs, executed_order, moved_runs, unrecorded_runs
 from robot_runner.core.storage.journal import Journal
 
 if TYPE_CHECKING:
@@ -39,3 +39,13 @@ def test_the_last_attempt_counts_and_warm_up_runs_do_not(tmp_path: Path) -> None
     assert executed_order(tmp_path / "journal.jsonl") == ["r_2", "r_1", "r_3"]
     assert done_runs(tmp_path / "journal.jsonl") == {"w_1", "r_1"}
     assert executed_order(tmp_path / "nowhere.jsonl") == []
+
+
+def test_runs_are_missing_in_the_journal_that_are_done_by_the_table_and_by_nobodys_hand() -> None:
+    done, by_hand = ["r_1", "r_2", "r_3"], [{"run": "r_2", "column": "status"}, {"run": "r_3", "column": "Energy"}]
+    manifest: dict[str, Any] = {"design": {"source": "config"}, "table_deviations": by_hand}
+    assert unrecorded_runs(done, {"r_1"}, manifest) == ["r_3"]
+    own_table = {"design": {"source": "run_table.csv"}}
+    assert unrecorded_runs(done, {"r_1"}, own_table) == [], "an earlier version did not note what was done in it"
+    own_table["design"]["done_before"] = ["r_2"]
+    assert unrecorded_runs(done, {"r_1"}, own_table) == ["r_3"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -294,6 +295,16 @@ def test_a_number_of_a_repetition_that_is_none_is_refused(tmp_path: Path) -> Non
         f"run_table.csv, line 2, column 'Repetition': '0' is no number of a repetition → {fix}",
         f"run_table.csv, line 4, column 'Repetition': '' is no number of a repetition → {fix}",
         f"run_table.csv, line 5, column 'Repetition': '1.5' is no number of a repetition → {fix}",
+    ]
+
+
+def test_what_tells_how_a_run_was_planned_is_refused_where_it_is_nothing_of_that_kind(tmp_path: Path) -> None:
+    layout = replace(LAYOUT, marks=("batch", "warm_up"))
+    rows = read(tmp_path, "Task,Speed,batch,warm_up\nVideo,1,2,True\nVideo,1,,\n", layout)
+    assert [(rows.row(place)["batch"], rows.row(place)["warm_up"]) for place in (0, 1)] == [(2, True), (1, False)]
+    assert findings_of(tmp_path, "Task,Speed,batch,warm_up\nVideo,1,2,True\nVideo,1,b,7\n", layout) == [
+        "run_table.csv, line 3, column 'batch': 'b' is no integer → Write a whole number.",
+        "run_table.csv, line 3, column 'warm_up': '7' is no boolean → Write True or False.",
     ]
 
 
