@@ -45,7 +45,7 @@ def test_runs_are_missing_in_the_journal_that_are_done_by_the_table_and_by_nobod
     done, by_hand = ["r_1", "r_2", "r_3"], [{"run": "r_2", "column": "status"}, {"run": "r_3", "column": "Energy"}]
     manifest: dict[str, Any] = {"design": {"source": "config"}, "table_deviations": by_hand}
     assert unrecorded_runs(done, {"r_1"}, manifest) == ["r_3"]
-    own_table = {"design": {"source": "run_table.csv"}}
+    own_table: dict[str, Any] = {"design": {"source": "run_table.csv"}}
     assert unrecorded_runs(done, {"r_1"}, own_table) == [], "an earlier version did not note what was done in it"
     own_table["design"]["done_before"] = ["r_2"]
     assert unrecorded_runs(done, {"r_1"}, own_table) == ["r_3"]
