@@ -184,6 +184,17 @@ def test_the_end_of_every_goal_is_asked_for_before_any_server_is_awaited(links):
     assert not any(server.is_late for server in servers.values())
 
 
+def test_the_end_of_goals_is_asked_for_in_the_one_thread_of_a_transport_that_has_no_others():
+    resources, asked, transport = Resources(), threading.Event(), NotingTransport()
+    server, threads = SlowServer("/first", asked, asked), []
+    cancel = server.cancel
+    server.cancel = lambda *told: (threads.append(threading.current_thread()), cancel(*told))
+    transport.has_threads, transport.actions.client = False, lambda *_: server
+    resources.open("link", lambda: GraphLink(lambda: transport)).send_goal("/first", FIBONACCI, {"order": 1})
+    resources.close()
+    assert threads == [threading.current_thread()]
+
+
 def test_who_closes_a_link_that_another_thread_closes_goes_on_once_the_robot_was_told_to_stand_still(link, transport):
     link.publish("cmd_vel", TWIST, {"linear": {"x": 0.2}})
     is_stopping, may_stop = threading.Event(), threading.Event()

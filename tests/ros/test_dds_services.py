@@ -14,16 +14,19 @@ from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.robot import Qos
 from robot_runner.ros.dds_link import open_dds_link
 
 pytest.importorskip("cyclonedds", reason="it is not published built for every machine")
 
 from robot_runner.ros import dds_services, dds_transport
+from robot_runner.ros.action_calls import CLOSING_SECONDS
 from robot_runner.ros.dds_reception import RawSample, Reception
 from robot_runner.ros.dds_transport import DdsTransport
 
 DOMAIN = claim_domain()
 TRIGGER = "std_srvs/Trigger"
+FIBONACCI = "example_interfaces/Fibonacci"
 
 
 @pytest.fixture(autouse=True)
@@ -105,6 +108,75 @@ def test_a_message_comes_once_whose_callback_waits_while_its_subscription_adapts
     robot.publish("chatter", STRING, {"data": "last"})
     wait_until(lambda: "last" in heard)
     assert heard == ["now", "last"]
+
+
+@pytest.mark.parametrize("is_taken", [False, True])
+def test_what_has_come_is_not_lost_while_a_callback_waits_and_its_subscription_adapts_to_another(opened, is_taken):
+    robot, other, link, heard = opened(), opened(), opened(), []
+    graph = link._transport._session.graph
+
+    def take(message):
+        heard.append(message["data"])
+        if heard == ["a"]:
+            if not is_taken:
+                tell("b", "c")
+            other.publish("chatter", STRING, {"data": "weak"}, qos=Qos.SENSOR_DATA)
+            while len(graph.writers("rt/chatter")) < 2:
+                link._transport.wait(threading.Event(), 0.02)
+
+    def tell(*words):
+        for each in words:
+            robot.publish("chatter", STRING, {"data": each})
+
+    robot.advertise("chatter", STRING)
+    robot.subscribe("chatter", STRING, lambda _: None, qos=Qos.SENSOR_DATA)  # one that the other may publish for
+    link.subscribe("chatter", STRING, take)
+    link.subscribe("begin", STRING, lambda _: tell("a", "b", "c") if is_taken else tell("a"))
+    wait_until(lambda: robot.subscribers("chatter"))
+    robot.publish("begin", STRING, {})
+    wait_until(lambda: "c" in heard)
+    wait_until(lambda: "last" in heard or other.publish("chatter", STRING, {"data": "last"}, qos=Qos.SENSOR_DATA))
+    assert [each for each in heard if each in {"a", "b", "c"}] == ["a", "b", "c"]
+
+
+def test_more_has_come_than_is_taken_at_once_before_a_subscription_adapts_and_all_of_it_is_handed_on(opened):
+    robot, link, heard = opened(), opened(), []
+    robot.advertise("chatter", STRING)
+    robot.subscribe("chatter", STRING, lambda _: None, qos=Qos.SENSOR_DATA)  # one that it may publish for, weakly
+
+    def begin(_):
+        for number in range(600):
+            robot.publish("chatter", STRING, {"data": str(number)})
+        robot.publish("chatter", STRING, {"data": "weak"}, qos=Qos.SENSOR_DATA)
+        time.sleep(0.3)  # all of it is there before anything is taken
+
+    link.subscribe("chatter", STRING, lambda message: heard.append(message["data"]))
+    link.subscribe("begin", STRING, begin)
+    wait_until(lambda: robot.subscribers("chatter"))
+    robot.publish("begin", STRING, {})
+    wait_until(lambda: "599" in heard)
+    assert [each for each in heard if each != "weak"] == [str(number) for number in range(600)]
+
+
+def test_a_link_that_is_closed_by_a_callback_cancels_its_goals_at_once(opened):
+    robot, link, ended, closed = opened(), opened(), [], []
+
+    def count(execution):
+        while not execution.is_cancel_requested:
+            time.sleep(0.01)
+        ended.append(time.monotonic())
+        return {"sequence": []}
+
+    def leave(_):
+        begun = time.monotonic()
+        link.close()
+        closed.append((ended[0] - begun, time.monotonic() - begun))
+
+    robot.offer_action("count", FIBONACCI, count)
+    link.send_goal("count", FIBONACCI, {"order": 5}, timeout=20.0)
+    link.subscribe("bye", STRING, leave)
+    wait_until(lambda: closed or robot.publish("bye", STRING, {}))
+    assert max(closed[0]) < CLOSING_SECONDS
 
 
 def test_a_reply_to_another_client_that_comes_while_a_client_is_made_is_left_out(opened, monkeypatch):

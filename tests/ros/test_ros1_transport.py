@@ -18,6 +18,7 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.links.commanded_topics import command_for_certain
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros import ros1_publisher
+from robot_runner.ros.ros1_types import message_class
 
 __all__ = ["opened"]
 
@@ -89,12 +90,12 @@ class TestCommands:
         link.close()
 
 
-@quiet_about_rospy
-def test_what_makes_a_robot_safe_comes_although_its_node_connects_anew_and_loses_what_it_has_read(opened, monkeypatch):
-    """As where the master tells a node twice of a publisher, as where one begins and another one is killed."""
+@pytest.fixture
+def told_twice(monkeypatch):
+    """Have rospy told twice of each publisher of /lamp as its first message has come; yield what it replaces then."""
     transport = import_module("rospy.impl.tcpros_base").TCPROSTransport
     handler, receive = import_module("rospy.impl.tcpros").get_tcpros_handler(), transport.receive_once
-    robot, link, heard, replaced = opened(), opened(), [], []
+    replaced = []
 
     def receive_and_connect_anew(connection):
         messages = receive(connection)
@@ -104,10 +105,30 @@ def test_what_makes_a_robot_safe_comes_although_its_node_connects_anew_and_loses
         return messages
 
     monkeypatch.setattr(transport, "receive_once", receive_and_connect_anew)
-    robot.subscribe("lamp", STRING, lambda message: heard.append(message["data"]))
+    return replaced
+
+
+@quiet_about_rospy
+def test_what_makes_a_robot_safe_comes_although_its_node_connects_anew_and_loses_what_it_has_read(opened, told_twice):
+    """As where the master tells a node twice of a publisher, as where one begins and another one is killed."""
+    link, heard = opened(), []
+    hear = lambda message: heard.append(message.data)  # noqa: E731
+    robot = import_module("rospy").Subscriber("/lamp", message_class(STRING), hear)
     command_for_certain(link, "lamp", STRING, {"data": "off"})
     wait_until(lambda: "off" in heard)
-    assert [each.done for each in replaced] == [True]
+    robot.unregister()
+    assert [each.done for each in told_twice] == [True]
+
+
+@quiet_about_rospy
+def test_a_subscription_that_is_told_twice_of_its_publisher_loses_nothing(opened, told_twice):
+    robot, link, heard = opened(), opened(), []
+    link.subscribe("lamp", STRING, lambda message: heard.append(message["data"]))
+    for word in ("off", "on"):
+        robot.publish("lamp", STRING, {"data": word})
+    wait_until(lambda: "on" in heard)
+    assert heard == ["off", "on"]
+    assert [each.done for each in told_twice] == [False]
 
 
 def test_a_connection_that_rospy_has_nothing_to_send_on_is_idle():

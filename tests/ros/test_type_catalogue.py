@@ -210,6 +210,16 @@ def test_a_type_of_the_distribution_may_be_given_again_by_its_own_file(tmp_path)
     assert "PARAMETER_BOOL" in TypeCatalogue.of(2, "humble", (tmp_path,)).definition("rcl_interfaces/ParameterType")
 
 
+@pytest.mark.parametrize("generation", [1, 2])
+def test_a_type_that_a_robot_tells_is_refused_where_one_that_it_is_made_of_is_known_otherwise(generation):
+    catalogue = TypeCatalogue.of(generation)
+    told = f"geometry_msgs/Vector3 push\n{'=' * 80}\nMSG: geometry_msgs/Vector3\n{{}}"
+    learnt = catalogue.with_definition("lab_msgs/Reading", told.format("float64 x\nfloat64 y\nfloat64 z\n"))
+    assert [field.name for field in learnt.shape("lab_msgs/Reading").fields] == ["push"]
+    with pytest.raises(LinkError, match=r"geometry_msgs/msg/Vector3 is defined otherwise"):
+        catalogue.with_definition("lab_msgs/Reading", told.format("float32 x\nfloat32 y\nfloat32 z\n"))
+
+
 @pytest.mark.parametrize(
     ("name", "text", "problem"),
     [

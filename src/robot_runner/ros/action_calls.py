@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 from robot_runner.core.errors import LinkError, nearest
@@ -92,6 +93,7 @@ class LinkGoals:
         dialect: how the graph speaks of actions.
         wait: waits for an event, as the link's transport does.
         check_open: raises a `LinkError` where the link is closed, or is about to be.
+        has_threads: whether the transport may be used in several threads.
     """
 
     def __init__(
@@ -99,14 +101,17 @@ class LinkGoals:
         dialect: ActionDialect,
         wait: Callable[[threading.Event, float], None],
         check_open: Callable[[str], None],
+        *,
+        has_threads: bool = True,
     ) -> None:
         self._dialect = dialect
         self._wait = wait
         self._check_open = check_open
+        self._has_threads = has_threads
         self._lock = threading.Lock()
         self._clients: dict[tuple[str, str], ActionClient] = {}
         self._goals: list[SentGoal] = []
-        self._asking: dict[SentGoal, threading.Thread] = {}
+        self._asked: dict[SentGoal, threading.Event] = {}
         self._is_closed = False
 
     def send(
@@ -139,10 +144,13 @@ class LinkGoals:
     def ask_for_ends(self) -> None:
         """Ask for the end of all goals that are not over at once, and wait for no server; `close` tells what fails."""
         with self._lock:
-            for goal in self._open_goals():
-                if goal not in self._asking:
-                    self._asking[goal] = threading.Thread(target=_ask, args=(goal,), name="end of a goal", daemon=True)
-                    self._asking[goal].start()
+            fresh = {goal: threading.Event() for goal in self._open_goals() if goal not in self._asked}
+            self._asked |= fresh
+        for asking in (partial(_ask, goal, asked) for goal, asked in fresh.items()):
+            if self._has_threads:
+                threading.Thread(target=asking, name="end of a goal", daemon=True).start()
+            else:
+                asking()
 
     def close(self) -> None:
         """Cancel the goals that are not over, wait for it shortly, and leave the actions.
@@ -157,8 +165,9 @@ class LinkGoals:
             open_goals = self._open_goals()
             clients = list(self._clients.values())
         self.ask_for_ends()
-        for asking in list(self._asking.values()):
-            asking.join(max(0.0, deadline - time.monotonic()))
+        for asked in list(self._asked.values()):
+            with suppress(Exception):  # it is asked again, and told then
+                self._wait(asked, max(0.0, deadline - time.monotonic()))  # this thread may be the one that receives
         for goal in open_goals:
             try:
                 goal.cancel(timeout=max(0.1, deadline - time.monotonic()))
@@ -194,9 +203,10 @@ class LinkGoals:
         return chosen
 
 
-def _ask(goal: SentGoal) -> None:
-    with suppress(Exception):  # it is asked again, and told then
+def _ask(goal: SentGoal, is_over: threading.Event) -> None:
+    with suppress(Exception):  # as above
         goal.ask_for_end(CLOSING_SECONDS)
+    is_over.set()
 
 
 def _leave(client: ActionClient) -> None:

@@ -8,7 +8,7 @@ import time
 import types
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 from cyclonedds.builtin import BuiltinDataReader
@@ -18,6 +18,7 @@ from cyclonedds.idl import types as idl
 
 from robot_runner.ros.action_types import is_action_part
 from robot_runner.ros.message_codec import FILLER
+from robot_runner.ros.qos_policies import KEPT
 from robot_runner.ros.shapes import Field, Shape
 
 if TYPE_CHECKING:
@@ -173,6 +174,7 @@ class Source:
         self.condition = ReadCondition(reader, _ANY)
         self.is_open = True
         self.is_busy = False
+        self.afterwards: Callable[[], None] | None = None
         self.faults = 0
 
 
@@ -225,8 +227,14 @@ class Reception:
 
     def drain(self, source: Source) -> None:
         """Hand on what a reader has received by now; to be called in the thread that serves, before it is removed."""
-        if not source.is_busy:
-            self._take(source)
+        self._take(source, KEPT)
+
+    def when_idle(self, source: Source, act: Callable[[], None]) -> None:
+        """Do something while a handler is not at work: now, or once it is; to be called in the thread that serves."""
+        if source.is_busy:
+            source.afterwards = act
+        else:
+            act()
 
     def wait_for(self, is_so: Callable[[], bool], timeout: float) -> bool:
         """Wait until `is_so` holds, mostly after something was received; `timeout` is in seconds.
@@ -308,11 +316,11 @@ class Reception:
         with self._turned:
             self._turned.notify_all()
 
-    def _take(self, source: Source) -> None:
+    def _take(self, source: Source, most: int = _BATCH) -> None:
         is_discovery = isinstance(source.reader, BuiltinDataReader)
         try:
             with READING_QOS if is_discovery else nullcontext():
-                samples = source.reader.take(_BATCH)
+                samples = source.reader.take(most)
         except DDSException:
             if source.is_open and not self._is_closed:  # a callback may close the link
                 raise
@@ -326,11 +334,14 @@ class Reception:
         source.is_busy = True
         for sample in samples:
             if source.is_open:
-                self._hand_on(source, sample)
+                self._do(source, partial(source.handler, sample))
         source.is_busy = False
+        if source.afterwards is not None:
+            act, source.afterwards = source.afterwards, None
+            self._do(source, act)
 
-    def _hand_on(self, source: Source, sample: Any) -> None:
+    def _do(self, source: Source, act: Callable[[], None]) -> None:
         try:
-            source.handler(sample)
+            act()
         except Exception:  # one bad sample, such as of another version of a type, must not end the thread of them all
             _logger.exception("a sample of %s could not be used", source.where)

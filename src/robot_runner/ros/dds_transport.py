@@ -269,20 +269,9 @@ class _Subscription:
 
     def adapt(self, writer: Endpoint) -> None:
         """Ask for what the topic's publishers offer, now that there is another."""
-        if self._qos is not None or writer.topic != self._wire_topic or not self._source.is_open:
-            return
-        asked = self._policies()
-        if asked != self._asked:
-            self._asked = asked
-            former, fresh = self._source, self._reading()
-            self._session.reception.drain(former)
-            # A callback may have waited, and another thread may have closed it, or it has adapted once more.
-            with self._lock:
-                takes_over = not self._is_closed and self._source is former
-                if takes_over:
-                    self._source, self._before = fresh, dict(self._last)
-                    self._session.reception.serve(fresh)  # only now: what both have received is known
-            self._end(former if takes_over else fresh)
+        if self._qos is None and writer.topic == self._wire_topic:
+            # Where its callback waits: what has come before must not be lost, nor what comes be handed on meanwhile.
+            self._session.reception.when_idle(self._source, self._adapt)
 
     def close(self) -> None:
         with self._lock:
@@ -295,6 +284,21 @@ class _Subscription:
         return adapted_profile(
             [writer.qos for writer in self._session.graph.writers(self._wire_topic)], self._user_data
         )
+
+    def _adapt(self) -> None:
+        asked = self._policies()
+        if asked == self._asked or not self.is_open:
+            return
+        self._asked = asked
+        former, fresh = self._source, self._reading()
+        self._session.reception.drain(former)
+        # A callback may have waited, and another thread may have closed it, or it has adapted once more.
+        with self._lock:
+            takes_over = not self._is_closed and self._source is former
+            if takes_over:
+                self._source, self._before = fresh, dict(self._last)
+                self._session.reception.serve(fresh)  # only now: what both have received is known
+        self._end(former if takes_over else fresh)
 
     def _check_offers(self) -> None:
         for writer in self._session.graph.writers(self._wire_topic):
@@ -318,6 +322,7 @@ class _Subscription:
         info = sample.sample_info
         if not info.valid_data or info.source_timestamp <= self._before.get(info.publication_handle, _NEVER):
             return
+        self._before.pop(info.publication_handle, None)  # from now on they come in order, whatever its clock shows
         self._last[info.publication_handle] = info.source_timestamp
         self._take(sample.data)
 

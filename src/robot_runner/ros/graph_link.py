@@ -91,9 +91,9 @@ class GraphLink:
         self._is_closed = False
         self._closing_it: threading.Thread | None = None
         self._is_stopped = threading.Event()
-        self._transport = connect()
-        self._goals = LinkGoals(self._transport.actions, self._transport.wait, self._check_open)
-        self.parameter_server: ParameterServer | None = getattr(self._transport, "parameter_server", None)
+        self._transport = transport = connect()
+        self._goals = LinkGoals(transport.actions, transport.wait, self._check_open, has_threads=transport.has_threads)
+        self.parameter_server: ParameterServer | None = getattr(transport, "parameter_server", None)
 
     @property
     def is_simulated(self) -> bool:

@@ -13,7 +13,7 @@ DEPTHS: Mapping[Qos, int] = MappingProxyType(
     {Qos.DEFAULT: 10, Qos.SENSOR_DATA: 5, Qos.RELIABLE: 0, Qos.TRANSIENT_LOCAL: 1}
 )
 #: How much of a topic is kept while a callback runs, where the user names no profile: a second of 1 kHz.
-_KEPT = 1000
+KEPT = 1000
 
 
 class Policies(NamedTuple):
@@ -27,7 +27,7 @@ class Policies(NamedTuple):
 
     is_reliable: bool
     is_kept: bool
-    depth: int = _KEPT
+    depth: int = KEPT
 
     @property
     def profile(self) -> Qos:
@@ -69,7 +69,7 @@ def offered_by(qos: Qos) -> Policies:
 def asked_by(qos: Qos) -> Policies:
     """Return what a subscription of a profile asks for."""
     # Of what is kept it is the last message of each publisher: the depth of a reader is that of them all.
-    return offered_by(qos)._replace(depth=_KEPT) if qos is Qos.TRANSIENT_LOCAL else offered_by(qos)
+    return offered_by(qos)._replace(depth=KEPT) if qos is Qos.TRANSIENT_LOCAL else offered_by(qos)
 
 
 def adapted(offers: Sequence[Policies], *, alone: bool) -> Policies:

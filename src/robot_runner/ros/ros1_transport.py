@@ -181,8 +181,12 @@ class Ros1Transport:
         with its class for any message there is nothing that they can disagree about.
         """
 
+        def complete(subscriber: Any) -> None:
+            subscriber.set_tcp_nodelay(True)
+            _connect_once(subscriber)
+
         def register() -> Any:
-            with completed_first(topic, "sub", lambda subscriber: subscriber.set_tcp_nodelay(True)):
+            with completed_first(topic, "sub", complete):
                 return self._rospy.Subscriber(topic, self._rospy.AnyMsg, receive, tcp_nodelay=True)
 
         return within(register, where=topic, doing="registering the subscriber")
@@ -212,6 +216,20 @@ class Ros1Transport:
         except LinkError:
             return  # left behind by a node that died
         raise already_offered(service, ", ".join(self._master.state().services.get(service, ("another node",))))
+
+
+def _connect_once(subscriber: Any) -> None:
+    """Have rospy keep the connection that it has to a publisher of which it is told twice at a time.
+
+    It would put a fresh one in its place, and what has come over the former and was not read yet would be lost.
+    """
+    add = subscriber.add_connection
+
+    def add_first(connection: Any) -> bool:
+        with subscriber.c_lock:
+            return not subscriber.has_connection(connection.endpoint_id) and bool(add(connection))
+
+    subscriber.add_connection = add_first
 
 
 def _until(claim: Callable[[], bool], seconds: float) -> None:

@@ -93,12 +93,12 @@ def with_definition(store: Typestore, name: str, text: str) -> tuple[Typestore, 
     """Return a store that has a message type, too, and those that it is made of; and the defaults of their fields.
 
     Args:
-        store: is left as it is; what it knows already stays so.
+        store: is left as it is.
         name: of the type.
         text: its definition, with those that it is made of after it, as bags store it.
 
     Raises:
-        LinkError: it cannot be read, or lacks one.
+        LinkError: it cannot be read, lacks one, or has one that the store knows otherwise.
     """
     rosbags = _rosbags()
     first, *others = _NEXT.split(text)
@@ -107,6 +107,8 @@ def with_definition(store: Typestore, name: str, text: str) -> tuple[Typestore, 
         called, _, definition = each.partition("\n")
         texts[stored_name(called.strip())] = definition
     found = {part: _message(rosbags, part, said, name)[part] for part, said in texts.items()}
+    for part in found.keys() & store.fielddefs.keys():
+        _check_same(part, found[part], store, {})
     fresh = {part: fields for part, fields in found.items() if part not in store.fielddefs}
     defaults = {
         (part, field): value for part in fresh for field, value in field_defaults(texts[part], where=name).items()
