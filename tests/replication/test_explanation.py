@@ -194,6 +194,27 @@ def test_robot_and_host_are_those_that_executed_the_run(tmp_path, where, manifes
 
 
 @pytest.mark.parametrize(
+    ("given", "place", "robot"),
+    [
+        ({"robot['left']": "ros2://b", "robot['right']": "ros2://c"}, {"place": "left"}, "left: ros2://b"),
+        ({"robot['left']": "ros2://b", "robot['right']": "ros2://c"}, {"place": "right"}, "right: ros2://c"),
+        ({"robot": "ros2://d"}, {}, "ros2://d"),
+    ],
+)
+def test_the_robot_is_reached_as_in_the_execution_in_which_the_run_was_executed(tmp_path, given, place, robot):
+    first = {"started_at": "2000-01-01T00:00:00.000Z", "given": {"robot['left']": "ros2://a"}}
+    manifest = {
+        "executions": [first, {"started_at": "2000-01-02T00:00:00.000Z", "given": given}],
+        "robot": "ros2://a",
+        "robots": {"left": "ros2://a"},
+    }
+    folder = two_tasks(tmp_path / "made", (1.0,), (3.0,), name="made", manifest=manifest)
+    with Journal(folder.files.journal) as journal:
+        journal.append("attempt_started", run="r_1", attempt=2, **place)
+    assert dict(explain_run(folder.root, "r_1").facts)["Robot"] == robot
+
+
+@pytest.mark.parametrize(
     ("design", "order"),
     [
         ({"facts": {"decides": "once these are done"}}, "as results decided"),

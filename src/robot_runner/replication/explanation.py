@@ -142,8 +142,7 @@ class _Explaining:
         yield from history.waits
         if history.waited:
             yield "Waited in all", shown_duration(history.waited)
-        takes_turns = history.place in _mapping(self._manifest.get("robots"))
-        yield "Robot", f"{history.place}: {self._reached}" if takes_turns else self._reached or "as the config says"
+        yield "Robot", f"{history.place}: {self._reached}" if self._own_robot else self._reached or "as the config says"
         yield "Host", f"{self._worker}, directed from {self._host()}" if self._worker else self._host()
         yield "System", self._system()
         yield from (("Program", self._program(path, owner)) for path, owner in history.programs)
@@ -212,25 +211,32 @@ class _Explaining:
         return f"{place}, out of the order of the run table"
 
     @property
+    def _own_robot(self) -> str:
+        """How the robot that executed the run was reached then, of several that take turns."""
+        given = _mapping(self._execution.get("given")).get(f"robot[{self._history.place!r}]")
+        return str(given or _mapping(self._manifest.get("robots")).get(self._history.place) or "")
+
+    @property
     def _reached(self) -> str:
-        """How the robot was reached; of several that take turns, the one that executed the run."""
-        own = _mapping(self._manifest.get("robots")).get(self._history.place)
-        return str(own or self._manifest.get("robot") or "")
+        """How the robot was reached in the execution of the run."""
+        given = _mapping(self._execution.get("given")).get("robot")
+        return self._own_robot or str(given or self._manifest.get("robot") or "")
 
     def _host(self) -> str:
         """Which machine executed the run, or directed it, and with which Python: that of its execution."""
         python = _mapping(self._manifest.get("software")).get("python")
         facts = {**_mapping(self._manifest.get("host")), "python": python}
-        changed = self._changed_until(self._history.started_at or "")
+        changed = self._execution.get("changed") or {}
         facts |= {name: each["is"] for name, each in changed.items() if name in facts}
         machine = " ".join(str(facts[part]) for part in ("processor", "system", "release") if facts.get(part))
         return f"{machine}, Python {facts['python']}" if facts["python"] else machine
 
-    def _changed_until(self, moment: str) -> Mapping[str, Mapping[str, Any]]:
-        """Return how the execution that was going on at a moment differed from the first one."""
-        executions = self._manifest.get("executions") or ()
+    @property
+    def _execution(self) -> Mapping[str, Any]:
+        """The execution that was going on when the run was executed, as the manifest has it."""
+        moment, executions = self._history.started_at or "", self._manifest.get("executions") or ()
         begun = [each for each in executions if str(each.get("started_at", "")) <= moment]
-        return (begun[-1].get("changed") or {}) if begun else {}
+        return begun[-1] if begun else {}
 
     @property
     def _worker(self) -> str:

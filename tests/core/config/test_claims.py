@@ -31,6 +31,12 @@ class RobotRunnerConfig(ExperimentConfig):
 """
 
 
+CAMERA = """\
+class Camera(Profiler):
+    def claims(self, robot): return [f"device:camera of {robot}"]
+"""
+
+
 @pytest.fixture
 def claims(write_config: Callable[..., Path]) -> Callable[..., Any]:
     """Return what gives the claims of a config's first run, and those that it holds against other experiments."""
@@ -179,3 +185,18 @@ def test_a_single_claim_need_not_stand_in_a_list(claims: Callable[..., Any]) -> 
     plugins = [Scale()]
     """
     assert claims(body) == ({"serial:/dev/ttyUSB0": ["Scale"]}, frozenset({"serial:/dev/ttyUSB0"}))
+
+
+def test_a_plugin_is_asked_for_the_claims_of_each_robot_that_takes_turns(write_config: Callable[..., Path]) -> None:
+    head = HEAD.replace("class RobotRunnerConfig", CAMERA + "\n\nclass RobotRunnerConfig", 1)
+    body = "robot = Robots('ros2://alice', 'ros2://bob')\nplugins = [Camera()]"
+    found = prepare(write_config(body, head=head), is_for_here=False)
+    assert found.experiment is not None, found.findings
+    experiment = found.experiment
+    told = Claims(experiment.parameters, experiment.plugins, experiment.events)
+    assert [list(told.of({}, robot)) for robot in experiment.parameters.robots.values()] == [
+        ["device:camera of ros2://alice"],
+        ["device:camera of ros2://bob"],
+    ]
+    assert {"device:camera of ros2://alice", "device:camera of ros2://bob"} <= held_claims(told, experiment.model)
+    assert told.common([{}]) == {}

@@ -21,6 +21,34 @@ def test_a_person_is_waited_for_however_many_runs_end_elsewhere_meanwhile() -> N
     assert history.waiting_for is None
 
 
+def test_who_waits_for_a_person_goes_on_waiting_whatever_goes_on_elsewhere() -> None:
+    history = ExperimentHistory()
+    asked = [{"kind": "asked", "run": run, "step": "the lift is empty"} for run in ("r_1", "r_2")]
+    for record in (*asked, {"kind": "paused", "next_run": "r_3"}):
+        history.take(record)
+    assert history.is_paused
+    history.take({"kind": "continued", "after": "pause", "seconds": 1.0})
+    waits = []
+    for record in ({**asked[0], "kind": "answered"}, {"kind": "waiting", "next_run": "r_3", "step": ""}, ended("r_2")):
+        assert history.waiting_for is not None
+        waits.append(history.waiting_for["next_run"])
+        history.take(record)
+    assert waits == ["r_1", "r_2", "r_2"]
+    assert history.waiting_for == {"next_run": "r_3", "place": "", "step": "", "questions": ()}
+    history.take({"kind": "paused", "next_run": "r_4"})
+    history.take({"kind": "continued"})
+    assert (history.waiting_for, history.is_paused) == (None, True)
+
+
+def test_a_robot_that_was_set_aside_is_told_until_the_next_session_in_which_it_takes_part_again() -> None:
+    history = ExperimentHistory()
+    history.take({"kind": "experiment_started", "at": "2026-01-31T12:00:00.000Z"})
+    history.take({"kind": "set_aside", "place": "bob", "problem": "3 runs in a row failed on it"})
+    assert [str(each) for each in history.findings] == ["robot bob: 3 runs in a row failed on it"]
+    history.take({"kind": "experiment_started", "at": "2026-01-31T13:00:00.000Z"})
+    assert history.findings == []
+
+
 def test_a_session_took_as_long_however_the_clock_was_set_meanwhile() -> None:
     history = ExperimentHistory()
     history.take({"kind": "experiment_started", "at": "2026-01-31T12:00:00.000Z"})

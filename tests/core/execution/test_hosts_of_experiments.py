@@ -140,15 +140,14 @@ def test_hosts_are_checked_before_anything_is_executed(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("policy", "table", "before"),
-    [("ONCE", BLOCKS, ["r_1"]), ("PER_BLOCK", BLOCKS, ["r_1", "r_3"])],
-)
+@pytest.mark.parametrize("robot", ["None", "Robots('simulated://alice', 'simulated://bob')"], ids=["one", "in turn"])
+@pytest.mark.parametrize(("policy", "before"), [("ONCE", ["r_1"]), ("PER_BLOCK", ["r_1", "r_3"])])
 def test_hosts_are_started_anew_and_awaited(
-    server: SshServer, tmp_path: Path, policy: str, table: str, before: list[str]
+    server: SshServer, tmp_path: Path, policy: str, before: list[str], robot: str
 ) -> None:
     script = server.reboot_script()
     body = f"""
+robot = {robot}
 hosts = {{"robot": Host(address="robot", ssh_config=HERE / "ssh_config", reboot=Reboot.{policy},
                         reboot_command={str(script)!r}, back_within_s=40, ready=FileThere())}}
 def launch_mission(self, context):
@@ -162,7 +161,7 @@ class FileThere(Condition):
 
 
 class RobotRunnerConfig("""
-    executed = execute_in(tmp_path, body, head=HEAD.replace("\n\nclass RobotRunnerConfig(", ready), table=table)
+    executed = execute_in(tmp_path, body, head=HEAD.replace("\n\nclass RobotRunnerConfig(", ready), table=BLOCKS)
     assert executed.finished.failed_count == 0
     assert [each.next_run for each in executed.notices if isinstance(each, HostRestarts)] == before
     assert len((tmp_path / "reboots").read_text().split()) == len(before)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
+from contextlib import closing
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -16,13 +17,20 @@ from tests.long_cases import long_but
 from robot_runner.core.config.operator_steps import OperatorStep
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError, StorageError
-from robot_runner.core.execution.notices import AnswersRefused, AttemptStarted, WaitingForUser
+from robot_runner.core.execution.notices import (
+    AnswersRefused,
+    AttemptFinished,
+    AttemptStarted,
+    Paused,
+    UserHasContinued,
+    WaitingForUser,
+)
 from robot_runner.core.execution.operator import Operator
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.lock import send_continue
+from robot_runner.core.storage.lock import leave_request, send_continue
 from robot_runner.replication.explanation import explain_run
 
 if TYPE_CHECKING:
@@ -139,6 +147,44 @@ def test_steps_are_asked_for_at_the_same_runs_however_many_places_there_are(
     executed, person = execute(body, "12\n", table=TEN)
     assert [run for _, run in person.asked] == runs
     assert [row["run_id"] for row in executed.table if row["voltage"]] == runs
+
+
+class PausingPerson(Person):
+    """Somebody who wants a pause when they are asked for a step, and does it once a run has ended elsewhere."""
+
+    def __init__(self) -> None:
+        super().__init__(lambda _: None)
+        self._looks = 0
+
+    def notice(self, notice: Notice) -> None:
+        super().notice(notice)
+        if isinstance(notice, WaitingForUser):
+            leave_request(notice.folder / ".pause")
+        elif isinstance(notice, Paused):
+            (notice.folder / ".pause").unlink()
+
+    def refresh(self) -> None:
+        self._looks += any(isinstance(each, AttemptFinished) for each in self.notices)
+        if self._looks == 20:  # the run that follows would have begun its pause by then
+            os.write(self._keyboard, b"\n")
+
+
+@pytest.mark.long
+def test_a_pause_begins_once_nobody_is_asked_for_a_step_elsewhere_any_more(tmp_path: Path) -> None:
+    body = "workers = 2\nclaims = []\n" + steps(
+        'OperatorStep("swap the battery", before={"Task": "Network"}, first=True)'
+    )
+    config = written_config(tmp_path, body, table=TABLE)
+    with closing(PausingPerson()) as person:
+        finished = execute_experiment(prepare_or_refuse(config), person)
+    told = [
+        kind for each in person.notices for kind in (WaitingForUser, UserHasContinued, Paused) if type(each) is kind
+    ]
+    assert told == [WaitingForUser, UserHasContinued, Paused], "ENTER would have been for either"
+    assert finished.done_count == 4
+    executed = Executed(config, finished, person.notices)
+    kinds = [each["kind"] for each in executed.journal("operator_step", "paused", "attempt_started")]
+    assert kinds[:3] == ["attempt_started", "operator_step", "paused"], "the run of the step is paused before, too"
 
 
 class Preparing:

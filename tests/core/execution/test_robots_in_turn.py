@@ -9,6 +9,7 @@ import pytest
 
 from robot_runner import ConfigError, Robots
 from robot_runner.core.config.preparation import prepare
+from robot_runner.core.execution.durations import Durations, TimeLeft
 from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
@@ -77,6 +78,21 @@ def test_an_experiment_that_goes_on_counts_what_each_robot_has_done(execute: Cal
 
 
 @pytest.mark.long
+def test_the_manifest_names_every_robot_that_ever_took_turns(execute: Callable[..., Any]) -> None:
+    from robot_runner.core.config.preparation import prepare_or_refuse
+    from robot_runner.core.execution.notices import SilentObserver
+    from robot_runner.core.execution.orchestrator import execute_experiment
+
+    executed = execute("on_failure = FailurePolicy.STOP", head=HEAD, table=TABLE, broken="bob")
+    config = executed.config
+    config.write_text(config.read_text().replace("simulated://bob", "simulated://carol"))
+    execute_experiment(prepare_or_refuse(config), SilentObserver(), resumption=Resumption(accept_changes=True))
+    assert {row["Robot"] for row in executed.table} == {"alice", "carol"}
+    robots = read_manifest(executed.folder / "manifest.json")["robots"]
+    assert robots == {name: f"simulated://{name}" for name in ("alice", "bob", "carol")}
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("again", ["done runs", "excluded runs", "warm-up runs"])
 def test_runs_that_are_executed_again_take_turns_again(execute: Callable[..., Any], again: str) -> None:
     from robot_runner.cli.excluding import exclude_runs
@@ -110,6 +126,51 @@ def test_a_robot_that_fails_again_and_again_is_set_aside_and_its_runs_go_to_the_
     assert [record["place"] for record in executed.journal("set_aside")] == ["bob"]
 
 
+@pytest.fixture
+def left_is_of_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have the time left be how many runs are to come, divided by how many go on at the same time."""
+    monkeypatch.setattr(
+        Durations, "left", lambda each: TimeLeft(0.0, sum(each._left.values()) / each.places, is_least=False)
+    )
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("left_is_of_runs")
+def test_the_time_left_counts_the_robots_that_are_left_and_the_runs_that_they_execute_again(
+    execute: Callable[..., Any],
+) -> None:
+    executed = execute(head=HEAD, table=TABLE, broken="bob")
+    records = executed.journal("set_aside", "attempt_started")
+    place = next(place for place, record in enumerate(records) if record["kind"] == "set_aside")
+    left = [record["left"]["others"] for record in records[place + 1 :]]
+    assert left == [float(number) for number in reversed(range(len(left)))]
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("left_is_of_runs")
+@pytest.mark.parametrize(("claims", "others"), [("[]", 3.5), ("['device:the only lift']", 7.0)])
+def test_the_time_left_is_that_of_one_robot_where_all_runs_claim_the_same(
+    execute: Callable[..., Any], claims: str, others: float
+) -> None:
+    executed = execute(f"claims = {claims}", head=HEAD.replace("0.3 if", "0.01 if"), table=TABLE)
+    assert executed.journal("attempt_started")[0]["left"]["others"] == others
+
+
+@pytest.mark.long
+def test_a_robot_that_fails_in_one_further_repetition_after_another_is_set_aside(execute: Callable[..., Any]) -> None:
+    head = HEAD.replace("if context.robot.ends", "if context.repetition > 5 and context.robot.ends")
+    head = head.replace('"Energy": context.run_seed', '"Energy": context.run_seed % 97')
+    table = TABLE.replace("[1, 2]", "[1]").replace("repetitions=4", "repetitions=5")
+    until = 'repeat_until = Precision("Energy", half_width="0.1 %", at_most=12)'
+    executed = execute(until, head=head, table=table, broken="bob")
+    (aside,) = executed.journal("set_aside")
+    assert aside["place"] == "bob"
+    failed = [record["run"] for record in executed.journal("attempt_finished") if record["status"] == "failed"]
+    assert len(failed) == 3
+    assert [row["status"] for row in executed.table] == ["Done"] * 12
+    assert {row["Robot"] for row in executed.table if row["run_id"] in failed} == {"alice"}
+
+
 @pytest.mark.long
 def test_the_last_robot_is_never_set_aside(execute: Callable[..., Any]) -> None:
     executed = execute(head=HEAD.replace('or "nobody"', 'or ""'), table=TABLE)
@@ -138,6 +199,21 @@ def test_fewer_warm_up_runs_than_robots_are_a_warning(
 ) -> None:
     found = prepare(write_config(head=HEAD, table=TABLE.replace("seed=7", f"seed=7, warm_up={warm_up}"))).findings
     assert ["measure without having warmed up" in finding.problem for finding in found] == [True] * told
+
+
+@pytest.mark.parametrize(
+    ("body", "told"),
+    [
+        ("plugins = [PsUtil(host='localhost')]", "1 robot of 2 will be idle, as two runs with one claim never overlap"),
+        ("run_process = RunProcess.IN_PROCESS", "executes one run at a time, and other robots are idle"),
+    ],
+)
+def test_that_only_one_robot_can_drive_at_a_time_is_a_warning(
+    write_config: Callable[..., Path], body: str, told: str
+) -> None:
+    head = HEAD.replace("import *\n", "import *\nfrom robot_runner.plugins.profilers import PsUtil\n", 1)
+    found = [each for each in prepare(write_config(body, head=head, table=TABLE)).findings if told in each.problem]
+    assert [each.where.rpartition(".")[2] for each in found] == ["robot"]
 
 
 def test_robots_may_be_the_blocks_of_the_analysis(write_config: Callable[..., Path]) -> None:

@@ -520,6 +520,7 @@ class OfAStranger:
         (lambda context: context.run_dir, "run_folder"),
         (lambda context: context.publsh, "publish"),
         (lambda context: context.clock.sleeep, "sleep"),
+        (lambda context: context.sleep, "clock.sleep"),
         (lambda context: context.of_no_such_kind, None),
         (lambda _: OfAStranger().anything, None),
         (lambda _: no_such_name, None),  # noqa: F821 - that is the case

@@ -342,5 +342,5 @@ def test_places_that_come_and_go_are_told_where_nothing_is_in_flight_as_none_of_
     ongoing.progress.pending.return_value = iter([run])
     places = Mock(all=[place], descriptors=[0], due=None, advance=advance)
     with pytest.raises(ExecutionError, match="nobody offers it"):
-        SideBySide(ongoing, places, lambda _: frozenset()).execute(is_cleared=False)
+        SideBySide(ongoing, places, lambda *_: frozenset()).execute(is_cleared=False)
     assert told == [True] * 3

@@ -233,6 +233,23 @@ def test_a_column_that_is_no_measure_any_more_keeps_nothing_of_an_earlier_attemp
     assert [(row["Power"], row["Notes"]) for row in executed.table][:2] == [("12", "slippery"), ("22", "")]
 
 
+def test_a_column_that_is_no_measure_any_more_has_the_values_of_runs_that_the_table_had_not_yet(
+    execute: Execute, write_config: Any
+) -> None:
+    executed = execute(COUNTING)
+    journal = executed.folder / "journal.jsonl"
+    lines = text_of(journal).splitlines(keepends=True)
+    journal.write_text("".join(line for line in lines if '"table_written"' not in line), encoding="utf-8")
+    last = text_of(executed.folder / "run_table.csv").splitlines()[-1]
+    edited(executed, last, last.replace("Done", "-").replace(",41", ","))
+    write_config(COUNTING.replace("Energy", "Power"), table=TABLE.replace("Energy", "Power"))
+    resume(executed, accept_changes=True)
+    assert attempts(executed) == 4
+    assert [(row["status"], row["Energy"]) for row in executed.table] == [
+        ("Done", each) for each in ("11", "21", "31", "41")
+    ]
+
+
 def test_a_truncated_table_is_made_anew_where_the_journal_counts(execute: Execute) -> None:
     executed = execute(COUNTING)
     path = executed.folder / "run_table.csv"

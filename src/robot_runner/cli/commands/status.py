@@ -101,7 +101,8 @@ def _to_do(status: ExperimentStatus) -> str:
         return ""
     place = f" ({status.waiting_for['place']})" if status.waiting_for["place"] else ""
     run = f"say that {status.waiting_for['next_run']}{place} may start"
-    step = f"{status.waiting_for['step']}, before {status.waiting_for['next_run']}{place}"
+    when = "in" if any(each.run == status.waiting_for["next_run"] for each in status.in_flight) else "before"
+    step = f"{status.waiting_for['step']}, {when} {status.waiting_for['next_run']}{place}"
     asked = ", ".join(question.asked for question in questions_of(status))
     return (step if status.waiting_for["step"] else run) + (f"; then tell {asked}" if asked else "")
 

@@ -89,16 +89,22 @@ class Claims:
 
     def __init__(self, parameters: Parameters, plugins: Sequence[Plugin], events: EventManager) -> None:
         self._parameters = parameters
-        self._robot = parameters.robot
+        #: How the robots of the runs are reached: one, or those that take turns.
+        self._reached = tuple(parameters.robots.values()) or (parameters.robot,)
         self._plugins = plugins
         self._of_config = tuple(_of_config(parameters, events))
         self._known: dict[tuple[object, ...], tuple[str, ...]] = {}
 
-    def of(self, combination: Mapping[str, Any]) -> dict[str, list[str]]:
-        """Return what a run with these treatments claims, each claim with those who make it."""
+    def of(self, combination: Mapping[str, Any], robot: str | None = None) -> dict[str, list[str]]:
+        """Return what a run with these treatments claims, each claim with those who make it.
+
+        Args:
+            combination: its treatments.
+            robot: how its robot is reached; None for the experiment's, or the first one of those that take turns.
+        """
         claims: dict[str, list[str]] = {claim: [CONFIG_OWNER] for claim in self._of_config}
         for plugin in self._plugins:
-            for claim in self._of_plugin(plugin, combination):
+            for claim in self._of_plugin(plugin, combination, robot or self._reached[0]):
                 claims.setdefault(claim, []).append(plugin.name)
         return claims
 
@@ -106,8 +112,8 @@ class Claims:
         """Return what all of these runs claim: where there is anything, only one of them goes on at a time."""
         common: dict[str, list[str]] | None = None
         do_vary = any(map(factors_of, self._plugins))
-        for combination in combinations if do_vary else islice(combinations, 1):
-            claims = self.of(combination)
+        for combination, robot in product(combinations if do_vary else islice(combinations, 1), self._reached):
+            claims = self.of(combination, robot)
             common = claims if common is None else {name: who for name, who in common.items() if name in claims}
         return common or {}
 
@@ -127,7 +133,8 @@ class Claims:
         for plugin in self._plugins:
             measures_computer = getattr(plugin, "measured_computer", None) is not None
             if measures_computer or type(plugin).claims is not Plugin.claims:
-                yield from self._of_plugin(plugin, combination)
+                for robot in self._reached:
+                    yield from self._of_plugin(plugin, combination, robot)
 
     def _robots(self, combinations: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         """Yield the real robots, each with the graph that it is on and the namespaces that plugins name there.
@@ -155,11 +162,11 @@ class Claims:
                     found |= {str(getattr(part, "namespace", "")).strip("/") for part in parts}
         return found - {""}
 
-    def _of_plugin(self, plugin: Plugin, combination: Mapping[str, Any]) -> tuple[str, ...]:
+    def _of_plugin(self, plugin: Plugin, combination: Mapping[str, Any], robot: str | None) -> tuple[str, ...]:
         treatments = values_of(plugin, combination) if factors_of(plugin) else {}
-        key = (plugin.name, *(f"{name}={value}" for name, value in treatments.items()))
+        key = (plugin.name, robot, *(f"{name}={value}" for name, value in treatments.items()))
         if key not in self._known:
-            claimed = built_with(plugin, combination).claims(self._robot)
+            claimed = built_with(plugin, combination).claims(robot)
             self._known[key] = (claimed,) if isinstance(claimed, str) else tuple(map(str, claimed))  # not its letters
         return self._known[key]
 
@@ -190,30 +197,30 @@ def held_claims(claims: Claims, model: RunTableModel) -> frozenset[str]:
 def check_workers(
     where: str, parameters: Parameters, plugins: Sequence[Plugin], events: EventManager, model: RunTableModel | None
 ) -> list[Finding]:
-    """Return why workers would be idle, where several are asked for."""
+    """Return why workers would be idle, where several are asked for, or robots that take turns."""
     if model is None:
         return []
-    place, count = f"{where}.workers", worker_count(parameters)
+    what, names = ("robot", "robot") if parameters.robots else ("worker", "workers")
+    place, count = f"{where}.{names}", len(parameters.robots) or worker_count(parameters)
     claims = Claims(parameters, plugins, events)
     try:
         held_claims(claims, model)
         common = claims.common(run.combination for run in islice(model.plan(), _LOOKED_AT)) if count > 1 else {}
     except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
         return [failed_check(f"{where}.plugins", error, "asking plugins for their claims")]
-    if parameters.run_process is RunProcess.IN_PROCESS and parameters.workers != 1:
-        problem = "run_process is IN_PROCESS: the orchestrator executes one run at a time, and other workers are idle"
-        return [Finding.warning(place, problem, "Leave run_process out, or leave workers at 1.")]
+    alone = "let the robots drive one after another" if parameters.robots else "leave workers at 1"
+    if parameters.run_process is RunProcess.IN_PROCESS and (parameters.robots or parameters.workers != 1):
+        problem = f"run_process is IN_PROCESS: the orchestrator executes one run at a time, and other {what}s are idle"
+        return [Finding.warning(place, problem, f"Leave run_process out, or {alone}.")]
     if not common:
         return []
     told = "; ".join(f"{claim} is claimed by {enumerated(who)}" for claim, who in common.items())
-    problem = (
-        f"{counted(count - 1, 'worker')} of {count} will be idle, as two runs with one claim never overlap: {told}"
-    )
-    return [Finding.warning(place, problem, _fix(common))]
+    problem = f"{counted(count - 1, what)} of {count} will be idle, as two runs with one claim never overlap: {told}"
+    return [Finding.warning(place, problem, f"{alone.capitalize()}.{_fix(common)}")]
 
 
 def _fix(common: Mapping[str, Sequence[str]]) -> str:
-    fix = "Leave workers at 1."
+    fix = ""
     if any(CONFIG_OWNER in who for claim, who in common.items() if claim == THIS_MACHINE):
         fix += " Where the config's callbacks neither measure this machine nor keep it busy, say claims = []."
     if any(who != [CONFIG_OWNER] for who in common.values()):

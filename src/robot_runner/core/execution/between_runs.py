@@ -94,24 +94,30 @@ class BetweenRuns:
         rest = max(rest, self._rests.get(run.run_id, 0.0))
         if rest and not self._ongoing.is_interrupted:
             yield Pause(rest)
-        if rest or finished is not None:
-            yield from self._pause_where_requested(run)  # it may have been asked for meanwhile
-        yield from self._reboots.before(run, finished)
+        yield from self._pause_where_requested(run)  # it may have been asked for meanwhile
+        yield from self._reboots.before(run)
 
     def _pause_where_requested(self, run: PendingRun) -> Steps[None]:
-        while self._is_paused and not self._ongoing.is_interrupted:  # told of before another run
+        """Wait, where `robot-runner pause` asked for it, until the request is taken back or the user interrupts.
+
+        Who is asked for a step at another place has done that first: ENTER is for one of both.
+        """
+        pause = self._ongoing.experiment.folder.pause
+        while not self._ongoing.is_interrupted and (
+            self._is_paused  # told of before another run
+            or (self._operator.is_asking and is_requested(pause))
+        ):
             yield Pause(_LISTEN)
+        if not is_requested(pause) or self._ongoing.is_interrupted:
+            return
         self._is_paused = True
         try:
-            yield from self._paused_where_requested(run)
+            yield from self._paused(run)
         finally:
             self._is_paused = False
 
-    def _paused_where_requested(self, run: PendingRun) -> Steps[None]:
-        """Wait, where `robot-runner pause` asked for it, until the request is taken back or the user interrupts."""
+    def _paused(self, run: PendingRun) -> Steps[None]:
         progress, folder = self._ongoing.progress, self._ongoing.experiment.folder
-        if not is_requested(folder.pause):
-            return
         started, user_input = time.monotonic(), self._ongoing.observer.user_input
         progress.note("paused", flush=True, next_run=run.run_id)
         progress.bring_table_up_to_date()
@@ -140,27 +146,29 @@ class _Reboots:
         self._ongoing = ongoing
         self._experiment = ongoing.experiment
         self._progress = ongoing.progress
+        self._last: PendingRun | None = None
 
-    def before(self, run: PendingRun, finished: PendingRun | None) -> Steps[None]:
-        """Start those hosts anew that are to be before this run.
+    def before(self, run: PendingRun) -> Steps[None]:
+        """Start those hosts anew that are to be before this run, wherever the one before it was executed.
 
         Raises:
             ExecutionError: a host refused, or did not come back.
         """
         for name, host in self._experiment.parameters.hosts.items():
-            if not self._ongoing.is_interrupted and self._is_due(host, run, finished):
+            if not self._ongoing.is_interrupted and self._is_due(host, run):
                 yield from self._restart(name, host, self._progress.task_of(run))
+        self._last = run
 
-    def _is_due(self, host: Host, run: PendingRun, finished: PendingRun | None) -> bool:
+    def _is_due(self, host: Host, run: PendingRun) -> bool:
         match host.reboot:
             case Reboot.NEVER:
                 return False
             case Reboot.PER_RUN:
                 return True
             case Reboot.ONCE:
-                return finished is None
+                return self._last is None
             case Reboot.PER_BLOCK:
-                return finished is None or self._block(run) != self._block(finished)
+                return self._last is None or self._block(run) != self._block(self._last)
 
     def _block(self, run: PendingRun) -> str | None:
         task, blocks = self._progress.task_of(run), self._experiment.model.blocks

@@ -94,6 +94,8 @@ def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[s
     manifest["executions"].append(_execution(experiment) | {"changed": changed_circumstances(manifest)} | others)
     manifest.pop("given_to_extension", None)
     manifest["config"] = _config(experiment)  # the file may have another name by now, and is kept by it
+    if robots := experiment.parameters.robots:  # others than before may have been accepted
+        manifest["robots"] = {**(manifest.get("robots") or {}), **robots}
     if experiment.model.batches:  # the journal has them, and an extension that broke off left the manifest behind
         manifest["design"] |= described_design(experiment.model)
     if _analysis(experiment) != manifest.get("analysis"):

@@ -190,6 +190,13 @@ class Durations:
         self._to_come = self._left.total()
         self._computed = self._cost = 0.0
 
+    def expect_again(self, combinations: Iterable[Mapping[str, Any]]) -> None:
+        """Take down that runs are to come once more."""
+        again = Counter(map(self._key, combinations))
+        self._left += again
+        self._to_come += again.total()
+        self._computed = 0.0
+
     def begin(self, combination: Mapping[str, Any], at: float, run: str = "", place: str = "") -> None:
         """Take down that an attempt at a run begins.
 

@@ -66,7 +66,8 @@ class ExperimentHistory:
         self.statuses: dict[str, RunStatus] = {}
         self.failures: dict[str, str] = {}
         self.findings: list[Finding] = []
-        self.waiting_for: dict[str, Any] | None = None
+        #: What a person is waited for: once before a run, and within runs, by run and step: several may ask at once.
+        self._waits: dict[tuple[str, str] | None, dict[str, Any]] = {}
         self.warm_ups: set[str] = set()
         self.precision: tuple[str, ...] = ()
         self.decided = ""
@@ -79,6 +80,7 @@ class ExperimentHistory:
         self.gates: dict[str, dict[str, Any]] = {}
         self.gate_seconds = 0.0
         self._in_flight: dict[str, InFlight] = {}
+        self._set_aside: list[Finding] = []
         self.started_at: str | None = None
         self.finished_at: str | None = None
         self.combinations: dict[str, Mapping[str, Any]] = {}
@@ -152,6 +154,11 @@ class ExperimentHistory:
         self.settle()
 
     @property
+    def waiting_for(self) -> dict[str, Any] | None:
+        """What a person is waited for the longest; None where nothing is."""
+        return next(iter(self._waits.values()), None)
+
+    @property
     def since_left(self) -> float:
         """How long ago the time left was estimated, s."""
         return max(0.0, time.time() - seconds_of(self._left_at))
@@ -196,10 +203,11 @@ class ExperimentHistory:
         self.started_at = record["at"]
         self.finished_at = None
         self._planned = int(record.get("runs", 0))
-        self.waiting_for = None
+        self._waits.clear()
         self.gates.clear()
         self.is_paused = False
         self._in_flight.clear()
+        self.findings = [each for each in self.findings if each not in self._set_aside]  # they take part again
         self.sessions.append(Session(record["at"], record["at"], selection=record.get("selection", {})))
 
     def _take_clock_set(self, record: Mapping[str, Any]) -> None:
@@ -246,8 +254,8 @@ class ExperimentHistory:
             self._in_flight[run.run] = replace(run, event=record["event"])
 
     def _take_attempt_finished(self, record: Mapping[str, Any]) -> None:
-        if self.waiting_for is not None and self.waiting_for["next_run"] == record["run"]:  # others end elsewhere
-            self.waiting_for = None
+        # Others are waited for elsewhere.
+        self._waits = {by: each for by, each in self._waits.items() if each["next_run"] != record["run"]}
         self._ends[record["run"]] = self._since_table[record["run"]] = ENDS.get(record["status"], RunStatus.TODO)
         self.failures[record["run"]] = record["failure"] or ""
         told = {
@@ -269,6 +277,10 @@ class ExperimentHistory:
         problem = f"{record['column']} was changed by hand from {record['was']!r} to {record['is']!r}"
         self.findings.append(Finding.warning(record["run"] or "run_table.csv", problem))
 
+    def _take_set_aside(self, record: Mapping[str, Any]) -> None:
+        self._set_aside.append(Finding.warning(f"robot {record['place']}", record["problem"]))
+        self.findings.append(self._set_aside[-1])
+
     def _take_finding(self, record: Mapping[str, Any]) -> None:
         where = f"{record['run']}, {record['owner']}"
         self.findings.append(Finding.warning(where, record["problem"], record["fix"]))
@@ -282,7 +294,7 @@ class ExperimentHistory:
 
     def _take_waiting(self, record: Mapping[str, Any]) -> None:
         if "next_run" in record:
-            self.waiting_for = {
+            self._waits[None] = {
                 "next_run": record["next_run"],
                 "place": record.get("place", ""),
                 "step": record.get("step", ""),
@@ -290,14 +302,18 @@ class ExperimentHistory:
             }
 
     def _take_asked(self, record: Mapping[str, Any]) -> None:
-        self.waiting_for = {"next_run": record["run"], "place": "", "step": record["step"], "questions": ()}
+        run, step = record["run"], record["step"]
+        place = self._in_flight[run].place if run in self._in_flight else ""
+        self._waits[run, step] = {"next_run": run, "place": place, "step": step, "questions": ()}
 
-    def _take_answered(self, _record: Mapping[str, Any]) -> None:
-        self.waiting_for = None
+    def _take_answered(self, record: Mapping[str, Any]) -> None:
+        self._waits.pop((record["run"], record["step"]), None)
 
-    def _take_continued(self, _record: Mapping[str, Any]) -> None:
-        self.waiting_for = None
-        self.is_paused = False
+    def _take_continued(self, record: Mapping[str, Any]) -> None:
+        if record.get("after") == "pause":
+            self.is_paused = False
+        else:
+            self._waits.pop(None, None)
 
     def _take_paused(self, _record: Mapping[str, Any]) -> None:
         self.is_paused = True

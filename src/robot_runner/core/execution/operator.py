@@ -102,7 +102,11 @@ class _History:
 
 
 class Operator:
-    """Asks the person who takes part, and keeps what they did and answered."""
+    """Asks the person who takes part, and keeps what they did and answered.
+
+    Attributes:
+        is_asking: whether somebody is being asked at this moment.
+    """
 
     def __init__(self, ongoing: OngoingExperiment) -> None:
         self._ongoing = ongoing
@@ -110,7 +114,7 @@ class Operator:
         self._steps = ongoing.experiment.parameters.operator_steps
         self._progress = ongoing.progress
         self._keyboard = _Keyboard(ongoing.observer.user_input)
-        self._is_asking = False
+        self.is_asking = False
         self._in_line: set[int] = set()
         self._being_done: dict[tuple[str, str], None] = {}
         self._has_begun: dict[str, bool] = {}
@@ -229,15 +233,15 @@ class Operator:
         """
         self._in_line.add(run.number)
         try:
-            while self._is_asking or run.number > min(self._in_line):
+            while self.is_asking or run.number > min(self._in_line):
                 yield Pause(_LISTEN)
         finally:
             self._in_line.discard(run.number)
-        self._is_asking = True
+        self.is_asking = True
         try:
             return (yield from self._asked(run, place, step))
         finally:
-            self._is_asking = False
+            self.is_asking = False
 
     def _asked(self, run: PendingRun, place: str, step: OperatorStep | None) -> Steps[dict[str, MeasureValue] | None]:
         if self._ongoing.is_interrupted:

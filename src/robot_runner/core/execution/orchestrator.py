@@ -145,7 +145,8 @@ class _Orchestrator:
         self._places = places_of(experiment, claims, progress.combinations_left)
         has_one_place = len(self._places.all) == 1
         is_alone = has_one_place and self._parameters.cluster is None  # nothing to keep apart, and here is everything
-        progress.expect_places(max(1, len(self._places.all)))
+        is_one_at_a_time = self._parameters.robots and claims.common(progress.combinations_left)
+        progress.expect_places(1 if is_one_at_a_time else max(1, len(self._places.all)))
         events = OrchestratorEvents(experiment, progress, patience)
         self._ongoing = OngoingExperiment(
             experiment, progress, events, observer, self._notice, patience, has_one_place=has_one_place
@@ -153,7 +154,7 @@ class _Orchestrator:
         self._side_by_side = SideBySide(
             self._ongoing,
             self._places,
-            lambda task: frozenset(() if is_alone else claims.of(task.combination)),
+            lambda task, robot: frozenset(() if is_alone else claims.of(task.combination, robot)),
         )
 
     def execute(self, findings: Sequence[Finding]) -> ExperimentFinished:

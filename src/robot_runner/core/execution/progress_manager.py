@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import replace
 from typing import Any, Self
@@ -214,9 +214,10 @@ class ProgressManager:
         """The run table as it stands."""
         return self._rows
 
-    def expect_places(self, count: int) -> None:
-        """Take into account that so many runs are executed at the same time, where they may."""
+    def expect_places(self, count: int, again: Iterable[PendingRun] = ()) -> None:
+        """Take into account that so many runs go on at the same time, where they may, and that some are done again."""
         self._durations.places = count
+        self._durations.expect_again(self._rows.combination(run.place) for run in again)
 
     def pending(self, first: int = 0) -> Iterator[PendingRun]:
         """Yield the runs to execute from this one on: those to do, those that failed, those asked for again."""

@@ -261,7 +261,7 @@ class RecoveredTable:
         if status == AttemptStatus.INTERRUPTED.value:
             self.rows.clear(run_id)
             return
-        self.rows.clear_former(run_id)
+        self.rows.take_former(run_id, measures)
         self.rows.record(
             run_id,
             status=ENDS[status],

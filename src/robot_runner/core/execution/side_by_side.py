@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict, deque
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import chain
@@ -52,16 +52,18 @@ class SideBySide:
     Args:
         ongoing: the experiment whose runs they are.
         places: where they can be executed.
-        claims: returns what a run claims.
+        claims: returns what a run claims with a robot that is reached like this.
     """
 
-    def __init__(self, ongoing: OngoingExperiment, places: Places, claims: Callable[[RunTask], frozenset[str]]) -> None:
+    def __init__(
+        self, ongoing: OngoingExperiment, places: Places, claims: Callable[[RunTask, str | None], frozenset[str]]
+    ) -> None:
         self._ongoing = ongoing
         self._progress = ongoing.progress
         self._places = places
         self._claims = claims
         self._attempts = Attempts(ongoing)
-        self._turns: _Turns | None = None
+        self._turns = _Turns() if ongoing.experiment.parameters.robots else None
         self._busy: list[_Busy] = []
         self._finished: dict[str, PendingRun] = {}
         self._passed_over: deque[PendingRun] = deque()
@@ -80,8 +82,8 @@ class SideBySide:
             self._await_elsewhere()
         self._left = self._progress.pending(self._begun)
         self._may_begin = True
-        if self._ongoing.experiment.parameters.robots:
-            self._turns = _turns_of(self._progress.rows, {run.place for run in self._progress.pending(self._begun)})
+        if self._turns is not None:
+            self._turns.plan(self._progress.rows, {run.place for run in self._progress.pending(self._begun)})
         try:
             while True:
                 while self._may_begin and not self._ongoing.is_ending and (chosen := self._choose()) is not None:
@@ -154,9 +156,11 @@ class SideBySide:
 
     def _suitable(self, free: Sequence[Place], task: RunTask) -> Iterator[tuple[Place, frozenset[str]]]:
         """Yield the free places where a run can begin now, and what it would hold there."""
-        claims = self._claims(task)
+        claims: dict[str | None, frozenset[str]] = {}
         for place in free:
-            holds = place.claimed(claims, task.combination)
+            if (robot := place.experiment.parameters.robot) not in claims:
+                claims[robot] = self._claims(task, robot)
+            holds = place.claimed(claims[robot], task.combination)
             if holds is not None and all(holds.isdisjoint(each.holds) for each in self._busy):
                 yield place, holds
 
@@ -192,6 +196,7 @@ class SideBySide:
         if finding is not None:
             place.is_aside = True
             self._passed_over.extendleft(reversed(again))
+            self._progress.expect_places(self._count, again)
             self._progress.note("set_aside", flush=True, place=place.name, problem=finding.problem)
             self._ongoing.find(finding)
 
@@ -244,24 +249,27 @@ class SideBySide:
 
 
 class _Turns:
-    """Has each combination executed equally often on each robot, where that is possible.
+    """Has each combination executed equally often on each robot, where that is possible."""
 
-    Args:
-        planned: the combination and the repetition of each run of the experiment.
-        done: the combination and the repetition of each run that is done, and the robot that executed it.
-    """
-
-    def __init__(
-        self,
-        planned: Iterable[tuple[Mapping[str, Any], int]],
-        done: Iterable[tuple[Mapping[str, Any], int, str]],
-    ) -> None:
-        self._planned = Counter(_group(*each) for each in planned)
+    def __init__(self) -> None:
+        self._planned: Counter[object] = Counter()
         self._taken: Counter[tuple[object, str]] = Counter()
         self._all: Counter[str] = Counter()
         self._failed: defaultdict[str, list[PendingRun]] = defaultdict(list)
-        for combination, repetition, robot in done:
-            self._count(_group(combination, repetition), robot, 1)
+
+    def plan(self, rows: RunTableRows, to_do: Container[int]) -> None:
+        """Count what is planned and what each robot has done; runs that are to be executed again do not count.
+
+        How often a robot has failed in a row stays known, as runs may follow from the results one by one.
+        """
+        places = [place for place in range(len(rows)) if rows.excluded(place) is None or place in to_do]
+        groups = {place: _group(rows.combination(place), rows.repetition(place)) for place in places}
+        self._planned = Counter(groups.values())
+        self._taken.clear()
+        self._all.clear()
+        for place in places:
+            if place not in to_do and rows.status(place) is RunStatus.DONE:
+                self._count(groups[place], str(rows.row(place)[ROBOT]), 1)
 
     def choose(self, task: RunTask, free: Sequence[Place], count: int) -> Place | None:
         """Return the robot that takes a run; None if the run waits for a busy one."""
@@ -300,15 +308,6 @@ class _Turns:
     def _count(self, group: object, robot: str, more: int) -> None:
         self._taken[group, robot] += more
         self._all[robot] += more
-
-
-def _turns_of(rows: RunTableRows, to_do: Container[int]) -> _Turns:
-    """Return the turns so far, from the run table; runs that are to be executed again do not count."""
-    places = [place for place in range(len(rows)) if rows.excluded(place) is None or place in to_do]
-    runs = {place: (rows.combination(place), rows.repetition(place)) for place in places}
-    kept = (place for place in places if place not in to_do and rows.status(place) is RunStatus.DONE)
-    done = [(*runs[place], str(rows.row(place)[ROBOT])) for place in kept]
-    return _Turns(runs.values(), done)
 
 
 def _group(combination: Mapping[str, Any], repetition: int) -> object:

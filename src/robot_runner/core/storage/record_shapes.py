@@ -213,6 +213,11 @@ class _Asked(Record):
     step: str
 
 
+class _SetAside(Record):
+    place: str
+    problem: str
+
+
 class _OperatorStep(Record):
     run: str
     step: str
@@ -250,6 +255,7 @@ class _Prepared(Record):
 
 #: By kind; a record of a kind that is not here is one of a later version, or nobody relies on it.
 RECORDS: dict[str, Any] = {
+    "answered": _Asked,
     "asked": _Asked,
     "attempt_finished": _AttemptFinished,
     "attempt_started": _AttemptStarted,
@@ -272,6 +278,7 @@ RECORDS: dict[str, Any] = {
     "operator_step": _OperatorStep,
     "prepared": _Prepared,
     "repeated": _Repeated,
+    "set_aside": _SetAside,
     "stop_requested": _Dated,
     "subject": _Subject,
     "table_written": _TableWritten,

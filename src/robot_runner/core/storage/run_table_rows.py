@@ -16,7 +16,7 @@ from robot_runner.core.design.columns import BATCH, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.design.factor import Combination
 from robot_runner.core.design.planned_runs import PlannedRun, garbage_collection_paused
 from robot_runner.core.errors import Finding, MeasureError, StorageError, did_you_mean
-from robot_runner.core.storage.cells import CellValue, RunStatus, checked_measure, csv_text
+from robot_runner.core.storage.cells import CellValue, RunStatus, checked_measure, csv_text, measure_text
 from robot_runner.core.storage.safe_write import write_beside_and_rename
 from robot_runner.core.storage.table_columns import FactorColumn, TableLayout
 
@@ -260,18 +260,19 @@ class RunTableRows:
         """
         row = self._rows[self.index_of(run_id)]
         row.stamps, row.measures = _nothing(self.layout)
-        self.clear_former(run_id)
+        self.take_former(run_id, {})
         self._change(row, RunStatus.TODO)
 
-    def clear_former(self, run_id: str) -> None:
-        """Forget what an earlier attempt left in columns that are no measures any more.
+    def take_former(self, run_id: str, measures: Mapping[str, CellValue]) -> None:
+        """Have columns that are no measures any more hold what an attempt yielded for them, and nothing of another one.
 
         Raises:
             StorageError: there is no such run.
         """
         row = self._rows[self.index_of(run_id)]
-        if row.kept and self.layout.former_measures:
-            row.kept = {name: text for name, text in row.kept.items() if name not in self.layout.former_measures}
+        if former := self.layout.former_measures:
+            others = {name: text for name, text in (row.kept or {}).items() if name not in former}
+            row.kept = others | {name: measure_text(measures[name]) for name in former if name in measures}
 
     def cells(self) -> Iterator[list[Sequence[Any]]]:
         """Yield the cells of some rows at a time, in the order of the layout, as `csv_text` takes them."""
