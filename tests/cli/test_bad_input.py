@@ -32,6 +32,11 @@ BAD = {
     "a wrong type": ({"body": "time_between_runs_in_ms = True"}, "the value is True, of type bool"),
     "a wrong choice": ({"body": "operation_type = 'semi'"}, "the value is 'semi', of type str"),
     "a callback that takes too much": ({"body": "def stop_run(self, a, b): ..."}, "cannot be called with a context"),
+    "a callback without self": ({"body": "def stop_run(context): ..."}, "Write def stop_run(self, context)."),
+    "a run table without self": (
+        {"table": "    def create_run_table():\n        return RunTableModel([])\n"},
+        "Write self as its first parameter: def create_run_table(self).",
+    ),
     "a results path below a file": ({"body": "results_output_path = Path(__file__)"}, "is no folder"),
     "an unknown robot": ({"body": "robot = 'simulatd'"}, "Did you mean 'simulated'?"),
     "an error while loading": ({"body": "half = 1 / 0"}, "the config raised ZeroDivisionError while it was loaded"),
@@ -39,6 +44,14 @@ BAD = {
     "a module that is not there": ({"head": f"import nowhere_at_all\n{CLASS}"}, "Install the package"),
     "no Python": ({"head": "class RobotRunnerConfig(:", "table": ""}, "the file is not Python"),
     "no config class": ({"head": "class RobotRunerConfig:", "body": "x = 1", "table": ""}, "Rename the class"),
+    "a class of any name that derives from nothing": (
+        {"head": "class Study:", "body": "x = 1", "table": ""},
+        "Rename the class Study to RobotRunnerConfig, or derive it: class Study(ExperimentConfig).",
+    ),
+    "a class that derives from one of another file": (
+        {"head": "from lab import Study\nclass Mine(Study):", "body": "x = 1", "table": ""},
+        "Rename the class Mine to RobotRunnerConfig.",
+    ),
     "no run table": ({"table": ""}, "create_run_table"),
     "a run table that is none": (
         {"table": "    def create_run_table(self):\n        return 5\n"},

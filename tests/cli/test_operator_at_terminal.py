@@ -114,7 +114,7 @@ def test_on_plain_lines_and_from_another_terminal(
 @pytest.mark.long
 def test_the_config_of_the_page_is_executed(terminal: Callable, tmp_path: Path) -> None:
     page = (Path(__file__).parents[2] / "docs" / "operator.md").read_text(encoding="utf-8")
-    (block,) = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    block, _ = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     (tmp_path / "two_floors.py").write_text(block, encoding="utf-8")
     shown = terminal("run", "two_floors.py", "--only", "r_1", lines=60)
     for asked, said in (
@@ -132,3 +132,16 @@ def test_the_config_of_the_page_is_executed(terminal: Callable, tmp_path: Path) 
     assert shown.finish() == 0
     row = next(line.split() for line in shown.text.splitlines() if line.startswith("  r_1"))
     assert row[:6] == ["r_1", "wood", "1", "23.60", "11.80", "B"]
+
+
+@pytest.mark.long
+def test_a_run_that_waits_for_what_is_typed_fails_with_what_asks_a_person(
+    terminal: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_config('def launch_mission(self, context):\n    input("How was it? ")\n', table=TWO_RUNS)
+    shown = terminal("run", "config.py", "--only", "r_1")
+    assert shown.finish() == 1
+    assert "operator_steps" in " ".join(shown.text.split())
+    log = (tmp_path / "results" / "trial" / "runs" / "r_1" / "log.txt").read_text(encoding="utf-8")
+    assert 'input("How was it? ")' in log
+    assert "EOFError: EOF when reading a line" in log

@@ -19,7 +19,7 @@ MOST_SKIPPED = 5
 #: Guides whose blocks execute experiments, analyse them or draw, each a quarter of a second or more.
 LONG = {
     *("adaptive", "analysis", "choose-runs", "declare-a-design", "exclude", "from-python", "live-page"),
-    *("meta-analysis", "pause", "plan-the-analysis", "recompute", "samples", "statistics", "treatments"),
+    *("meta-analysis", "operator", "pause", "plan-the-analysis", "recompute", "samples", "statistics", "treatments"),
     *("until-precise", "why-did-my-run-fail"),
 }
 _SKIP = re.compile(r"<!--+\s*skip:\s*(\w+)(.*?)--+>")

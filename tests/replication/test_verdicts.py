@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from tests.analysis.experiment_folders import two_tasks
+from tests.analysis.experiment_folders import Folder, two_tasks
 from tests.command_line import PROGRAM
 from tests.replication.small_experiment import own_modules
 
@@ -256,6 +256,24 @@ def test_values_of_which_one_is_missing_in_one_experiment_are_equivalent_where_n
     verdict = reached_verdict([_measure("Energy")], {}, identical_values(*folders), margins, comparison)
     assert (verdict.conclusion, comparison["verdict"]) == (Conclusion.EQUIVALENT, "identical")
     assert "is equivalent within 5 %" in verdict.measures[0].sentence
+
+
+@pytest.mark.parametrize("unit", ["%", "1", "kJ"])
+def test_the_verdict_tells_the_largest_difference_as_the_comparison_does(tmp_path, unit):
+    folders = []
+    for name, shift in (("original", 0), ("again", -12345.6)):
+        factors, rows = {"Task": ["Video", "Network"]}, [("Video", 8e4 + shift + each) for each in range(4)]
+        rows += [("Network", 5.0 + each) for each in range(4)]
+        folders.append(Folder(tmp_path / name, factors, rows, {"CPU": unit}, day=f"2026-01-2{len(name)}").write())
+    comparison = json.loads(json_of_comparison(compare(*folders, bound="5%")))
+    margins = margins_of({"CPU": unit}, {}, [])
+    verdict = reached_verdict([_measure("CPU", unit=unit)], {}, identical_values(*folders), margins, comparison)
+    told = comparison["measures"][0]["conclusion"]
+    size = told.partition("The largest difference is ")[2].removesuffix(".")
+    units = {"%": " percentage points", "1": "", "kJ": " kJ"}
+    assert size == f"\N{MINUS SIGN}12,346{units[unit]}, \N{MINUS SIGN}15.4 % (Video)"
+    assert f"; the largest difference is {size}" in verdict.measures[0].sentence
+    assert verdict.measures[0].sentence.startswith("CPU is " if unit == "1" else f"CPU ({unit}) is ")
 
 
 def test_no_run_in_common_is_undecided():

@@ -27,10 +27,13 @@ from tests.waiting import wait_until
 
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.config.treatment_makers import Workshop
+from robot_runner.core.design.factor import Factor
 from robot_runner.core.errors import PluginError, StorageError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.plugin import Circumstances
 from robot_runner.plugins.systems import Program
 from robot_runner.subjects import supervisor
+from robot_runner.subjects.revisions import REVISIONS
 from robot_runner.subjects.supervised_program import SupervisedProgram, Task
 from robot_runner.subjects.work_tree import WorkTree
 from robot_runner.testing import SystemContract, make_context, rehearse
@@ -424,3 +427,19 @@ def test_a_cache_that_cannot_be_written_is_named_with_what_to_do(
         with pytest.raises(StorageError, match="your folder of caches cannot be written") as caught:
             attempt()
         assert caught.value.fix == "Set XDG_CACHE_HOME to a folder of your own."
+
+
+def test_a_cache_that_cannot_be_made_is_found_before_anything_is_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "home").write_text("no folder")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home" / "cache"))
+    versions = Factor.revisions("Version", str(tmp_path), ["main"])
+    for findings in (
+        Program(["sleep", "1000"]).check(Circumstances(robot=None)),
+        REVISIONS.findings([versions], {}),
+    ):
+        first = next(iter(findings))
+        assert first.is_error
+        assert "your folder of caches" in first.problem
+        assert first.fix == "Set XDG_CACHE_HOME to a folder of your own."

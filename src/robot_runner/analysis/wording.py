@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 from robot_runner.core import words
@@ -23,8 +23,7 @@ _VARYING = re.compile(r"\([^()]*, pid \d+[^()]*\)|\d+(?:[.,]\d+)*")
 _SMALLEST_P = 0.001
 #: Usual levels of significance: no p-value is rounded to one, so that it is seen on which side it lies.
 _LEVELS = (0.1, 0.05, 0.01, 0.005)
-_P_DIGITS, _SIZE_DIGITS, _MOST_DIGITS = 3, 2, 17
-_LARGE_STATISTIC = 999.5  # three digits of what is larger are written with an exponent
+_P_DIGITS, _STATISTIC_DIGITS, _MOST_DIGITS = 3, 3, 17
 _DIGITS = 4
 _LARGE, _SMALL, _HUGE = 1e4, 1e-4, 1e7
 
@@ -126,33 +125,42 @@ def p_values_in_words(p_value: float, adjusted: float | None) -> str:
     return f"{p_in_words(p_value)}, {p_in_words(adjusted)} after correction"
 
 
-def shown_statistic(value: float) -> str:
-    """Return a statistic as it stands in a sentence: zeros at its end are digits, too.
+def shown_test(name: str, freedom: Iterable[float], statistic: float | None) -> str:
+    """Return a statistic with its degrees of freedom, as papers print it; zeros at its end are digits, too.
 
     Example:
-        >>> [shown_statistic(each) for each in (1.8642, 6.6, 999.7, 1830.2, 2.5e12)]
-        ['1.86', '6.60', '1,000', '1,830', '2.50e+12']
+        >>> shown_test("F", (2, 11.8642), 6.6), shown_test("t", (8,), 1830.2)
+        ('F(2, 11.86) = 6.60', 't(8) = 1,830')
     """
-    is_plain = _LARGE_STATISTIC <= abs(value) < _HUGE
-    return f"{value:,.0f}" if is_plain else f"{value:#.3g}".rstrip(".")
+    degrees = ", ".join(f"{each:.0f}" if float(each).is_integer() else f"{each:.2f}" for each in freedom)
+    return f"{name}({degrees}) = {shown_number(statistic, _STATISTIC_DIGITS)}"
 
 
-def shown_coefficient(value: float) -> str:
-    """Return a correlation or an effect size as it stands in a sentence; what is less than 1 is not rounded to it.
+def shown_coefficient(value: float | None) -> str:
+    """Return a correlation or an effect size; what is less than 1 is not rounded to it.
 
     Example:
-        >>> [shown_coefficient(each) for each in (0.9944, 0.9971, -0.99996, 1.0)]
-        ['0.99', '0.997', '-0.99996', '1.00']
+        >>> [shown_coefficient(each) for each in (0.5, 0.9944, 0.9996, 0.99996, 1.0, 12.34)]
+        ['0.500', '0.994', '0.9996', '0.99996', '1.00', '12.3']
     """
-    texts = (f"{value:.{digits}f}" for digits in range(_SIZE_DIGITS, _MOST_DIGITS + 1))
-    return next((text for text in texts if abs(value) >= 1 or abs(float(text)) < 1), repr(value))
+    texts = (shown_number(value, digits) for digits in range(_STATISTIC_DIGITS, _MOST_DIGITS + 1))
+    return next(text for text in texts if value is None or abs(value) >= 1 or text.lstrip(MINUS).rstrip("0") != "1.")
 
 
-def shown_interval(interval: Interval | None, digits: int = _DIGITS) -> str:
-    """Return a confidence interval in brackets, as in `[1.2, 3.4]`."""
-    if interval is None:
-        return MISSING
-    return f"[{shown_number(interval.low, digits)}, {shown_number(interval.high, digits)}]"
+def shown_share(share: float) -> str:
+    """Return a share in percent; what is less than all of it is not rounded to 100%.
+
+    Example:
+        >>> [shown_share(each) for each in (0.94, 0.9999996, 1.0)]
+        ['94%', '99.99996%', '100%']
+    """
+    texts = (f"{100 * share:.{digits}g}%" for digits in range(_STATISTIC_DIGITS, _MOST_DIGITS + 1))
+    return next(text for text in texts if share >= 1 or text != "100%")
+
+
+def shown_interval(interval: Interval | None, shown: Callable[[float | None], str] = shown_number) -> str:
+    """Return a confidence interval in brackets, as in `[1.2, 3.4]`, its ends as `shown` writes such numbers."""
+    return MISSING if interval is None else f"[{shown(interval.low)}, {shown(interval.high)}]"
 
 
 def about_intervals(intervals: Iterable[Interval | None], more: str = "") -> str:

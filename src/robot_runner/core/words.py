@@ -103,6 +103,19 @@ def enumerated(words: Iterable[str]) -> str:
     return f"{', '.join(most)} and {last}" if most else last
 
 
+def combination_label(treatments: Iterable[object]) -> str:
+    """Return the treatments of a combination as one text; quoted are those that could be taken for two.
+
+    Example:
+        >>> [combination_label(each) for each in (["Video", "lab"], ["Video", "lab / hall"], ["lab / hall"])]
+        ['Video / lab', 'Video / “lab / hall”', 'lab / hall']
+    """
+    texts = list(map(str, treatments))
+    if len(texts) > 1:
+        texts = [f"“{text}”" if " / " in f" {text} " else text for text in texts]
+    return " / ".join(texts)
+
+
 def shown_commit(facts: object) -> str:
     """Return what is recorded of a repository, as a person reads it; nothing where there is nothing to read.
 

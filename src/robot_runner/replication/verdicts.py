@@ -10,7 +10,7 @@ from typing import Any
 
 from robot_runner.core.events.measure import OPERATOR_OWNER, QUALITY_SUFFIX, ROBOTS_OWNER
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
-from robot_runner.core.words import counted, enumerated, has_true_zero, listed, shown_value
+from robot_runner.core.words import combination_label, counted, enumerated, has_true_zero, listed
 from robot_runner.replication.needed_runs import needed_runs
 from robot_runner.replication.run_by_run import Sameness
 
@@ -216,7 +216,7 @@ class _Judged:
 
     @property
     def label(self) -> str:
-        return f"{self.name} ({self.unit})" if self.unit else self.name
+        return self.name if self.unit in {"", "1"} else f"{self.name} ({self.unit})"
 
     @property
     def bound(self) -> str:
@@ -270,7 +270,7 @@ def _by_statistics(judged: _Judged, found: Mapping[str, Any]) -> tuple[Conclusio
     verdicts = [Conclusion(each["verdict"]) for each in differences]
     conclusion = _of_all(verdicts)
     within = f"{judged.bound} ({judged.margin.source})"
-    largest = _largest(differences, judged.unit)
+    largest = f"; the largest difference is {found['largest']}" if found["largest"] else ""
     if conclusion in {Conclusion.EQUIVALENT, Conclusion.IDENTICAL}:  # of all values that are there; some run lacks one
         return Conclusion.EQUIVALENT, f"is equivalent within {within}{largest}."
     pairs = zip(differences, verdicts, strict=True)
@@ -289,18 +289,7 @@ def _alpha(differences: Sequence[Mapping[str, Any]]) -> float:
 
 
 def _combination(each: Mapping[str, Any]) -> str:
-    return " / ".join(map(str, each["treatments"].values())) or "all runs"
-
-
-def _largest(differences: Sequence[Mapping[str, Any]], unit: str) -> str:
-    known = [each for each in differences if each["difference"] is not None]
-    if not known:
-        return ""
-    largest = max(known, key=lambda each: abs(each["difference"]))
-    share = "" if largest["relative"] is None else f", {largest['relative']:+.3g} %"
-    where = f" for {_combination(largest)}" if len(differences) > 1 else ""
-    size = f"{shown_value(float(largest['difference']))} {unit}".rstrip()
-    return f"; the largest difference is {size}{share}{where}"
+    return combination_label(each["treatments"].values()) or "all runs"
 
 
 def _of_all(conclusions: Sequence[Conclusion]) -> Conclusion:

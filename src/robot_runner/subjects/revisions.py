@@ -14,6 +14,7 @@ from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import ExecutionError, Finding, did_you_mean, nearest
 from robot_runner.core.storage.git_repository import git, repository_state, without_login
 from robot_runner.core.words import one_line
+from robot_runner.subjects.surroundings import cache_findings
 from robot_runner.subjects.work_tree import WorkTree, is_kept, kept_name
 
 _INSTALL = "Install git (Debian, Ubuntu: sudo apt install git)."
@@ -83,6 +84,7 @@ class _Revisions:
     def findings(self, factors: Sequence[Factor], known: Mapping[str, Any]) -> Iterator[Finding]:
         """Yield revisions that are not there, that are the same, and that have moved since the experiment began."""
         for factor, revisions in _grouped(factors):
+            yield from cache_findings(f"factor {factor.name!r}")
             for place in dict.fromkeys(each.repository for each in revisions):
                 where = f"factor {factor.name!r}"
                 ours = [each for each in revisions if each.repository == place]

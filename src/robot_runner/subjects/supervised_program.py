@@ -27,7 +27,8 @@ _PATIENCE, _FAR_PATIENCE = 20.0, 40.0
 #: one over there ends it once its lease is over.
 _LAST_PATIENCE = 15.0
 _LOOK = 0.01
-_NAME_A_FOLDER = "Set XDG_CACHE_HOME to a folder of your own."
+#: Where the folder of caches cannot be written.
+NAME_A_FOLDER = "Set XDG_CACHE_HOME to a folder of your own."
 #: How much of the end of an output is shown.
 _SHOWN_BYTES, _SHOWN_LINES = 4096, 3
 #: What mends why a program could not be started, as the system says it.
@@ -339,7 +340,7 @@ def locked(path: Path, wait: Callable[[], object]) -> Iterator[IO[str]]:
         file = path.open("w")
     except OSError as error:
         problem = f"your folder of caches cannot be written: {error.strerror}"
-        raise StorageError(problem, where=str(path.parent), fix=_NAME_A_FOLDER) from error
+        raise StorageError(problem, where=str(path.parent), fix=NAME_A_FOLDER) from error
     with file:
         while True:
             try:

@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 from robot_runner.core.design.revision import Revision
-from robot_runner.core.errors import Finding, LinkError, PluginError
+from robot_runner.core.errors import Finding, LinkError, PluginError, StorageError
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.ssh_command import checked_destination, ssh_command, ssh_findings
 from robot_runner.core.storage.git_repository import repository_state
 from robot_runner.core.storage.input_files import kept_copy
-from robot_runner.subjects.supervised_program import shell_words
+from robot_runner.core.storage.layout import user_folder
+from robot_runner.subjects.supervised_program import NAME_A_FOLDER, shell_words
 
 #: How long a question to a program may take, s: roslaunch needs one second here and several on a small computer.
 _PATIENCE = 30.0
@@ -39,6 +40,18 @@ class Answer(NamedTuple):
     code: int | None
     said: str
     complaint: str
+
+
+def cache_findings(where: str) -> Iterator[Finding]:
+    """Yield that the user's folder of caches cannot be made or written: locks and work trees are kept there."""
+    try:
+        folder = user_folder("XDG_CACHE_HOME")
+    except StorageError as error:
+        yield Finding.error(where, error.problem, error.fix)
+        return
+    existing = next(each for each in (folder, *folder.parents) if os.path.exists(each))  # noqa: PTH110 - others' homes
+    if not (existing.is_dir() and os.access(existing, os.W_OK | os.X_OK)):
+        yield Finding.error(where, f"your folder of caches, {folder}, cannot be written", NAME_A_FOLDER)
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +158,7 @@ class Surroundings:
 
     def findings(self, where: str) -> Iterator[Finding]:
         """Yield what is not as it should be, whatever is executed there."""
+        yield from cache_findings(where)
         if self.host is not None and isinstance(self.folder, Revision):
             problem = f"revisions are built on this machine, and the subject is executed on {self.host}"
             yield Finding.error(where, problem, "Leave host out, or name a folder over there.")

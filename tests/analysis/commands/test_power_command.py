@@ -7,6 +7,7 @@ from argparse import Namespace
 from typing import TYPE_CHECKING
 
 import pytest
+from scipy import stats
 
 from robot_runner.analysis.commands.power import planned_experiment
 
@@ -115,6 +116,61 @@ def test_what_cannot_be_is_refused_with_a_way_out(
     assert problem in answer.err
     assert fix in answer.err
     assert "Traceback" not in answer.err
+
+
+#: Twelve people, each with every treatment.
+PEOPLE = """
+from robot_runner import ExperimentConfig, Factor, RunTableModel
+from robot_runner.designs import Crossover
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "gaze"
+
+    def create_run_table(self):
+        factors = [Factor("Person", range(1, 13)), Factor("Place", [1, 2, 3]), Factor("Gaze", ["no", "shy", "yes"])]
+        design = Crossover(unit="Person", period="Place", washout_in_s=1)
+        return RunTableModel(factors, data_columns=["Trust"], shuffle=True, design=design)
+"""
+
+#: Seven treatments on seven days, which one repetition does not connect.
+DAYS = """
+from robot_runner import ExperimentConfig, Factor, RunTableModel
+from robot_runner.designs import Blocks
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "days"
+
+    def create_run_table(self):
+        factors = [Factor("Day", range(7)), Factor("Map", list("abcdefg"))]
+        return RunTableModel(factors, repetitions=3, data_columns=["Error"], shuffle=True, design=Blocks("Day"))
+"""
+
+
+@pytest.mark.long
+def test_a_design_of_its_own_is_looked_at_from_a_single_repetition_on(
+    robot_runner: Callable[..., Answer], study: Path
+) -> None:
+    study.write_text(PEOPLE, encoding="utf-8")
+    words = ("power", study, "--sd", "0.8", "--difference", "Gaze=0.8", "--simulations", "2000")
+    (scenario,) = robot_runner(*words, "--json").json["scenarios"]
+    first = scenario["points"][0]
+    assert (first["repetitions"], first["runs"]) == (1, 36)
+    # Within people and places 20 degrees of freedom are left: 12 of each treatment, whose means are -0.4, 0 and 0.4.
+    exact = stats.ncf.sf(stats.f.ppf(0.95, 2, 20), 2, 20, 12 * (0.4**2 + 0.4**2) / 0.8**2)
+    assert first["least"]["low"] < exact < first["least"]["high"]
+    assert "1 repetition (36 runs) finds what is sought in" in robot_runner(*words, "--repetitions", "1").out
+
+
+@pytest.mark.long
+def test_repetitions_that_make_no_design_are_passed_over(robot_runner: Callable[..., Answer], study: Path) -> None:
+    study.write_text(DAYS, encoding="utf-8")
+    words = ("--sd", "1", "--difference", "Map=4", "--simulations", "100", "--json")
+    told = robot_runner("power", study, *words).json
+    assert told["scenarios"][0]["points"][0]["repetitions"] == 2
+    why = "With 1 repetition: some combinations are never compared within one Day, not even by way of others."
+    assert why in told["notes"]
 
 
 def test_an_order_that_is_not_given_is_drawn_from_the_seed_of_the_simulation(study: Path) -> None:

@@ -216,6 +216,52 @@ def test_the_power_of_the_same_study_is_registered_with_it(
     assert "the factors differ" in refused.err
 
 
+@pytest.mark.long
+def test_the_power_of_people_who_have_each_treatment_is_registered_with_them(
+    robot_runner: Callable[..., Answer], study: Path
+) -> None:
+    def write(people: int) -> None:
+        study.write_text(
+            CONFIG.replace("RunTableModel\n", "RunTableModel\nfrom robot_runner.designs import Crossover\n")
+            .replace(
+                '[Factor("Task", ["Idle", "Video"])], repetitions=3,',
+                f'[Factor("Person", range({people})), Factor("Turn", [1, 2]), Factor("Task", ["Idle", "Video"])],',
+            )
+            .replace("shuffle=True", 'shuffle=True, design=Crossover(unit="Person", period="Turn")'),
+            encoding="utf-8",
+        )
+
+    write(8)
+    words = ("--sd", "10", "--difference", "Task=30", "--simulations", "100", "--repetitions", "1..2")
+    assert robot_runner("power", study, *words, "--output", "power").code == 0
+    answer = robot_runner("preregister", study, "--power", "power/power.json")
+    assert answer.code == 0, answer.err
+    write(10)
+    refused = robot_runner("preregister", study, "--power", "power/power.json", "--replace")
+    assert refused.code == 2
+    assert "the factors differ" in refused.err
+
+
+@pytest.mark.long
+def test_a_factor_that_counts_repetitions_is_registered_with_the_power_of_others(
+    robot_runner: Callable[..., Answer], study: Path
+) -> None:
+    def write(repetitions: int) -> None:
+        counted = f'Factor("Task", ["Idle", "Video"]), Factor("Repetition", range({repetitions}))], data'
+        study.write_text(
+            CONFIG.replace('Factor("Task", ["Idle", "Video"])], repetitions=3, data', counted), encoding="utf-8"
+        )
+
+    write(3)
+    words = ("--sd", "10", "--difference", "Task=12", "--simulations", "100", "--repetitions", "2..30")
+    assert robot_runner("power", study, *words, "--output", "power").code == 0
+    assert "The config plans 3 repetitions" in robot_runner("preregister", study, "--power", "power/power.json").out
+    write(30)
+    answer = robot_runner("preregister", study, "--power", "power/power.json", "--replace")
+    assert answer.code == 0, answer.err
+    assert "The config plans" not in answer.out
+
+
 def test_what_is_left_out_and_adjusted_for_is_registered(
     robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
 ) -> None:

@@ -7,6 +7,8 @@ import re
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.analysis.wording import shown_number
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -142,7 +144,7 @@ def _of_further_sentences(effect: dict[str, Any], found: dict[str, Any], alpha: 
         "is not shown (Q" in text
     ) is differ:
         yield f"the experiments {'' if differ else 'do not '}differ, and the sentence says: {text}"
-    if f"I² = {found['heterogeneity']['i_squared']:.0f} %" not in text:
+    if f"I² = {shown_number(found['heterogeneity']['i_squared'], 3)} %" not in text:
         yield f"I squared is {found['heterogeneity']['i_squared']}, and the sentence says: {text}"
     holds_zero = found["prediction"] is not None and found["prediction"]["low"] <= 0 <= found["prediction"]["high"]
     if ("may find the opposite" in text) is not (significant and holds_zero):

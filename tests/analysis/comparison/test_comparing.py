@@ -227,6 +227,17 @@ def test_origins_and_circumstances_that_differ_are_told(two_tasks):
     assert ("Seed of the order", "7", "8") in comparison.differing
 
 
+def test_a_branch_that_was_another_commit_is_told(two_tasks):
+    def at(commit):
+        kept = {"repository": "lab.example/nav", "commit": commit * 8, "build": "make", "path": "/tree"}
+        revisions = {"Task": {"Video": kept, "Network": {**kept, "commit": "abcde" * 8}}}
+        return two_tasks(name=commit, manifest={"revisions": revisions}).root
+
+    assert [each for each in compare(at("12345"), at("67890")).differing if "Task" in each[0]] == [
+        ("Task Video", "123451234512 (lab.example/nav)", "678906789067 (lab.example/nav)")
+    ]
+
+
 @pytest.mark.parametrize(
     ("video", "reason"),
     [((), "There are 0"), ((870.0,), "There are 1"), ((None, None), "There are 0")],

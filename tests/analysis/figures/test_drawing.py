@@ -316,7 +316,28 @@ def test_repetitions_are_counted_in_whole_numbers():
 def test_limits_of_agreement_are_not_written_over_the_bias():
     pairs, axis = {"a": [(1.0, 1.0), (2.0, 2.0)]}, {"value_label": "CPU (%)", "names": ("one", "other"), "unit": ""}
     axes = draw_agreement(pairs, bias=0.0, lower=0.0, upper=0.0, **axis).axes[0]
-    assert [each.get_text() for each in axes.texts] == ["bias +0"]
+    assert [each.get_text() for each in axes.texts] == ["bias 0"]
+
+
+def test_long_names_that_differ_in_the_middle_are_told_apart_in_each_figure():
+    names = [
+        f"config/of/the/robots/of/the/lab/nav2_dwb_{speed}_params_of_all.yaml" for speed in ("fast", "slow", "none")
+    ]
+    groups = [Group(name, (1.0, 2.0), ("r_1", "r_2")) for name in names]
+    lines = {name: {"a": group, "b": group} for name, group in zip(names, groups, strict=True)}
+    estimates = [Estimate(name, 1.0, 0.5, 1.5, None) for name in names]
+    interaction = draw_interaction(lines, treatments=["a", "b"], value_label=LABEL, along="A", across="B")
+    shown = [
+        draw_distribution(groups, value_label=LABEL, group_label="Config").axes[0].get_xticklabels(),
+        draw_distribution(groups * 3, value_label=LABEL, group_label="Config").axes[0].get_yticklabels()[:3],
+        draw_differences(estimates, value_label=LABEL).axes[0].get_yticklabels(),
+        interaction.legends[0].get_texts(),
+    ]
+    for texts in shown:
+        assert ["fast" in text.get_text() for text in texts] == [True, False, False]
+        assert ["slow" in text.get_text() for text in texts] == [False, True, False]
+    shown = draw_agreement({"a": [(1.0, 2.0)]}, bias=1, lower=0, upper=2, value_label=LABEL, names=names[:2], unit="J")
+    assert all(speed in shown.axes[0].get_ylabel() for speed in ("fast", "slow"))
 
 
 def test_a_long_name_of_a_measure_fits_beneath_many_groups():

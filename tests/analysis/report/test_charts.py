@@ -13,10 +13,12 @@ from tests.analysis.experiment_folders import two_tasks
 from robot_runner.analysis import load_results
 from robot_runner.analysis.figures.courses import Course, MissionCourses
 from robot_runner.analysis.report.charts import course_chart
+from robot_runner.analysis.report.document import report_document
 from robot_runner.analysis.report.material import Material
 from robot_runner.analysis.report.outcome_section import attempt_spans
 from robot_runner.analysis.report.writing import write_report
 from robot_runner.analysis.statistics.experiment_statistics import analyse
+from robot_runner.analysis.wording import MISSING
 
 PRESSURES = (101325.01, 101325.02, 101325.03, 101325.05)
 
@@ -31,6 +33,20 @@ def test_large_values_that_differ_little_differ_in_the_chart_of_runs(tmp_path):
     points = _points(two_tasks(tmp_path / "trial", PRESSURES, (123456789, 2.0)).root)
     assert points["measures"][0]["values"] == [*PRESSURES, 123456789, 2.0]
     assert points["place"] == "Place in the order of execution"
+
+
+@pytest.mark.parametrize(
+    ("kind", "values"), [("number", (102.25, 1000.5, 8.0, 2e-5)), ("integer", (16, 9, 1234567, 0))]
+)
+def test_a_point_is_told_as_the_table_of_runs_has_its_value(tmp_path, kind, values):
+    root = two_tasks(tmp_path / "trial", values, (4, None), types={"Energy": kind}).root
+    results = load_results(root)
+    made = report_document(Material(results, analyse(results)), made="")
+    [chart] = [each for each in made.charts if each.kind == "points"]
+    [runs] = [each for each in made.tables if each.name == "runs"]
+    [place] = [at for at, column in enumerate(runs.columns) if column.name == "Energy (J)"]
+    cells = [row[place].text for row in runs.rows]
+    assert chart.data["measures"][0]["texts"] == [f"{cell} J" if cell != MISSING else cell for cell in cells]
 
 
 @pytest.mark.long

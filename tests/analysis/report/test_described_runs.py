@@ -70,7 +70,7 @@ def test_values_that_the_plan_leaves_out_are_in_no_mean_of_a_figure(tmp_path: Pa
     plan = AnalysisPlan("Energy", outliers=Outliers(interquartile_ranges=3))
     document = report(tmp_path / "trial", [TASK, SPEED], plan=plan)
     drawn = figure(document, "distribution Energy by Task / Speed")
-    assert "A / 1: mean 11.8, n = 5;" in drawn.alternative
+    assert "A / 1: mean 11.80, n = 5;" in drawn.alternative
     lines = figure(document, "interaction Energy Task Speed").draw().axes[0].get_lines()
     assert max(max(line.get_ydata()) for line in lines) < 20
     means = table(document, "means")

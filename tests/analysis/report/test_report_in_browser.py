@@ -174,6 +174,13 @@ def test_a_point_tells_its_run_and_its_value(browser, sampled_page):
             browser.point_at(f"{chart} .u-over", share, height)
             said.add(browser.evaluate(f"(e => e.hidden ? '' : e.textContent)(document.querySelector('{chart} .tip'))"))
     assert any(text.startswith("r_") and "Video" in text and text.endswith(" J") for text in said)
+    assert {text.rpartition(" · ")[2] for text in said if text} <= {
+        "870.1 J",
+        "872.4 J",
+        "869.0 J",
+        "874.2 J",
+        "871.3 J",
+    }
 
 
 @pytest.mark.parametrize("width", [320, 390, 800])

@@ -11,8 +11,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_runner.analysis.report.document import plain
-from robot_runner.analysis.wording import MINUS, MISSING, shown_number, shown_p, with_unit
+from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.report.document import plain, report_document
+from robot_runner.analysis.report.material import Material
+from robot_runner.analysis.wording import (
+    MINUS,
+    MISSING,
+    shown_coefficient,
+    shown_number,
+    shown_p,
+    shown_share,
+    shown_test,
+    with_unit,
+)
 
 
 @given(st.floats(min_value=1e-300, max_value=1e300))
@@ -77,6 +88,47 @@ def test_a_p_value_is_shown_on_its_side_of_each_usual_level(p_value):
     shown = shown_p(p_value)
     for level in (0.1, 0.05, 0.01, 0.005):
         assert (float(shown.removeprefix("< ")) < level) == (p_value < level)
+
+
+@given(st.floats(min_value=0.0, max_value=1.0))
+def test_a_coefficient_or_a_share_below_1_is_not_shown_as_1(value):
+    assert (float(shown_coefficient(value)) < 1) == (float(shown_share(value).rstrip("%")) < 100) == (value < 1)
+    assert float(shown_coefficient(value)) == pytest.approx(value, rel=5.1e-3)
+    assert shown_coefficient(-value).lstrip(MINUS) == shown_coefficient(value)
+
+
+def test_a_coefficient_or_a_statistic_that_is_missing_is_a_dash():
+    assert shown_coefficient(None) == shown_coefficient(math.nan) == MISSING
+    assert shown_test("t", (8, 2.5), None) == f"t(8, 2.50) = {MISSING}"
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_number_is_rounded_alike_in_sentences_tables_and_captions(make_folder, sign):
+    energies = [sign * (30 * (place % 2) + place) for place in range(40)]
+    rows = [("ab"[place % 2], energy, energy + 0.3 * (place % 3)) for place, energy in enumerate(energies)]
+    folder = make_folder(factors={"Task": ["a", "b"]}, rows=rows, measures={"Energy": "J", "Time": "s"})
+    results = load_results(folder.root)
+    statistics = analyse(results)
+    made = report_document(Material(results, statistics), made="")
+    cells = {
+        table.name: [dict(zip([column.name for column in table.columns], row, strict=True)) for row in table.rows]
+        for table in made.tables
+    }
+    for measure in statistics.measures:
+        [effect] = cells[f"test {measure.name}"]
+        conclusion = measure.test.effects[0].conclusion
+        assert effect["Statistic"].text in conclusion
+        if measure.test.effects[0].is_significant:
+            assert effect["Effect size"].text.partition(" [")[0] in conclusion
+        for check, row in zip(measure.assumptions, cells[f"assumptions {measure.name}"], strict=True):
+            assert f" = {row['Statistic'].text}, p " in check.conclusion
+        [caption] = [each.caption for each in made.figures if each.name == f"order {measure.name}"]
+        rho = shown_coefficient(measure.drift.correlation)
+        assert f"= {rho})" in caption
+        assert f"(rho = {rho}, p " in measure.drift.warning
+    [correlation] = cells["correlations"]
+    assert correlation["Pearson's r"].text.startswith("0.999")
+    assert correlation["CI"].text.endswith(f"{shown_coefficient(statistics.correlations[0].pearson_interval.high)}]")
 
 
 def test_plain_values_are_what_json_knows():

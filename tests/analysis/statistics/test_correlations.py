@@ -89,4 +89,4 @@ def test_a_drift_of_counts_has_the_direction_of_rho_though_most_pairs_do_not_dif
     assert drift is not None
     assert drift.slope == 0
     assert drift.correlation > 0
-    assert drift.warning.startswith("Energy rises over the order of execution (rho = 0.44, p = 0.015)")
+    assert drift.warning.startswith("Energy rises over the order of execution (rho = 0.441, p = 0.015)")

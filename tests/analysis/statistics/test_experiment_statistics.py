@@ -155,6 +155,15 @@ def test_a_measure_that_is_a_text(tmp_path):
     assert [each.why for each in measure.not_computed] == ["its values are neither numbers nor True and False."]
 
 
+def test_a_measure_of_texts_that_read_as_numbers_says_how_they_become_some(tmp_path):
+    measure = statistics(tmp_path, values=lambda treatments, repetition: {"Energy": f"{repetition}.5"}).measure(
+        "Energy"
+    )
+    assert measure.overall is None
+    why = "its values are texts that read as numbers, such as '1.5': publish them as numbers (float)."
+    assert [each.why for each in measure.not_computed] == [why]
+
+
 @pytest.mark.long
 def test_a_factor_of_a_hundred_treatments(tmp_path):
     level = Factor("Level", range(100))

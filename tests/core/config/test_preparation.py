@@ -62,6 +62,32 @@ class RobotRunnerConfig(ExperimentConfig):
     assert "Did you mean 'Video'?" in finding.fix
 
 
+@pytest.mark.parametrize(
+    "design",
+    ['design=Crossover(unit="Person", period="Turn")', 'blocks="Turn", shuffle=True', "repetitions=2"],
+    ids=["of a design", "of the order", "of the plan"],
+)
+def test_a_hypothesis_about_blocks_is_told_to_be_tested_by_nothing(tmp_path: Path, design: str) -> None:
+    path = tmp_path / "study.py"
+    path.write_text(f"""
+from robot_runner import *
+from robot_runner.designs import Crossover
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "turns"
+    analysis = AnalysisPlan(blocks={'"Turn"' if "rep" in design else None}, hypotheses=[
+        Hypothesis("Later is better.", measure="E", factors="Turn"),
+        Hypothesis("Tasks differ.", measure="E", factors="Task"),
+    ])
+    def create_run_table(self):
+        factors = [Factor("Person", range(6)), Factor("Turn", [1, 2]), Factor("Task", ["Video", "Idle"])]
+        return RunTableModel(factors, data_columns=["E"], {design})
+""")
+    (finding,) = findings_of(path)
+    assert not finding.is_error
+    assert finding.where == "analysis, hypothesis 'Later is better.'"
+    assert finding.problem.startswith("Turn is a block")
+
+
 def test_python_warns_of_a_line_of_a_config_once_where_it_is_executed(write_config: Write) -> None:
     path = write_config(r"_pattern = '\d+'")
     with warnings.catch_warnings(record=True) as told:

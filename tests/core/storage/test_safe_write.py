@@ -175,6 +175,8 @@ def test_what_another_user_keeps_from_us_is_told_with_the_user(tmp_path: Path) -
     assert error.fix == "It is user 54321's: have it given to you (sudo chown), or shared with you (chmod)."
     made = storage_error(path / "in it", "made", PermissionError(errno.EACCES, "Permission denied"))
     assert "user 54321" in made.fix  # of what is not there, the folder tells
+    below = storage_error(path / "report" / "figures", "made", PermissionError(errno.EACCES, "Permission denied"))
+    assert "user 54321" in below.fix  # of that neither, the next folder above does
     os.chown(path, os.geteuid(), -1)
     assert storage_error(path, "read", PermissionError(errno.EACCES, "Permission denied")).fix.startswith("Mend")
 

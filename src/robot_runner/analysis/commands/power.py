@@ -37,7 +37,7 @@ from robot_runner.core.config.preparation import prepare
 from robot_runner.core.design.batches import GrownRunTableModel
 from robot_runner.core.errors import ConfigError
 from robot_runner.core.storage.system_refusals import storage_error
-from robot_runner.core.words import listed
+from robot_runner.core.words import counted, listed
 
 if TYPE_CHECKING:
     from robot_runner.analysis.planning.assumed_values import AssumedMeasure
@@ -51,8 +51,8 @@ _RANGE = re.compile(r"(\d+)(?:\.\.(\d+))?")
 _BAR = 30
 #: The means of more combinations than this are in `--json` alone.
 _MOST_MEANS = 12
-#: With a single run of each treatment nothing is tested.
-_LEAST = 2
+#: Where nothing is said. With one repetition nothing is tested, but in blocks and other designs of their own.
+_FIRST, _LAST = 2, 50
 
 
 def add_arguments(parser: Parser) -> None:
@@ -85,7 +85,9 @@ def add_assumptions(parser: Parser) -> None:
         )
     parser.add_argument("--power", metavar="SHARE", type=float, default=0.8, help="what is asked for (%(default)s)")
     parser.add_argument(
-        "--repetitions", metavar="FROM..TO", default="2..50", help="among how many to look (%(default)s)"
+        "--repetitions",
+        metavar="FROM..TO",
+        help="among how many to look (2..50, and from 1 on of a design of its own)",
     )
     parser.add_argument(
         "--first-batch",
@@ -129,6 +131,8 @@ def computed_power(arguments: Namespace) -> PowerAnalysis:
     search = _search(arguments)
     pilot_folder = folder_of_target(arguments.pilot, []).root if arguments.pilot else None
     study = _study(arguments)
+    if arguments.repetitions is None and study.arranged is not None and search.first_batch is None:
+        search = replace(search, first=1)
     from robot_runner.analysis.planning.power_analysis import Assumptions, power_analysis  # noqa: PLC0415 - slow, and an extra
     from robot_runner.analysis.results import load_results  # noqa: PLC0415 - as above
 
@@ -143,7 +147,7 @@ def computed_power(arguments: Namespace) -> PowerAnalysis:
     )
 
     def tell(repetitions: int, experiments: int) -> None:
-        show_progress(f"{repetitions} repetitions: {experiments:,} experiments")
+        show_progress(f"{counted(repetitions, 'repetition')}: {experiments:,} experiments")
 
     return power_analysis(study, assumptions, search, tell)
 
@@ -183,12 +187,12 @@ def _search(arguments: Namespace) -> Search:
     def refuse(option: str, given: object, fix: str) -> UsageError:
         return UsageError(f"{option} is {given}", where="robot-runner power", fix=fix)
 
-    match = _RANGE.fullmatch(arguments.repetitions)
+    match = _RANGE.fullmatch(arguments.repetitions or f"{_FIRST}..{_LAST}")
     if match is None:
         raise refuse("--repetitions", arguments.repetitions, "Give two numbers, as in 5..40.")
     first, last = int(match[1]), int(match[2] or match[1])
-    if not _LEAST <= first <= last:
-        raise refuse("--repetitions", arguments.repetitions, "Begin with 2 or more, and end no lower.")
+    if not 1 <= first <= last:
+        raise refuse("--repetitions", arguments.repetitions, "Begin with 1 or more, and end no lower.")
     if not 0 < arguments.power < 1:
         raise refuse("--power", arguments.power, "Give a share between 0 and 1, such as 0.8.")
     if arguments.simulations is not None and arguments.simulations < 1:
@@ -256,7 +260,8 @@ def _print_claims(console: UserConsole, analysis: PowerAnalysis, scenario: Scena
 
     repetitions = analysis.search.last if scenario.needed is None else scenario.needed.repetitions
     point = scenario.point(repetitions)
-    print_folded(console, "  ", f"What {repetitions} repetitions find (* is sought):", style="dim")
+    finds = f"{counted(repetitions, 'repetition')} find{'s' if repetitions == 1 else ''}"
+    print_folded(console, "  ", f"What {finds} (* is sought):", style="dim")
     for place, (claim, found) in enumerate(zip(scenario.claims, point.claims, strict=True)):
         mark = "*" if place in scenario.sought else " "
         print_folded(console, f"   {mark} ", f"{claim.label}: {share_in_words(found)}", style="")

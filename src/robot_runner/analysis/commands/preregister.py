@@ -31,6 +31,7 @@ from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.config.registered_config import registration_content, registration_path
 from robot_runner.core.design.analysis_plan import AnalysisPlan
+from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.errors import ConfigError, StorageError
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.registration import (
@@ -131,16 +132,22 @@ def _power(path: str | None, content: Mapping[str, Any]) -> dict[str, Any] | Non
     if not isinstance(power, dict) or not isinstance(power.get("scenarios"), list) or "answers" not in power:
         raise UsageError("this is no file of `robot-runner power`", where=where, fix=_POWER_FIX)
     design = content["design"]
+    factors = {name: texts for name, texts in design["factors"].items() if not _counts(name)}
     plan = json.loads(json.dumps(content["analysis"]))
     for what, then, now in (
         ("names of the experiment", power.get("experiment"), content["experiment"]),
-        ("the factors", power.get("factors"), design["factors"]),
+        ("the factors", power.get("columns"), factors),
         ("the blocks", power.get("blocks"), design["blocks"]),
         ("choices of the analysis plan", power.get("analysis"), plan),
     ):
         if then != now:
             raise UsageError(f"{what} differ from those that the power was computed for", where=where, fix=_POWER_FIX)
     return power
+
+
+def _counts(factor: str) -> bool:
+    """Return whether a factor only counts repetitions, as in the paper's Listing 1."""
+    return factor.casefold() == REPETITION.casefold()
 
 
 _POWER_FIX = "Compute it: robot-runner power CONFIG ... --output FOLDER; the file is FOLDER/power.json."
@@ -193,7 +200,9 @@ def _print(console: UserConsole, made: Registration, target: Path, *, is_found: 
 
 def _too_few(content: Mapping[str, Any]) -> Iterator[str]:
     """Yield where the config plans fewer repetitions than the power analysis says."""
-    planned = content["design"]["repetitions"]
+    design = content["design"]
+    counted_by = (len(texts) for name, texts in design["factors"].items() if _counts(name))
+    planned = next(counted_by, design["repetitions"])
     for scenario in (content["power"] or {}).get("scenarios", ()):
         needed = (scenario.get("needed") or {}).get("repetitions")
         if needed is not None and planned < needed:

@@ -23,10 +23,11 @@ from robot_runner.analysis.report.blocks import (
     Section,
     Table,
     Tone,
+    one_word,
 )
 from robot_runner.analysis.report.document import plain
 from robot_runner.analysis.report.material import origin_badges
-from robot_runner.analysis.report.tables import build_table, interval, number, p_value, text
+from robot_runner.analysis.report.tables import build_table, coefficient, interval, number, p_value, text
 from robot_runner.analysis.wording import (
     ALPHA,
     difference_unit,
@@ -85,8 +86,8 @@ def _brief(found: MetaAnalysis) -> Iterator[Block]:
 
 def _card(measure: CombinedMeasure, effect: CombinedEffect) -> Card:
     random = None if effect.difference is None else effect.difference.random
-    value = with_unit(None if random is None else random.estimate, difference_unit(measure.unit), 3)
-    note = "" if random is None else shown_interval(random.interval, 3)
+    value = with_unit(None if random is None else random.estimate, difference_unit(measure.unit))
+    note = "" if random is None else shown_interval(random.interval)
     tone = Tone.GOOD if effect.is_significant else Tone.NOTE
     return Card(value, f"{measure.name}: {effect.label}", note, tone)
 
@@ -180,17 +181,17 @@ def effect_table(found: MetaAnalysis, measure: CombinedMeasure, effect: Combined
         interval(f"{level} CI", "interval"),
         p_value("p", "p_value"),
         number("Weight (%)", lambda line: None if line.weight is None else 100 * line.weight, 3),
-        number("Hedges' g", "g", 3),
+        coefficient("Hedges' g", "g"),
     )
     caption = f"{measure.label}: {effect.label}."
     note = "p-values before adjustment. Weights are those of the average."
-    return build_table(f"effect {measure.name} {effect.label}", caption, tuple(_lines(effect)), fields, note)
+    return build_table(f"effect {one_word(measure.name)} {effect.label}", caption, tuple(_lines(effect)), fields, note)
 
 
 def _forest(found: MetaAnalysis, measure: CombinedMeasure, effect: CombinedEffect, combined: Combined) -> FigureBlock:
     label = labelled(f"Difference of {measure.name}", difference_unit(measure.unit))
     return FigureBlock(
-        f"forest {measure.name} {effect.label}",
+        f"forest {one_word(measure.name)} {effect.label}",
         f"{measure.label}: {effect.label}. Squares: experiments, their area the weight, with "
         f"{100 * (1 - found.alpha):g} % confidence intervals; diamonds: averages over them; bar: where the effect in a "
         "further experiment is expected.",
@@ -248,7 +249,8 @@ def _average(effect: CombinedEffect, found: Combined, measure: str, unit: str) -
 
 def _variation(found: Combined, unit: str, alpha: float) -> str:
     told = found.heterogeneity
-    facts = f"Q({told.freedom}) = {shown_number(told.q, 3)}, {p_in_words(told.p_value)}, I² = {told.i_squared:.0f} %"
+    share = with_unit(told.i_squared, "%", 3)
+    facts = f"Q({told.freedom}) = {shown_number(told.q, 3)}, {p_in_words(told.p_value)}, I² = {share}"
     tau, low, high = (
         math.sqrt(each) for each in (told.tau_squared, told.tau_squared_interval.low, told.tau_squared_interval.high)
     )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.analysis.wording import labelled
 from robot_runner.core.errors import AnalysisError
-from robot_runner.core.words import has_true_zero
+from robot_runner.core.words import combination_label, has_true_zero
 
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.tested import Interval, NotComputed
@@ -240,7 +240,7 @@ class Difference:
     @property
     def label(self) -> str:
         """The combination in words."""
-        return " / ".join(self.treatments.values()) or "all runs"
+        return combination_label(self.treatments.values()) or "all runs"
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,6 +281,7 @@ class MeasureComparison:
         not_computed: what could not be compared and why.
         are_answers: whether it is yes or no in both, so that its means are proportions.
         procedure: the test of the difference, in words.
+        largest: the largest difference, in words; empty where none is known.
     """
 
     first_name: str
@@ -297,6 +298,7 @@ class MeasureComparison:
     region: Bound | None = None
     are_answers: bool = False
     procedure: str = ""
+    largest: str = ""
 
     @property
     def name(self) -> str:

@@ -20,7 +20,7 @@ from robot_runner.analysis.comparison.compared import (
     Verdict,
     why_vain,
 )
-from robot_runner.analysis.comparison.comparison_document import conclusion_of, procedure_of
+from robot_runner.analysis.comparison.comparison_document import conclusion_of, largest_in_words, procedure_of
 from robot_runner.analysis.comparison.equivalence import (
     Regions,
     agreement_of,
@@ -279,6 +279,7 @@ def _compare_measure(matching: Matching, names: tuple[str, str], asked: _Asked) 
         are_answers=asked.are_answers,
         procedure=procedure_of(are_proportions=asked.are_proportions, is_paired=asked.is_paired, together=together),
     )
+    compared = replace(compared, largest=largest_in_words(compared))
     return replace(compared, conclusion=conclusion_of(compared))
 
 

@@ -85,7 +85,8 @@ def conclusion_of(measure: MeasureComparison) -> str:
             verdict = f"Different{where}."
         case _:
             verdict = f"Undecided: {_why_undecided(measure)}"
-    return f"{verdict}{_largest(measure)}{_practical(measure)}"
+    largest = f" The largest difference is {measure.largest}." if measure.largest else ""
+    return f"{verdict}{largest}{_practical(measure)}"
 
 
 def _practical(measure: MeasureComparison) -> str:
@@ -152,7 +153,8 @@ def _fewest_runs(differences: Sequence[Difference]) -> str:
     return f"{runs} a combination, of {counted(units, 'unit')} of {of_units[0].unit}"
 
 
-def _largest(measure: MeasureComparison) -> str:
+def largest_in_words(measure: MeasureComparison) -> str:
+    """Return the largest difference of a combination, as in `1.131 J, +0.129 % (Video)`; empty where none is."""
     known = [each for each in measure.differences if each.difference is not None]
     if not known:
         return ""
@@ -160,7 +162,7 @@ def _largest(measure: MeasureComparison) -> str:
     where = f" ({largest.label})" if len(measure.differences) > 1 else ""
     size = with_unit(largest.difference, difference_unit(measure.unit))
     share = "" if largest.relative is None else f", {_percentage(largest.relative)}"
-    return f" The largest difference is {size}{share}{where}."
+    return f"{size}{share}{where}"
 
 
 def _percentage(value: float | None) -> str:

@@ -16,7 +16,7 @@ from robot_runner.analysis.run_frame import several
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.secret_names import shown_settings
-from robot_runner.core.words import listed
+from robot_runner.core.words import combination_label, listed, shown_commit
 
 if TYPE_CHECKING:
     from robot_runner.analysis.results import Results
@@ -94,7 +94,7 @@ def match_runs(first: Results, second: Results, *, is_paired: bool) -> Matching:
     ours, theirs = (_by_combination(each, factors) for each in (first, second))
     notes += _notes_on_robots(first, second)
     for name, here, there in zip(names, (ours, theirs), (theirs, ours), strict=True):
-        alone = [" / ".join(_treatments(rows, factors)) for key, rows in here.items() if key not in there]
+        alone = [combination_label(_treatments(rows, factors)) for key, rows in here.items() if key not in there]
         if alone:
             notes.append(f"Only {name} has {', '.join(alone[:6])}{' and others' if len(alone) > 6 else ''}.")  # noqa: PLR2004
     groups = []
@@ -320,6 +320,10 @@ def differing_circumstances(*experiments: Results) -> tuple[tuple[str, ...], ...
         if all(factor in each.factors for each in experiments):
             treatments = (", ".join(map(str, each.runs[factor].cat.categories)) for each in experiments)
             rows.append((factor if factor in blocks else f"Treatments of {factor}", *treatments))
+            revisions = [_within(each.manifest, ("revisions", factor)) or {} for each in experiments]
+            rows += [
+                (f"{factor} {name}", *(shown_commit(each.get(name)) for each in revisions)) for name in revisions[0]
+            ]
     return tuple(row for row in rows if len(set(row[1:])) > 1)
 
 

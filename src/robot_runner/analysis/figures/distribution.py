@@ -27,7 +27,7 @@ from robot_runner.analysis.figures.style import (
     looks_by,
     name_places,
     new_axes,
-    shortened,
+    shortened_apart,
     verbatim,
     wrapped,
 )
@@ -119,7 +119,7 @@ def draw_proportions(groups: Sequence[Proportion], *, value_label: str, group_la
 
 def _name_groups(figure: Figure, axes: Axes, labels: Sequence[str], value_label: str, group_label: str) -> None:
     """Name the groups of a figure, beside each other where they are few."""
-    names = list(map(shortened, labels))
+    names = shortened_apart(labels)
     if len(names) <= _MOST_UPRIGHT:
         name_places(figure, axes, labels)
         axes.set_xlim(-0.6, len(names) - 0.4)

@@ -24,10 +24,10 @@ from robot_runner.analysis.figures.style import (
     looks_by,
     name_places,
     new_axes,
-    shortened,
+    shortened_apart,
     verbatim,
 )
-from robot_runner.analysis.wording import MINUS, shown_interval, shown_number
+from robot_runner.analysis.wording import shown_interval, shown_number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -101,7 +101,7 @@ def draw_differences(estimates: Sequence[Estimate], *, value_label: str) -> Figu
             axes.barh(row, 2 * estimate.bound, left=-estimate.bound, height=0.86, color="#e3e9ef", zorder=0.5)
         axes.plot([estimate.low, estimate.high], [row, row], color=INK, linewidth=1.1)
         axes.plot(estimate.difference, row, marker=look.marker, color=look.colour, markersize=4.5)
-    axes.set_yticks(range(len(estimates)), [shortened(each.label) for each in estimates])
+    axes.set_yticks(range(len(estimates)), shortened_apart([each.label for each in estimates]))
     axes.set_ylim(len(estimates) - 0.4, -0.6)
     label_axes(axes, value_label, grid="x")
     return figure
@@ -128,7 +128,7 @@ def draw_agreement(
         if level is not None and (word == "bias" or lower != upper):  # what lies on each other cannot be read
             axes.axhline(level, color=INK, linewidth=0.9, linestyle="-" if word == "bias" else DASHED)
             axes.annotate(
-                f"{word} {level:+.4g} {verbatim(unit)}".rstrip().replace("-", MINUS),
+                f"{word} {'+' * (level > 0)}{shown_number(level)} {verbatim(unit)}".rstrip(),
                 (1.0, level),
                 xycoords=("axes fraction", "data"),
                 xytext=(0, 1.5),
@@ -139,7 +139,7 @@ def draw_agreement(
             )
     axes.margins(y=0.14)
     label_axes(axes, f"Mean of both: {value_label}", grid="y")
-    one, other = (shortened(name, 24) for name in names)  # what fits along the axis
+    one, other = shortened_apart(names, 24)  # what fits along the axis
     axes.set_ylabel(f"{other} less\n{one}{f' ({verbatim(unit)})' if unit else ''}")
     add_legend(figure, len(pairs), handlelength=1.0)
     return figure
@@ -187,7 +187,7 @@ def draw_forest(lines: Sequence[ForestLine], *, value_label: str, average: float
     axes.axhline(experiments - 0.5, color=GREY, linewidth=0.5)
     for row, line in enumerate(lines):
         _draw_line(axes, row, line)
-    axes.set_yticks(range(len(lines)), [shortened(line.label) for line in lines])
+    axes.set_yticks(range(len(lines)), shortened_apart([line.label for line in lines]))
     axes.set_ylim(len(lines) - 0.4, -0.6)
     numbers = axes.secondary_yaxis("right")
     numbers.set_yticks(range(len(lines)), [line.shown for line in lines])

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any, Literal
 
 import matplotlib as mpl
@@ -35,6 +36,8 @@ _LINE, UPRIGHT_LINE = 42, 34
 _LETTERS_BESIDE = 46
 #: Letters of a name that fit beneath a column's figure.
 _LETTERS_IN_LEGEND = 50
+#: Letters of a name before those that tell it from another.
+_BEFORE = 3
 #: What a line of a legend takes, and a letter of a slanted name, inches.
 _LEGEND_LINE, _SLANTED = 0.13, 0.02
 #: What can still be read in print, points.
@@ -192,7 +195,7 @@ def draw_points(axes: Axes, x: Any, y: Any, look: Look, *, edge: float = 0.3, **
 
 def name_places(figure: Figure, axes: Axes, names: Sequence[str]) -> None:
     """Name the places 0, 1, 2, ... along a figure; at a slant, and the figure higher, where names would touch."""
-    shown = [shortened(name) for name in names]
+    shown = shortened_apart(names)
     longest = max(map(len, shown), default=0)
     is_crowded = sum(map(len, shown)) > _LETTERS_BESIDE or longest * len(shown) > _LETTERS_BESIDE
     slant: dict[str, Any] = {"rotation": 30, "ha": "right"} if is_crowded else {}
@@ -220,8 +223,10 @@ def add_legend(figure: Figure, count: int, *, most: int | None = None, columns: 
     columns = min(count, columns)
     for beside in range(columns, 0, -1):
         legend = figure.legend(loc="outside lower center", ncols=beside, **settings)
-        for name in legend.get_texts():
-            name.set_text(shortened(name.get_text(), _LETTERS_IN_LEGEND))
+        texts = legend.get_texts()
+        names = shortened_apart([text.get_text() for text in texts], _LETTERS_IN_LEGEND)
+        for text, name in zip(texts, names, strict=True):
+            text.set_text(name)
         if beside == 1 or legend.get_window_extent().width <= figure.bbox.width:
             figure.set_figheight(figure.get_figheight() + _LEGEND_LINE * (-(-count // beside) - -(-count // columns)))
             return
@@ -237,6 +242,26 @@ def shortened(label: str, longest: int = 28) -> str:
     """
     end = (longest - 1) // 2
     return verbatim(label if len(label) <= longest else f"{label[: longest - 1 - end]}…{label[-end:]}")
+
+
+def shortened_apart(labels: Sequence[str], longest: int = 28) -> list[str]:
+    """Return names that fit beside an axis; those that would read the same begin shortly before they differ.
+
+    Example:
+        >>> shortened_apart(["config/nav2_dwb_fast_params.yaml", "config/nav2_dwb_slow_params.yaml"], 24)
+        ['…wb_fast_params.yaml', '…wb_slow_params.yaml']
+    """
+    alike: dict[str, set[str]] = {}
+    for label in labels:
+        alike.setdefault(shortened(label, longest), set()).add(label)
+
+    def apart(label: str) -> str:
+        others = alike[shortened(label, longest)] - {label}
+        pairs = (enumerate(zip_longest(label, each)) for each in others)
+        start = max((next(at for at, (one, other) in each if one != other) for each in pairs), default=0) - _BEFORE
+        return shortened(f"…{label[start:]}" if start > 0 else label, longest)
+
+    return list(map(apart, labels))
 
 
 def wrapped(text: str, line: int = _LINE) -> str:

@@ -17,7 +17,7 @@ import pandas as pd
 from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.families import Key, effect_key
 from robot_runner.core.errors import AnalysisError, did_you_mean
-from robot_runner.core.words import counted, enumerated, listed
+from robot_runner.core.words import combination_label, counted, enumerated, listed
 
 if TYPE_CHECKING:
     from robot_runner.analysis.planning.planned_study import Cell, Study
@@ -272,7 +272,9 @@ def _rows_of_cells(study: Study, table: pd.DataFrame, where: str) -> Iterator[tu
     for row in range(len(table)):
         texts = tuple(str(table[name][row]) for name in told)
         if texts in rows:
-            problem = f"rows {rows[texts] + 1} and {row + 1} are both of {' / '.join(texts) or 'all combinations'}"
+            problem = (
+                f"rows {rows[texts] + 1} and {row + 1} are both of {combination_label(texts) or 'all combinations'}"
+            )
             untold = [name for name in study.varied if name not in told]
             fix = f"Leave one out{f', or add the column {untold[0]}' if untold else ''}."
             raise AnalysisError(problem, where=where, fix=fix)
@@ -283,7 +285,7 @@ def _rows_of_cells(study: Study, table: pd.DataFrame, where: str) -> Iterator[tu
         if own in rows:
             yield cell, rows[own]
         else:
-            missing.append(" / ".join(own) or "all combinations")
+            missing.append(combination_label(own) or "all combinations")
     if missing:
         problem = (
             f"{counted(len(missing), 'combination')} of the design {'has' if len(missing) == 1 else 'have'} no row"

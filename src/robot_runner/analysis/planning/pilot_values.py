@@ -12,7 +12,7 @@ from scipy import stats
 from robot_runner.analysis.planning.assumed_values import AssumedMeasure
 from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, Design, design_of
 from robot_runner.core.errors import AnalysisError, did_you_mean
-from robot_runner.core.words import counted, enumerated
+from robot_runner.core.words import combination_label, counted, enumerated
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -118,7 +118,7 @@ def _measure(study: Study, design: Design, name: str, shared: Sequence[str], whe
     means = frame.groupby(_CELL)[VALUE].mean().to_dict()
     counts = frame[_CELL].value_counts().to_dict()
     wanted = {cell: _part(study, cell, shared) for cell in study.cells}
-    missing = [" / ".join(part) for part in dict.fromkeys(wanted.values()) if part not in means]
+    missing = [combination_label(part) for part in dict.fromkeys(wanted.values()) if part not in means]
     if missing:
         which = f"{counted(len(missing), 'combination')}: {enumerated(missing[:5])}"
         fix = "Execute these runs, or give --sd and --difference instead."

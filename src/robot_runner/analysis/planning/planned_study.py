@@ -47,7 +47,7 @@ class Study:
 
     Attributes:
         name: of the experiment.
-        factors: the treatments of each factor, as texts.
+        factors: the treatments of each factor, as texts; blocks of a design of its own are none.
         cells: the combinations that are executed.
         blocks: what the order is randomised within: a factor, the repetition, or nothing.
         shuffle: whether the order is randomised.
@@ -55,6 +55,7 @@ class Study:
         plan: what is fixed for the analysis; None where nothing is.
         units: the measures of the run table, with their units.
         is_repeated: whether repetitions are added until measures are precise.
+        columns: the treatments of all factors of the config, blocks included, but not of one that counts repetitions.
         facts: what a design of its own says of its runs; empty for a full factorial.
         arranged: the runs of a design of its own, by the number of repetitions; None for a full factorial.
     """
@@ -68,6 +69,7 @@ class Study:
     plan: AnalysisPlan | None
     units: Mapping[str, str]
     is_repeated: bool = False
+    columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     facts: Mapping[str, Any] = field(default_factory=dict)
     arranged: Callable[[int], tuple[ArrangedRun, ...]] | None = None
 
@@ -108,6 +110,7 @@ class Study:
             model.repetitions if counting is None else len(counting.treatments),
             plan,
             units,
+            columns={factor.name: tuple(factor.texts) for factor in model.factors if factor is not counting},
             facts=facts,
             arranged=arranged,
         )

@@ -74,6 +74,7 @@ class PowerAnalysis:
             "experiment": self.study.name,
             "factors": {name: list(texts) for name, texts in self.study.factors.items()},
             "combinations": len(self.study.cells),
+            "columns": {name: list(texts) for name, texts in self.study.columns.items()},
             "blocks": self.study.blocks,
             "analysis": plan.as_mapping() if plan is not None else None,
             "power": self.search.power,
@@ -273,18 +274,19 @@ def answer_in_words(analysis: PowerAnalysis, scenario: ScenarioPower) -> str:
     what = "what is sought" if len(scenario.sought) == 1 else "each of what is sought"
     if scenario.needed is None:
         point = scenario.point(search.last)
-        most = f"{counted(search.last, 'repetition')} ({counted(point.runs, 'run')})"
-        share = share_in_words(point.least)
-        return f"{most} find {what} in {share} of experiments: fewer than {shown_level(search.power)}."
+        told = f"{_finding(point)} {what} in {share_in_words(point.least)} of experiments"
+        return f"{told}: fewer than {shown_level(search.power)}."
     needed = scenario.needed
     point = scenario.point(needed.repetitions)
-    told = (
-        f"{counted(needed.repetitions, 'repetition')} ({counted(point.runs, 'run')}) find {what} in "
-        f"{share_in_words(point.least)} of experiments"
-    )
+    told = f"{_finding(point)} {what} in {share_in_words(point.least)} of experiments"
     if needed.repetitions == search.first:
         return f"{told}; fewer were not looked at."
     return f"{told}{_leeway(scenario, point)}."
+
+
+def _finding(point: PowerPoint) -> str:
+    verb = "finds" if point.repetitions == 1 else "find"
+    return f"{counted(point.repetitions, 'repetition')} ({counted(point.runs, 'run')}) {verb}"
 
 
 def _leeway(scenario: ScenarioPower, point: PowerPoint) -> str:

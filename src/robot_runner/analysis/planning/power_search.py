@@ -12,7 +12,8 @@ import numpy as np
 from scipy import stats
 
 from robot_runner.analysis.planning.power_simulation import AT_ONCE, Claim, Simulation
-from robot_runner.core.errors import AnalysisError, did_you_mean
+from robot_runner.core.errors import AnalysisError, DesignError, did_you_mean
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from robot_runner.analysis.planning.assumed_values import Scenario
@@ -97,7 +98,8 @@ class ScenarioPower:
         sought: which of them are to be found, by their places.
         points: by number of repetitions.
         needed: None where no number in the range suffices.
-        too_few: why the first numbers of the range were passed over: of so few runs there is no test; else empty.
+        too_few: why the first numbers of the range were passed over: of so few runs there is no test or no design; else
+            empty.
     """
 
     scenario: Scenario
@@ -179,6 +181,8 @@ class _Curve:
                 self._simulation(repetitions)
             except AnalysisError as error:
                 self.too_few = error.problem
+            except DesignError as error:
+                self.too_few = f"with {counted(repetitions, 'repetition')}: {error.problem}"
             else:
                 return repetitions
         return self._search.last

@@ -29,7 +29,7 @@ from robot_runner.analysis.statistics.tested import NotComputed, named_within
 from robot_runner.analysis.statistics.tests import AnyModel, Choices, planned_model_of
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import AnalysisError
-from robot_runner.core.words import enumerated
+from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -120,7 +120,8 @@ class Simulation:
             blocks = tuple(every.unit_names)
             data, model = self._analysed(design, assumed.name)
             if isinstance(model, NotComputed):
-                problem = f"with {self._repetitions} repetitions nothing can be tested of {assumed.name}: {model.why}"
+                many = counted(self._repetitions, "repetition")
+                problem = f"with {many} nothing can be tested of {assumed.name}: {model.why}"
                 fix = "Give more repetitions: --repetitions FROM..TO."
                 raise AnalysisError(problem.rstrip("."), where="power", fix=fix)
             places = {run_id: place for place, run_id in enumerate(every.frame[RUN_ID])}

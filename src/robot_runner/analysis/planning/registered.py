@@ -18,7 +18,7 @@ from robot_runner.core.storage.executed_runs import executed_order, moved_in_wor
 from robot_runner.core.storage.guarded_files import read_bytes
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.registration import Registration, differences, read_registration
-from robot_runner.core.words import counted
+from robot_runner.core.words import combination_label, counted
 
 if TYPE_CHECKING:
     from robot_runner.analysis.results import Results
@@ -134,7 +134,7 @@ def _of_combinations(design: Mapping[str, Any], results: Results) -> Iterator[st
     added = [cell for cell in sorted(present - planned) if all(map(set.__contains__, treatments, cell))]
     for words, cells in (("not registered", added), ("registered and not in the run table", sorted(planned - present))):
         if cells:
-            yield f"{counted(len(cells), 'combination')} {words}: {listed(' / '.join(cell) for cell in cells)}"
+            yield f"{counted(len(cells), 'combination')} {words}: {listed(map(combination_label, cells))}"
 
 
 def _of_config(config: Mapping[str, Any], results: Results) -> Iterator[str]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.statistics.outcome import Proportion
+from robot_runner.core.words import combination_label
 
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics
@@ -66,7 +67,7 @@ def about_residuals(measure: MeasureStatistics) -> dict[str, Reported]:
     """Return what the report says of the distribution and the order of residuals, and of the power."""
     checks = [
         (
-            f"{each.name}, {' / '.join(each.treatments.values()) or 'all groups'}",
+            f"{each.name}, {combination_label(each.treatments.values()) or 'all groups'}",
             _numbers(each, "statistic", p="p_value"),
         )
         for each in measure.assumptions

@@ -239,6 +239,16 @@ class Section:
     blocks: tuple[Block, ...]
 
 
+def one_word(name: str) -> str:
+    """Return a name as one word of the name of a table or a figure, which reads like no other then.
+
+    Example:
+        >>> f"describe {one_word('Energy')} by Task", f"describe {one_word('Energy by Task')}"
+        ('describe Energy by Task', 'describe “Energy by Task”')
+    """
+    return f"“{name}”" if " " in name else name
+
+
 @dataclass(frozen=True, slots=True)
 class Document:
     """A whole report.

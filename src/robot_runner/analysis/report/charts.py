@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from robot_runner.analysis.figures.style import Look, looks_by
 from robot_runner.analysis.report.blocks import Chart
+from robot_runner.analysis.wording import MISSING, with_unit
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.words import counted
 
@@ -97,7 +98,7 @@ def points_chart(material: Material) -> Chart | None:
             {
                 "name": name,
                 "label": material.results.label(name),
-                "unit": material.results.unit(name),
+                "texts": [_in_words(value, material.results.unit(name)) for value in ordered[name].tolist()],
                 "values": _plain(pd.to_numeric(ordered[name], errors="coerce").to_numpy(dtype="float64")),
             }
             for name in numeric
@@ -119,6 +120,12 @@ def in_order_of_execution(material: Material, attempts: pd.DataFrame) -> pd.Data
 
 def _dash(look: Look) -> list[float]:
     return [] if isinstance(look.line, str) else [round(each * 1.6, 1) for each in look.line[1]]
+
+
+def _in_words(value: Any, unit: str) -> str:
+    """Return a value as the table of runs has it, which tells whole numbers from others, with its unit."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return MISSING if pd.isna(value) else with_unit(value, unit) if is_number else str(value)
 
 
 def _plain(values: Iterable[float], digits: int | None = None) -> list[float | None]:

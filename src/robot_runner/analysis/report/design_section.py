@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from robot_runner.analysis.plan_file import choices_in_words
-from robot_runner.analysis.report.blocks import Block, Cell, Facts, Paragraph, Part, Section, Table, Tone
+from robot_runner.analysis.report.blocks import Block, Cell, Facts, Paragraph, Part, Section, Table, Tone, one_word
 from robot_runner.analysis.report.charts import points_chart
 from robot_runner.analysis.report.material import JOINT, Material, correction_in_words
 from robot_runner.analysis.report.tables import build_table, field, interval, number, text
@@ -246,7 +246,7 @@ def _precision_blocks(known: KnownPrecision, label: str) -> Iterator[Block]:
 
 
 def _description_tables(material: Material, measure: MeasureStatistics, label: str) -> Iterator[Table]:
-    name = f"describe {measure.name}"
+    name = f"describe {one_word(measure.name)}"
     of = measure.proportions or measure
     table: Callable[..., Table] = _description_table if measure.proportions is None else _proportion_table
     for factor in material.factors:

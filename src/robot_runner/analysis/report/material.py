@@ -20,7 +20,7 @@ from robot_runner.core.events.measure import Quality
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import executed_order, moved_runs
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.words import enumerated
+from robot_runner.core.words import combination_label, enumerated
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -195,7 +195,7 @@ class Material:
             return dict.fromkeys(self.results.all_runs[RUN_ID], ALL_RUNS)
         runs = self.results.all_runs
         texts = zip(*(runs[name].astype("str") for name in factors), strict=True)
-        return dict(zip(runs[RUN_ID], map(JOINT.join, texts), strict=True))
+        return dict(zip(runs[RUN_ID], map(combination_label, texts), strict=True))
 
     @cached_property
     def order(self) -> tuple[str, ...]:
@@ -208,7 +208,7 @@ class Material:
             return (ALL_RUNS,)
         rows = self.results.all_runs[list(factors)].drop_duplicates().sort_values(list(factors))
         texts = zip(*(rows[name].astype("str") for name in factors), strict=True)
-        return tuple(map(JOINT.join, texts))
+        return tuple(map(combination_label, texts))
 
     @cached_property
     def drawn(self) -> frozenset[str]:

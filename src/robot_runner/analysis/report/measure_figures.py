@@ -15,13 +15,13 @@ from robot_runner.analysis.figures.distribution import (
     draw_run_order,
 )
 from robot_runner.analysis.figures.effects import draw_interaction
-from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Section, Tone
+from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Section, Tone, one_word
 from robot_runner.analysis.report.material import JOINT, Material, origin_in_words
 from robot_runner.analysis.report.mission_figures import mission_parts, stills_part, trajectory_part
 from robot_runner.analysis.statistics.nested_factors import IDLE
-from robot_runner.analysis.wording import RHO, difference_unit, shown_level, shown_number, with_unit
+from robot_runner.analysis.wording import RHO, difference_unit, shown_coefficient, shown_level, shown_number, with_unit
 from robot_runner.core.design.columns import RUN_ID
-from robot_runner.core.words import counted, enumerated
+from robot_runner.core.words import combination_label, counted, enumerated
 
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.outcome import Description, Drift, MeasureStatistics
@@ -60,7 +60,7 @@ def drift_figure(material: Material, measure: MeasureStatistics, drift: Drift) -
         f"order {measure.name}",
         f"{measure.name} over the {material.order_of_runs}{within}: each run {material.residual_in_words(measure)}. "
         f"Dashed: slope of Theil and Sen, {with_unit(drift.slope, difference_unit(measure.unit), 3)} a run "
-        f"(Spearman's {RHO} = {shown_number(drift.correlation, 3)}).",
+        f"(Spearman's {RHO} = {shown_coefficient(drift.correlation)}).",
         f"Residuals of {measure.name} over the {material.order_of_runs}.",
         lambda: draw_run_order(
             drift.places,
@@ -101,7 +101,7 @@ def _proportions(_: Material, measure: MeasureStatistics, factors: tuple[str, ..
     level = _level(each.interval for each in groups)
     bars = f", with their {level} confidence intervals" if level else ""
     return FigureBlock(
-        f"distribution {measure.name}{by}",
+        f"distribution {one_word(measure.name)}{by}",
         f"{measure.name}{by}: how many runs say yes{bars}.{origin_in_words(measure.origin)}",
         f"Proportions of {measure.name}{by}. {described}.",
         partial(
@@ -118,12 +118,12 @@ def _distribution(material: Material, measure: MeasureStatistics, factors: tuple
     outliers = frozenset(outlier.run_id for group in _descriptions(measure, factors) for outlier in group.outliers)
     by = f" by {JOINT.join(factors)}" if factors else ""
     described = "; ".join(
-        f"{group.label}: mean {group.mean:.4g}, n = {group.size}" for group in groups[:8] if group.size
+        f"{group.label}: mean {shown_number(group.mean)}, n = {group.size}" for group in groups[:8] if group.size
     )
     level = _level(each.mean_interval for each in _descriptions(measure, factors))
     means = f"diamond and bar: mean and its {level} confidence interval." if level else "diamond: mean."
     return FigureBlock(
-        f"distribution {measure.name}{by}",
+        f"distribution {one_word(measure.name)}{by}",
         f"{material.results.label(measure.name)}{by}. Each point is a run; box: quartiles and median, whiskers: "
         f"Tukey's; {means}" + (" Named runs are outliers." if outliers else "") + origin_in_words(measure.origin),
         f"Distribution of {measure.name}{by}. {described}.",
@@ -152,7 +152,7 @@ def _level(intervals: Iterable[Interval | None]) -> str:
 def _groups(material: Material, measure: MeasureStatistics, factors: tuple[str, ...]) -> list[Group]:
     labels = material.labels_by(factors)
     described = {
-        JOINT.join(each.treatments[name] for name in factors): each for each in _descriptions(measure, factors)
+        combination_label(each.treatments[name] for name in factors): each for each in _descriptions(measure, factors)
     }
     runs = material.described(measure)
     within = material.statistics.design.within
@@ -203,7 +203,7 @@ def _interaction(material: Material, measure: MeasureStatistics, along: str, acr
     groups = {group.label: group for group in _groups(material, measure, (along, across)) if group.size}
     treatments = _applied(material, along)
     by_second = {
-        second: {first: groups[key] for first in treatments if (key := f"{first}{JOINT}{second}") in groups}
+        second: {first: groups[key] for first in treatments if (key := combination_label((first, second))) in groups}
         for second in _applied(material, across)
     }
     lines = {second: members for second, members in by_second.items() if members}
@@ -212,7 +212,7 @@ def _interaction(material: Material, measure: MeasureStatistics, along: str, acr
     level = _level(each.mean_interval for each in _descriptions(measure, (along, across)))
     bars = f" Bars: {level} confidence intervals." if level else ""
     return FigureBlock(
-        f"interaction {measure.name} {along} {across}",
+        f"interaction {one_word(measure.name)} {one_word(along)} {one_word(across)}",
         f"Mean {material.results.label(measure.name)} of each combination of {along} and {across}{within}. Lines that "
         f"are not parallel hint at an interaction.{bars}{origin_in_words(measure.origin)}",
         f"Interaction of {along} and {across} on {measure.name}.",

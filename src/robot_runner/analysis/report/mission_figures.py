@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,7 @@ from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.figures.courses import Course, MissionCourses, PhaseSpan, bin_width, course_of_run
 from robot_runner.analysis.figures.missions import Way, draw_mean_courses, draw_single_courses, draw_trajectories
 from robot_runner.analysis.figures.style import GREY, HIGHEST, PAGE, new_figure, shortened
-from robot_runner.analysis.report.blocks import Beside, Block, FigureBlock, Gallery, Paragraph, Part, Tone
+from robot_runner.analysis.report.blocks import Beside, Block, FigureBlock, Gallery, Paragraph, Part, Tone, one_word
 from robot_runner.analysis.report.charts import course_chart
 from robot_runner.analysis.report.material import Material, origin_badges, origin_in_words
 from robot_runner.analysis.report.summary_section import means_table
@@ -53,13 +54,15 @@ class SampledMeasure:
     Attributes:
         file: where it is.
         column: its heading there, such as `power_W`.
-        title: what it is, as in `Power`.
+        source: the plugin that wrote the file; with the file's name where it wrote several of those that are shown.
+        title: what it is, as in `Power`, and of which source where several sources have it.
         unit: its unit; empty where the heading does not tell.
         origin: `measured`, `simulated`, `estimated`, or None.
     """
 
     file: SampleFile
     column: str
+    source: str
     title: str
     unit: str
     origin: str | None
@@ -72,11 +75,20 @@ class SampledMeasure:
 
 def sampled_measures(results: Results) -> tuple[SampledMeasure, ...]:
     """Return the columns of samples that are shown: of each file power if it has any, else its first columns."""
-    found: list[SampledMeasure] = []
-    for file in results.sample_files:
-        if not is_way(file.columns):
-            found += [_measure(results, file, column) for column in _leading(file.columns)]
-    return tuple(sorted(found, key=lambda each: each.unit != "W")[:_MOST_MEASURES])
+    files = [file for file in results.sample_files if not is_way(file.columns)]
+    found = [
+        _measure(results, file, column, source_of(file, files)) for file in files for column in _leading(file.columns)
+    ]
+    shown = sorted(found, key=lambda each: each.unit != "W")[:_MOST_MEASURES]
+    titles = Counter(each.title for each in shown)
+    return tuple(
+        replace(each, title=f"{each.title} of {each.source}") if titles[each.title] > 1 else each for each in shown
+    )
+
+
+def source_of(file: SampleFile, among: Iterable[SampleFile]) -> str:
+    """Return the plugin that wrote a file, with the file's name where it wrote several of these."""
+    return file.plugin if sum(each.plugin == file.plugin for each in among) == 1 else file.label
 
 
 def is_way(columns: Sequence[str]) -> bool:
@@ -90,11 +102,11 @@ def _leading(columns: Sequence[str]) -> list[str]:
     return power[:1] or readable[:2]
 
 
-def _measure(results: Results, file: SampleFile, column: str) -> SampledMeasure:
+def _measure(results: Results, file: SampleFile, column: str, source: str) -> SampledMeasure:
     name, unit = split_unit(column)
     words = name.replace("_", " ").split()
     title = " ".join(word.upper() if word.casefold() in _ACRONYMS else word for word in words)
-    return SampledMeasure(file, column, title[:1].upper() + title[1:], unit, _origin(results, file.plugin))
+    return SampledMeasure(file, column, source, title[:1].upper() + title[1:], unit, _origin(results, file.plugin))
 
 
 def _origin(results: Results, plugin: str) -> str | None:
@@ -112,7 +124,7 @@ def mission_parts(material: Material) -> Iterator[Part]:
         mission = mission_courses(material, measure, groups)
         if mission.runs:
             blocks = tuple(_blocks(material, measure, mission))
-            name = f"mission-{measure.file.plugin}-{measure.column}"
+            name = f"mission-{measure.source}-{measure.column}"
             yield Part(name, f"{measure.title} over the mission", blocks, origin_badges(measure.origin))
 
 
@@ -186,13 +198,13 @@ def _blocks(material: Material, measure: SampledMeasure, mission: MissionCourses
     if left_out:
         shown = f"Shown are {listed(mission.order)}; {counted(left_out, 'combination')} between them left out."
         yield Paragraph(shown, Tone.NOTE)
-    yield course_chart(f"chart-{measure.file.plugin}-{measure.column}", mission)
+    yield course_chart(f"chart-{measure.source}-{measure.column}", mission)
     figures = Gallery(tuple(_figures(measure, mission)))
-    yield Part(f"paper-{measure.file.plugin}-{measure.column}", "Figures for a paper", (figures,), is_folded=True)
+    yield Part(f"paper-{measure.source}-{measure.column}", "Figures for a paper", (figures,), is_folded=True)
 
 
 def _figures(measure: SampledMeasure, mission: MissionCourses) -> Iterator[FigureBlock]:
-    name = f"course {measure.file.plugin} {measure.column}"
+    name = f"course {one_word(measure.source)} {measure.column}"
     over = f"{measure.label} over the time of the mission"
     line = f"Line: mean of {mission.width:g} s"
     marks = f"{' Dashed: events.' if mission.events else ''}{origin_in_words(measure.origin)}"
@@ -217,16 +229,17 @@ def _figures(measure: SampledMeasure, mission: MissionCourses) -> Iterator[Figur
 def trajectory_part(material: Material) -> Iterator[Part]:
     """Yield a part with a figure for each robot whose way was kept."""
     figures = []
-    for file in material.results.sample_files:
+    files = [file for file in material.results.sample_files if is_way(file.columns)]
+    for file in files:
         runs = [run_id for run_id in material.done[RUN_ID] if run_id in file.paths]
-        if is_way(file.columns) and runs:
-            figures.append(_figure(material, file, runs))
+        if runs:
+            figures.append(_figure(material, file, source_of(file, files), runs))
     if figures:
         beside = Beside((Gallery(tuple(figures)), *means_table(material, "means beside ways")))
         yield Part("trajectory", "The way of the robot", (beside,))
 
 
-def _figure(material: Material, file: SampleFile, runs: list[str]) -> FigureBlock:
+def _figure(material: Material, file: SampleFile, source: str, runs: list[str]) -> FigureBlock:
     shown = runs[:: -(-len(runs) // _MOST_WAYS)]
     samples = material.results.samples(
         file.plugin, file=file.name, runs=shown, columns=["x_m", "y_m"], with_factors=False, with_phases=False
@@ -237,8 +250,8 @@ def _figure(material: Material, file: SampleFile, runs: list[str]) -> FigureBloc
     ]
     whose = "all runs that are done" if len(shown) == len(runs) else f"{len(shown)} of {counted(len(runs), 'run')}"
     return FigureBlock(
-        f"trajectory {file.plugin}",
-        f"The way of the robot ({file.plugin}) by its odometry, {whose}. Circle: beginning; cross: end.",
+        f"trajectory {source}",
+        f"The way of the robot ({source}) by its odometry, {whose}. Circle: beginning; cross: end.",
         f"{counted(len(ways), 'way')} seen from above.",
         lambda: draw_trajectories(ways, order=material.order),
     )

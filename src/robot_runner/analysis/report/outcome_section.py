@@ -161,10 +161,6 @@ def _quality_table(qualities: Sequence[RunQuality]) -> Table:
 
         return combined
 
-    def gap(plugin: str) -> Cell:
-        seconds = of_all(max, "largest_gap")(plugin)
-        return Cell(seconds, MISSING if seconds is None else f"{seconds:.3g}")
-
     fields = (
         text("Plugin", str),
         number("Runs", lambda plugin: len(mine[plugin])),
@@ -173,7 +169,7 @@ def _quality_table(qualities: Sequence[RunQuality]) -> Table:
         number("Lost", of_all(sum, "lost"), warns=True),
         number("Damaged", of_all(sum, "corrupt"), warns=True),
         number("Twice", of_all(sum, "duplicates")),
-        field("Longest gap (s)", gap, is_number=True),
+        number("Longest gap (s)", of_all(max, "largest_gap"), 3),
         number("Saturated", of_all(sum, "saturated")),
         text("Sensor", lambda plugin: _sensor(mine[plugin])),
     )

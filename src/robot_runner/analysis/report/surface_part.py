@@ -18,7 +18,8 @@ from robot_runner.analysis.wording import (
     p_in_words,
     shown_interval,
     shown_number,
-    shown_statistic,
+    shown_share,
+    shown_test,
     with_unit,
 )
 from robot_runner.core.words import enumerated
@@ -50,14 +51,12 @@ def surface_parts(material: Material, measure: MeasureStatistics) -> Iterator[Bl
 def surface_in_words(material: Material, measure: MeasureStatistics, surface: Surface) -> Iterator[str]:
     """Yield what the surface says: how it fits, and its stationary point."""
     alpha = material.statistics.alpha
-    explained = f"The surface explains {surface.r_squared:.0%} of the variance"
+    explained = f"The surface explains {shown_share(surface.r_squared)} of the variance"
     fit = surface.lack_of_fit
     if fit is None:
         yield f"{explained}; whether it lacks something is not known, as no combination was repeated."
     else:
-        figures = (
-            f"F({fit.freedom[0]:g}, {fit.freedom[1]:g}) = {shown_statistic(fit.f_value)}, {p_in_words(fit.p_value)}"
-        )
+        figures = f"{shown_test('F', fit.freedom, fit.f_value)}, {p_in_words(fit.p_value)}"
         verdict = (
             "it lacks something, so that its coefficients describe the measure only roughly"
             if fit.p_value < alpha

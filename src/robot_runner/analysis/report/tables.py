@@ -8,7 +8,7 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.report.blocks import Cell, Column, Place, Table, Tone
-from robot_runner.analysis.wording import shown_interval, shown_number, shown_p
+from robot_runner.analysis.wording import shown_coefficient, shown_interval, shown_number, shown_p
 
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.tested import Interval
@@ -74,6 +74,12 @@ def number(name: str, read: Read, digits: int = 4, *, place: Place = Place.EVERY
     return Field(Column(name, is_number=True, place=place), cell)
 
 
+def coefficient(name: str, read: Read) -> Field:
+    """Return a column of correlations, effect sizes or statistics."""
+    of = _reader(read)
+    return Field(Column(name, is_number=True), lambda item: Cell(of(item), shown_coefficient(of(item))))
+
+
 def number_cell(value: float | None, digits: int = 4, tone: Tone = Tone.PLAIN) -> Cell:
     """Return a cell that holds a number."""
     return Cell(value, shown_number(value, digits), tone)
@@ -88,19 +94,19 @@ def p_value(name: str, read: Read, is_significant: Read = lambda _: False) -> Fi
     )
 
 
-def interval(name: str, read: Read, digits: int = 4) -> tuple[Field, ...]:
+def interval(name: str, read: Read, shown: Callable[[float | None], str] = shown_number) -> tuple[Field, ...]:
     """Return the columns of a confidence interval: one for readers, and its ends for programs."""
     of = _reader(read)
 
     def end(which: str) -> Callable[[Any], float | None]:
         return lambda item: None if of(item) is None else getattr(of(item), which)
 
-    def shown(item: Any) -> Cell:
+    def both(item: Any) -> Cell:
         found: Interval | None = of(item)
-        return Cell.of_text(shown_interval(found, digits))
+        return Cell.of_text(shown_interval(found, shown))
 
     ends = (number(f"{name}, {which}", end(which), place=Place.FILE) for which in ("low", "high"))
-    return (Field(Column(name, is_number=True, place=Place.PAGE), shown), *ends)
+    return (Field(Column(name, is_number=True, place=Place.PAGE), both), *ends)
 
 
 def _reader(read: Read) -> Callable[[Any], Any]:

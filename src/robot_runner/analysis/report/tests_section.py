@@ -20,12 +20,13 @@ from robot_runner.analysis.report.blocks import (
     Section,
     Table,
     Tone,
+    one_word,
 )
 from robot_runner.analysis.report.material import Material, correction_in_words
 from robot_runner.analysis.report.measure_figures import quantile_figure
 from robot_runner.analysis.report.plan_part import besides, planned_parts, standing_parts
 from robot_runner.analysis.report.surface_part import surface_parts
-from robot_runner.analysis.report.tables import Field, build_table, field, interval, number, p_value, text
+from robot_runner.analysis.report.tables import Field, build_table, coefficient, field, interval, number, p_value, text
 from robot_runner.analysis.statistics.disclosed import runs_without_value
 from robot_runner.analysis.statistics.proportions import PROPORTION, QUANTITY
 from robot_runner.analysis.statistics.tested import (
@@ -44,12 +45,14 @@ from robot_runner.analysis.wording import (
     about_intervals,
     listed,
     sentence,
+    shown_coefficient,
     shown_interval,
     shown_level,
     shown_number,
+    shown_test,
 )
 from robot_runner.core.design.analysis_plan import Estimand
-from robot_runner.core.words import counted
+from robot_runner.core.words import combination_label, counted
 
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.outcome import MeasureStatistics, Power
@@ -118,7 +121,7 @@ def _test(material: Material, measure: MeasureStatistics) -> Iterator[Block]:
         yield Paragraph(adjusted, Tone.NOTE, lead="Family.")
     yield Paragraph(test.reason, lead=f"{method[:1].upper()}{method[1:]}.")
     caption = f"{material.results.label(measure.name)}: {method}."
-    yield _effect_table(f"test {measure.name}", caption, test, material.statistics.alpha)
+    yield _effect_table(f"test {one_word(measure.name)}", caption, test, material.statistics.alpha)
     for note in test.notes:
         yield Paragraph(note, Tone.NOTE)
 
@@ -126,7 +129,7 @@ def _test(material: Material, measure: MeasureStatistics) -> Iterator[Block]:
 def _beside(material: Material, measure: MeasureStatistics, label: str) -> Iterator[Part]:
     """Yield the tests with one choice made otherwise, folded: the planned one leads."""
     for title, test in besides(material, measure.name):
-        name = f"test {measure.name} {title.casefold()}"
+        name = f"test {one_word(measure.name)} {title.casefold()}"
         table = _effect_table(
             name, f"{label}, {title.casefold()}: {test.method.value}.", test, material.statistics.alpha
         )
@@ -141,8 +144,8 @@ def _assumptions(material: Material, measure: MeasureStatistics) -> Iterator[Blo
     if measure.assumptions:
         fields = (
             text("Check", "name"),
-            text("Of", lambda check: " / ".join(check.treatments.values()) or "all groups"),
-            number("Statistic", "statistic", 3),
+            text("Of", lambda check: combination_label(check.treatments.values()) or "all groups"),
+            coefficient("Statistic", "statistic"),
             p_value("p", "p_value"),
             text("Conclusion", "conclusion"),
         )
@@ -218,19 +221,18 @@ def _effect_table(name: str, caption: str, test: MeasureTest, alpha: float) -> T
 
 
 def _shown_statistic(effect: Effect) -> str:
-    """Return a statistic as papers print it, as in `F(2, 12) = 83.1`; of two tests that are combined, both."""
+    """Return the statistic of an effect; of two tests that are combined, both."""
     if effect.statistic is None:
         return MISSING
     return "; ".join(
-        f"{effect.statistic_name}({', '.join(f'{each:.4g}' for each in of.degrees_of_freedom)}) = "
-        f"{shown_number(of.statistic)}"
-        for of in effect.parts or (effect,)
+        shown_test(effect.statistic_name, of.degrees_of_freedom, of.statistic) for of in effect.parts or (effect,)
     )
 
 
 def _shown_size(size: EffectSize) -> str:
-    ends = "" if size.interval is None else f" {shown_interval(size.interval, 3)} ({shown_level(size.interval.level)})"
-    return f"{size.name} = {shown_number(size.value, 3)}{ends}, {size.magnitude.value}"
+    of = size.interval
+    ends = "" if of is None else f" {shown_interval(of, shown_coefficient)} ({shown_level(of.level)})"
+    return f"{size.name} = {shown_coefficient(size.value)}{ends}, {size.magnitude.value}"
 
 
 def _pair_table(measure: MeasureStatistics, label: str, post_hoc: PostHoc) -> Table:
@@ -248,7 +250,7 @@ def _pair_table(measure: MeasureStatistics, label: str, post_hoc: PostHoc) -> Ta
         p_value(check := f"p of {'means' if post_hoc.quantity.endswith('ranks') else 'ranks'}", "check_p_value"),
     ]
     name, caption = (
-        f"pairs {measure.name} {' '.join(post_hoc.factors)}",
+        f"pairs {' '.join(map(one_word, (measure.name, *post_hoc.factors)))}",
         f"all pairs of {named_within(' / '.join(post_hoc.factors), post_hoc.within)}",
     )
     note = (
@@ -298,8 +300,8 @@ def _difference_on_two_lines(pair: Comparison) -> Cell:
 
 
 def _size_on_two_lines(size: EffectSize) -> str:
-    ends = "" if size.interval is None else f"\n{shown_interval(size.interval, 3)}"
-    return f"{shown_number(size.value, 3)}, {size.magnitude.value}{ends}"
+    ends = "" if size.interval is None else f"\n{shown_interval(size.interval, shown_coefficient)}"
+    return f"{shown_coefficient(size.value)}, {size.magnitude.value}{ends}"
 
 
 def _correlation_table(material: Material) -> Table:
@@ -308,11 +310,11 @@ def _correlation_table(material: Material) -> Table:
         text("First", "first"),
         text("Second", "second"),
         number("n", "n"),
-        number("Pearson's r", "pearson", 3),
-        interval("CI", "pearson_interval", 3),
-        number(f"Spearman's {RHO}", "spearman", 3),
+        coefficient("Pearson's r", "pearson"),
+        interval("CI", "pearson_interval", shown_coefficient),
+        coefficient(f"Spearman's {RHO}", "spearman"),
         p_value("Adjusted p", "adjusted_p_value", lambda each: (each.adjusted_p_value or 1.0) < alpha),
-        number("r within treatments", "within", 3),
+        coefficient("r within treatments", "within"),
         text("Magnitude", "magnitude.value"),
     )
     about = about_intervals((each.pearson_interval for each in found), " of r")

@@ -11,8 +11,8 @@ from scipy import stats
 from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.tested import AssumptionCheck, NotComputed, NoVariation, QuantilePairs
-from robot_runner.analysis.wording import p_in_words
-from robot_runner.core.words import enumerated
+from robot_runner.analysis.wording import p_in_words, shown_coefficient
+from robot_runner.core.words import combination_label, enumerated
 
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.grouped_runs import Group
@@ -52,7 +52,7 @@ def normality(
         True
     """
     group = dict(treatments or {})
-    what = f"{SHAPIRO_WILK} test of {' / '.join(group.values()) or 'the residuals'}"
+    what = f"{SHAPIRO_WILK} test of {combination_label(group.values()) or 'the residuals'}"
     if len(values) < _LEAST:
         return NotComputed(what, f"the test takes {_LEAST} values, and there {_are(len(values))}.")
     if freedom is not None and freedom < _LEAST:
@@ -67,9 +67,9 @@ def normality(
         return NotComputed(what, "the values hardly vary.")
     p_value = 0.0 if result.pvalue < _ROUNDED else float(result.pvalue)
     holds = p_value >= alpha
-    whose = f"The values of {' / '.join(group.values())}" if group else "The residuals"
+    whose = f"The values of {combination_label(group.values())}" if group else "The residuals"
     verdict = "may be normally distributed" if holds else "are not normally distributed"
-    conclusion = f"{whose} {verdict} (W = {result.statistic:.3f}, {p_in_words(p_value)})."
+    conclusion = f"{whose} {verdict} (W = {shown_coefficient(result.statistic)}, {p_in_words(p_value)})."
     return AssumptionCheck(SHAPIRO_WILK, group, float(result.statistic), p_value, holds, conclusion)
 
 
@@ -101,7 +101,8 @@ def equal_variances(groups: Sequence[Group], alpha: float, within: Sequence[str]
         return NotComputed(what, "the values hardly vary.")
     holds = bool(result.pvalue >= alpha)
     verdict = "may be equal" if holds else "differ"
-    conclusion = f"The variances of the groups {verdict} (F = {result.statistic:.3f}, {p_in_words(result.pvalue)})."
+    figures = f"F = {shown_coefficient(result.statistic)}, {p_in_words(result.pvalue)}"
+    conclusion = f"The variances of the groups {verdict} ({figures})."
     return AssumptionCheck(LEVENE, {}, float(result.statistic), float(result.pvalue), holds, conclusion)
 
 

@@ -18,7 +18,7 @@ from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.columns import RUN_ID
-from robot_runner.core.words import counted, enumerated
+from robot_runner.core.words import combination_label, counted, enumerated
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -135,7 +135,7 @@ def _cells(data: MeasureData) -> Numbers:
 
 def _combinations(data: MeasureData, rows: NDArray[np.bool_]) -> list[str]:
     found: pd.DataFrame = data.frame.loc[rows, list(data.factors)].drop_duplicates()
-    return [" / ".join(map(str, row)) for row in found.itertuples(index=False)]
+    return [combination_label(row) for row in found.itertuples(index=False)]
 
 
 def _connected(data: MeasureData) -> NDArray[np.bool_]:

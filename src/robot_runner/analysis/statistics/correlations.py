@@ -138,6 +138,7 @@ def _is_flat(residuals: Floats, values: Floats) -> bool:
 
 _DRIFT_LEAST = 6  # with fewer runs no order can be significant
 _DIGITS = 9  # of places within blocks, whose means are fractions
+_SAME_PLACE = 1 - 1e-6  # within blocks two runs are one after the other from here on; less is left by runs that lack
 _TIED = 1e-9  # residuals closer than this share of the largest have one rank
 
 
@@ -161,7 +162,7 @@ def drift_of(data: MeasureData, alpha: float, unit: str = "", *, is_ordered: boo
         return NotComputed(what, f"the test of a drift takes {_DRIFT_LEAST} runs with a value{beside}.")
     order = np.argsort(places, kind="stable")
     places, residuals = places[order], residuals_of(data)[0][order]
-    if np.ptp(places) == 0:
+    if np.ptp(places) < _SAME_PLACE:
         return NotComputed(what, "the model takes out what tells the order, such as rows and columns.")
     if _is_flat(residuals, data.values):
         return NoVariation(what, "within each combination all values are equal.")

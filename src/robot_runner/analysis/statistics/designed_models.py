@@ -23,7 +23,7 @@ from robot_runner.analysis.statistics.nested_factors import codes_of
 from robot_runner.analysis.statistics.strata_model import Hypothesis, StrataModel, fit_strata
 from robot_runner.analysis.statistics.surface_model import SurfaceModel, fit_surface
 from robot_runner.analysis.statistics.tested import NotComputed, NoVariation, TestMethod
-from robot_runner.analysis.wording import p_in_words, shown_statistic
+from robot_runner.analysis.wording import p_in_words, shown_test
 from robot_runner.core.design.analysis_plan import Estimand, Statistic
 from robot_runner.core.words import enumerated
 
@@ -217,8 +217,8 @@ class _Fitting:
         if not isinstance(found, StrataModel):
             return f"What is carried over from the treatment before could not be tested; {what}."
         (effect,) = found.effects()
-        f_value, p_value = shown_statistic(float(effect.statistic)), p_in_words(float(effect.p_value))
-        figures = f"F({count}, {effect.freedom[1]:g}) = {f_value}, {p_value}"
+        figures = f"{shown_test('F', (count, effect.freedom[1]), float(effect.statistic))}, "
+        figures += p_in_words(float(effect.p_value))
         return f"Carried over from the treatment before: {figures}; {what}, whatever this says."
 
     # Split plot.

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
 
+from robot_runner.core.words import combination_label
+
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.tested import Interval
 
@@ -91,7 +93,7 @@ class AdjustedMean:
     @property
     def label(self) -> str:
         """The treatment in words."""
-        return " / ".join(self.treatments.values())
+        return combination_label(self.treatments.values())
 
 
 @dataclass(frozen=True, slots=True)

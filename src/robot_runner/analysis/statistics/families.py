@@ -19,7 +19,6 @@ from robot_runner.analysis.statistics.tested import (
     MeasureTest,
     PostHoc,
     TestMethod,
-    TestPart,
     named_within,
 )
 from robot_runner.analysis.wording import (
@@ -29,7 +28,7 @@ from robot_runner.analysis.wording import (
     p_values_in_words,
     shown_coefficient,
     shown_level,
-    shown_statistic,
+    shown_test,
     with_unit,
 )
 from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Estimand, Family
@@ -230,15 +229,11 @@ def _claim(measure: MeasureStatistics, test: MeasureTest, effect: Effect, pairs:
 
 def _figures(effect: Effect) -> str:
     if effect.parts:
-        figures = ", ".join(f"{each.name} {_statistic('F', each)}" for each in effect.parts) + ", together "
+        tests = (f"{each.name} {shown_test('F', each.degrees_of_freedom, each.statistic)}" for each in effect.parts)
+        figures = f"{', '.join(tests)}, together "
     else:
-        figures = f"{_statistic(effect.statistic_name, effect)}, "
+        figures = f"{shown_test(effect.statistic_name, effect.degrees_of_freedom, effect.statistic)}, "
     return figures + p_values_in_words(effect.p_value or 0.0, effect.adjusted_p_value)
-
-
-def _statistic(name: str, of: Effect | TestPart) -> str:
-    freedom = ", ".join(f"{each:g}" if float(each).is_integer() else f"{each:.2f}" for each in of.degrees_of_freedom)
-    return f"{name}({freedom}) = {shown_statistic(of.statistic or 0.0)}"
 
 
 def _difference(measure: MeasureStatistics, test: MeasureTest, pairs: Sequence[Comparison]) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robot_runner.analysis.arrays import Floats, Numbers
+from robot_runner.core.words import combination_label
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,7 +39,7 @@ class Group:
     @property
     def label(self) -> str:
         """The group in words."""
-        return " / ".join(self.treatments.values()) or "all runs"
+        return combination_label(self.treatments.values()) or "all runs"
 
     @property
     def of_units(self) -> tuple[float, int] | None:

@@ -148,10 +148,19 @@ def measure_statistics(
 def _no_numbers(told: Sequence[object]) -> str:
     """Return why values that have texts among them cannot be computed with."""
     texts = [str(each) for each in told if not isinstance(each, int | float) or not math.isfinite(each)]
+    if texts and len(texts) == len(told) and all(map(_reads_as_number, told)):
+        return f"its values are texts that read as numbers, such as {texts[0]!r}: publish them as numbers (float)."
     if len(texts) in {0, len(told)}:
         return "its values are neither numbers nor True and False."
     are = "is no number" if len(set(texts)) == 1 else "are no numbers"
     return f"{listed(dict.fromkeys(texts))} {are}, in {len(texts)} of {counted(len(told), 'run')}."
+
+
+def _reads_as_number(told: object) -> bool:
+    try:
+        return isinstance(told, str) and math.isfinite(float(told))
+    except ValueError:
+        return False
 
 
 def _too_coarse(data: MeasureData) -> tuple[NotComputed, ...]:

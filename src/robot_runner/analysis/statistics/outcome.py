@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.statistics.disclosed import Adjustment, Beside, LeftOut
+from robot_runner.core.words import combination_label
 
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.surface_model import Surface
@@ -59,7 +60,7 @@ class GroupOfRuns:
     @property
     def label(self) -> str:
         """The group in words: its treatments, with ` / ` between; `all runs` for all of them."""
-        return " / ".join(self.treatments.values()) or "all runs"
+        return combination_label(self.treatments.values()) or "all runs"
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,6 +31,7 @@ from robot_runner.analysis.statistics.tested import (
 from robot_runner.analysis.statistics.tests import AnyModel, Choices, check_estimand, levels_of, planned_model_of
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.analysis_plan import Correction, Estimand
+from robot_runner.core.words import combination_label
 
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.contrasts import Contrast
@@ -221,8 +222,8 @@ def _comparison(
         reach = found.reach(choices.alpha)
         interval = Interval(estimate - reach, estimate + reach, 1 - choices.alpha, _T)
     return Comparison(
-        first=" / ".join(pair[0].values()),
-        second=" / ".join(pair[1].values()),
+        first=combination_label(pair[0].values()),
+        second=combination_label(pair[1].values()),
         difference=estimate,
         interval=interval,
         statistic_name="t",

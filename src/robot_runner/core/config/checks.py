@@ -67,7 +67,7 @@ def check_columns(columns: MeasureColumns) -> list[Finding]:
 
 
 def check_analysis(parameters: Parameters, model: RunTableModel | None, columns: MeasureColumns) -> list[Finding]:
-    """Return which names of the plan the run table does not have."""
+    """Return which names of the plan the run table does not have, and which hypotheses are about blocks."""
     if parameters.analysis is None or model is None:
         return []
     blocks = [factor.name for factor in model.factors]
@@ -86,6 +86,18 @@ def check_analysis(parameters: Parameters, model: RunTableModel | None, columns:
             for text in hypothesis.contrast or ()
             if text not in known
         ]
+    own = as_configured(model)
+    taken_out = {*own.design_facts.get("block_columns", ()), own.blocks, parameters.analysis.blocks}
+    findings += [
+        Finding.warning(
+            f"analysis, hypothesis {hypothesis.statement!r}",
+            f"{name} is a block: what it adds is taken out of the comparison, and is not tested",
+            "State it of a factor that is studied, or compute it from the run table.",
+        )
+        for hypothesis in parameters.analysis.hypotheses
+        for name in hypothesis.factors
+        if name in taken_out
+    ]
     return findings
 
 

@@ -205,7 +205,11 @@ def raised_in(path: Path, when: str) -> Iterator[None]:
         raise ConfigError(
             f"the config raised {type(error).__name__} {when}: {error}{_before(error)}",
             where=place_in(path, error),
-            fix=_fix_of(error) or _fix_of_import(error) or misspelt_keyword(path, error) or "Mend this line.",
+            fix=_fix_of(error)
+            or _fix_of_import(error)
+            or _fix_of_method(error)
+            or misspelt_keyword(path, error)
+            or "Mend this line.",
         ) from error
 
 
@@ -236,6 +240,7 @@ def _placed(path: Path, error: RobotRunnerError) -> tuple[Finding, ...]:
 
 #: Where `os.environ` looks a variable up: that module is frozen into newer Pythons.
 _OF_OS = {os.__file__, "<frozen os>"}
+_WITHOUT_SELF = re.compile(r"\.(?P<name>\w+)\(\) takes 0 positional arguments but 1 was given")
 _NOT_IN_MODULE = re.compile(r"cannot import name '(?P<name>\w+)' from '(?P<module>[\w.]+)'")
 #: Where configs import from, by names: none of them is imported before a config has looked for a name in the wrong one.
 _DOORS = tuple(f"robot_runner{each}" for each in ("", ".plugins", ".plugins.profilers", ".plugins.systems", ".designs",
@@ -254,6 +259,11 @@ def _fix_of(error: BaseException) -> str:
     if isinstance(error, AttributeError) and error.name and error.obj is not None:
         return did_you_mean(error.name, dir(error.obj), "")
     return ""
+
+
+def _fix_of_method(error: BaseException) -> str:
+    told = _WITHOUT_SELF.search(str(error)) if isinstance(error, TypeError) else None
+    return "" if told is None else f"Write self as its first parameter: def {told['name']}(self)."
 
 
 def _fix_of_import(error: BaseException) -> str:

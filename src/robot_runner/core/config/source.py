@@ -100,7 +100,9 @@ def _read(path: Path) -> str:
         ) from error
     except (UnicodeDecodeError, SyntaxError) as error:
         raise ConfigError(
-            "the file is not text in UTF-8, nor as it declares", where=str(path), fix="Name a Python file."
+            "the file is not text in UTF-8, nor as it declares",
+            where=str(path),
+            fix="Name a Python file, saved as UTF-8.",
         ) from error
     except OSError as error:
         refusal = storage_error(path, "read", error)
@@ -135,14 +137,12 @@ def _config_class(path: Path, tree: ast.Module) -> str:
             where=str(path),
             fix=f"Name the one that is to be executed {CONFIG_CLASS}.",
         )
-    near = nearest(CONFIG_CLASS, names)
-    raise ConfigError(
-        f"the file has no class named {CONFIG_CLASS}",
-        where=str(path),
-        fix=f"Rename the class {near} to {CONFIG_CLASS}."
-        if near
-        else f"Describe the experiment in a class {CONFIG_CLASS}.",
-    )
+    fix = f"Describe the experiment in a class {CONFIG_CLASS}."
+    if len(names) == 1 and nearest(CONFIG_CLASS, names) is None and not bases[names[0]]:
+        fix = f"Rename the class {names[0]} to {CONFIG_CLASS}, or derive it: class {names[0]}({_CONFIG_BASE})."
+    elif names:
+        fix = f"Rename the class {nearest(CONFIG_CLASS, names) or names[-1]} to {CONFIG_CLASS}."
+    raise ConfigError(f"the file has no class named {CONFIG_CLASS}", where=str(path), fix=fix)
 
 
 def _name_of(base: ast.expr) -> str:

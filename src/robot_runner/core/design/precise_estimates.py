@@ -18,7 +18,7 @@ from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.design.precision import PreciseOf, Precision, most_repetitions
 from robot_runner.core.design.repeated_intervals import half_width_of, level_at_each_look
-from robot_runner.core.words import counted
+from robot_runner.core.words import combination_label, counted
 
 #: At so many looks, one after another, everything has to be precise: an interval may be narrow by chance, and tests at
 #: the first such look err in up to 9 % at 5 %, after three repetitions more in 5 to 6.5 % (`python -m benchmarks
@@ -178,7 +178,7 @@ def _means(rule: Precision, level: float, observed: Sequence[Observed]) -> Itera
         if run.value is not None:
             own.append(float(run.value))
     for treatments, found in values.items():
-        of = " / ".join(text for _, text in treatments) or "all runs"
+        of = combination_label(text for _, text in treatments) or "all runs"
         yield _known(rule, level, of, found, found)
 
 

@@ -132,6 +132,7 @@ OTHER_NAMES = {
     **dict.fromkeys(("run_nr", "current_run"), "run_number"),
     "run_dir": "run_folder",
     "experiment_path": "experiment_folder",
+    "sleep": "clock.sleep",
 }
 
 

@@ -131,11 +131,12 @@ def flush_streams() -> None:
 def settle_streams() -> None:
     """Print line by line, in UTF-8, and not on the orchestrator's screen, which may stand in for the streams.
 
-    What the environment keeps secret is not printed.
+    That screen would be drawn for who reads a line, too. What the environment keeps secret is not printed.
     """
     # Both names: the stream beneath is closed with the last of them.
     sys.stdout = sys.__stdout__ = _settled(sys.__stdout__)  # type: ignore[assignment, misc]
     sys.stderr = sys.__stderr__ = _settled(sys.__stderr__)  # type: ignore[assignment, misc]
+    sys.stdin = sys.__stdin__
 
 
 def _settled(stream: TextIO | None) -> TextIO | None:

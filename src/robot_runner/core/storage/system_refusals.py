@@ -65,8 +65,8 @@ def storage_error(path: Path, action: str, error: OSError) -> StorageError:
     fix = _FIXES.get(error.errno or 0, "Mend what the system names, then try again.")
     if error.errno == errno.ENOSPC and _lacks_inodes(path.parent):
         fix = "Remove files, however small: the disk has room, and no inodes (df -i). Then try again."
-    if error.errno in {errno.EACCES, errno.EPERM} and (other := _other_owner(path)):
-        fix = f"It is {other}'s: have it given to you (sudo chown), or shared with you (chmod)."
+    if error.errno in {errno.EACCES, errno.EPERM} and (whose := _whose(path)):
+        fix = f"{whose}: have it given to you (sudo chown), or shared with you (chmod)."
     kind = "folder" if action == "made" or os.path.isdir(path) else "file"  # noqa: PTH112  # it raises nothing for a name that is too long
     return StorageError(f"the {kind} cannot be {action}: {reason}", where=str(path), fix=fix)
 
@@ -89,12 +89,12 @@ def _lacks_inodes(folder: Path) -> bool:
     return found.f_files > 0 and found.f_favail == 0 and found.f_bavail > 0
 
 
-def _other_owner(path: Path) -> str:
-    """Return whose a file is, or the folder that is to hold it, where it is not ours: after `sudo`, mostly."""
-    for each in (path, path.parent):
+def _whose(path: Path) -> str:
+    """Return in words whose a file is, or the folder that is there to hold it, where it is not ours."""
+    for each in (path, *path.parents):
         with suppress(OSError):
             owner = each.lstat().st_uid
-            return "" if owner == os.geteuid() else _name_of(owner)
+            return "" if owner == os.geteuid() else f"{'It' if each == path else each} is {_name_of(owner)}'s"
     return ""
 
 

@@ -28,8 +28,8 @@ export function number(value) {
   if (typeof value !== "number") { return String(value); }
   const size = Math.abs(value);
   if (Number.isInteger(value) && size < 1e7) { return String(value).replace("-", "−"); }
-  const digits = size >= 1e7 || (size > 0 && size < 1e-4) ? value.toExponential(2) : size >= 9999.5 ? value.toFixed(0) : value.toPrecision(4);
-  return digits.replace("-", "−");
+  const digits = size >= 1e7 || (size > 0 && size < 1e-4) ? value.toExponential(3) : size >= 9999.5 ? value.toFixed(0) : value.toPrecision(4);
+  return digits.replace(/^-/, "−");
 }
 
 export function withUnit(value, unit) {

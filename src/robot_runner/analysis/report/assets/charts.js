@@ -6,12 +6,13 @@
   const LINE = "#e4e8ec";
   const FONT = "12px system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif";
 
+  // As the report writes numbers elsewhere.
   function shown(value, unit) {
     if (value === null || value === undefined) { return "–"; }
     const size = Math.abs(value);
-    const digits = size >= 1e7 || (size > 0 && size < 1e-4) ? value.toExponential(2)
-      : size >= 1e4 ? value.toFixed(0) : size === 0 ? "0" : value.toPrecision(4);
-    return digits.replace("-", "−") + (unit && unit !== "1" ? " " + unit : "");
+    const digits = size >= 1e7 || (size > 0 && size < 1e-4) ? value.toExponential(3).replace(/([+-])(\d)$/, "$10$2")
+      : size >= 9999.5 ? value.toFixed(0).replace(/\B(?=(\d{3})+$)/g, ",") : size === 0 ? "0" : value.toPrecision(4);
+    return digits.replace(/^-/, "−") + (unit && unit !== "1" ? " " + unit : "");
   }
 
   function faded(colour, share) {
@@ -274,7 +275,7 @@
       });
       tip.hidden = found < 0;
       if (found < 0) { return; }
-      tip.textContent = data.runs[found] + " · " + data.groups[data.group[found]].name + " · " + shown(measure.values[found], measure.unit);
+      tip.textContent = data.runs[found] + " · " + data.groups[data.group[found]].name + " · " + measure.texts[found];
       const half = tip.offsetWidth / 2;
       const left = u.valToPos(data.order[found], "x") + u.over.offsetLeft;
       tip.style.left = Math.max(half, Math.min(plot.clientWidth - half, left)) + "px";
