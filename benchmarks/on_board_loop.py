@@ -9,11 +9,13 @@ import sys
 import time
 from contextlib import contextmanager
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from benchmarks.table import Row, print_table
 from robot_runner.core.events.context import SystemClock
 from robot_runner.measuring.local_host import LocalHost
+from robot_runner.measuring.on_board.loop import YOUNG
 from robot_runner.measuring.on_board_session import FORMS, REMOTE_COMMAND
 from robot_runner.measuring.ssh_host import SshHost
 
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
 _RATE = 10.0
 _SECONDS = 20.0
 _BOUND = "1 %"
+#: What no process is called, so that each is looked at and none is sampled; and beside how many.
+_NOBODY, _MANY = ("name:nobody",), 400
 _SPIN = "import os, sys; os.sched_setaffinity(0, {int(sys.argv[1])}); print(flush=True)\nwhile True: pass"
 
 
@@ -32,13 +36,16 @@ def main() -> None:
     """Print the figures; the loops are those that are sent over ssh, executed here without it."""
     costs = [*map(_cost, FORMS), _cost_here()]
     print_table(f"What sampling at {_RATE:g} Hz costs, over {_SECONDS:g} s", costs)
+    with _many_processes() as count:
+        costs = [_cost(form, _NOBODY) for form in FORMS] + [_cost_here(_NOBODY)]
+    print_table(f"The same, where a program is looked for among {count} processes", costs)
     print_table("CPU utilisation of a core that is kept busy, 5 s at 10 Hz", _truths())
 
 
-def _cost(form: str) -> Row:
+def _cost(form: str, processes: Sequence[str] = ()) -> Row:
     before = _children()
     link = _on_board(form)
-    sampler = link.sample_utilisation(_RATE)
+    sampler = link.sample_processes(_RATE, processes)
     time.sleep(_SECONDS)
     count = len(sampler.stop())
     report = sampler.report()
@@ -49,13 +56,13 @@ def _cost(form: str) -> Row:
         f"on board, {form}, {count} samples at {report.rate:g} Hz",
         f"{100 * sampling / _SECONDS:.2f} % of a core",
         f"and {starting * 1e3:.0f} ms once, to start",
-        bound=_BOUND if form == "python3" else "",
+        bound=_BOUND if form == "python3" and not processes else "",
     )
 
 
-def _cost_here() -> Row:
+def _cost_here(processes: Sequence[str] = ()) -> Row:
     link = LocalHost(SystemClock())
-    sampler = link.sample_utilisation(_RATE)
+    sampler = link.sample_processes(_RATE, processes)
     time.sleep(_SECONDS)
     count = len(sampler.stop())
     seconds = sampler.report().cpu_seconds or 0.0
@@ -90,6 +97,19 @@ def _on_board(form: str) -> SshHost:
 def _children() -> float:
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
+
+
+@contextmanager
+def _many_processes() -> Iterator[int]:
+    """Have as many processes as a desktop, each older than what may still turn into another program."""
+    running = [subprocess.Popen(["/bin/sleep", "600"]) for _ in range(_MANY)]
+    try:
+        time.sleep(YOUNG)
+        yield sum(each.name.isdigit() for each in Path("/proc").iterdir())
+    finally:
+        for process in running:
+            process.kill()
+            process.wait()
 
 
 @contextmanager

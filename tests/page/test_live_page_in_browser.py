@@ -68,6 +68,15 @@ def left_an_hour_later(browser: Browser) -> str:
     return text(browser, "#left")
 
 
+def pause_and_answer(browser: Browser, done: int) -> None:
+    """Ask for a pause while a question is asked: it comes once this is answered, before the run."""
+    browser.press("[data-action=pause]")
+    browser.wait_for(seen("#said", "It pauses before the next run"))
+    browser.press("#ask-form [type=submit]")
+    browser.wait_for(seen("#word", "is paused") + " && " + seen("#counts", f"{done} of 15 runs done"))
+    browser.wait_for(f"[...document.querySelectorAll('#rows tr.done')].length === {done}")
+
+
 @pytest.mark.long
 def test_a_person_with_a_phone_follows_pauses_answers_and_continues_the_demo(
     browser: Browser, serve_page: Callable[..., ServedPage], executed_demo: Path, tmp_path: Path
@@ -96,23 +105,19 @@ def test_a_person_with_a_phone_follows_pauses_answers_and_continues_the_demo(
         browser.evaluate("document.getElementById('answer-0').select()")
         browser.write("11.8")
         browser.press("#answer-1-0")
-        # A pause that is asked for meanwhile comes after this run.
-        browser.press("[data-action=pause]")
-        browser.wait_for(seen("#said", "It pauses after r_1"))
-        browser.press("#ask-form [type=submit]")
-        browser.wait_for(seen("#word", "is paused") + " && " + seen("#counts", "1 of 15 runs done"))
-        browser.wait_for("[...document.querySelectorAll('#rows tr.done')].length === 1")
-        assert browser.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
-        assert re.search("(?:about|at least) (?!0 s)[0-9]+ .*left", left_an_hour_later(browser))
-        browser.press("[data-action=end-pause]")
-        for run in ("r_2", "r_3"):
-            title = "swap the battery" if run == "r_3" else f"May {run} start"
-            browser.wait_for(seen("#ask", f"{title}[^]*{run}"))
+        for run, done in (("r_1", 0), ("r_2", 1), ("r_3", 2)):
+            if run != "r_1":
+                title = "swap the battery" if run == "r_3" else f"May {run} start"
+                browser.wait_for(seen("#ask", f"{title}[^]*{run}"))
             if run == "r_3":
                 browser.press("#answer-0")
                 browser.write("11.2")
                 browser.press("#answer-1-1")
-            browser.press("#ask-form [type=submit]")
+            pause_and_answer(browser, done)
+            if done == 1:
+                assert browser.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+                assert re.search("(?:about|at least) (?!0 s)[0-9]+ .*left", left_an_hour_later(browser))
+            browser.press("[data-action=end-pause]")
         assert experiment.wait(timeout=60) == 0
         browser.wait_for(seen("#word", "nobody executes it") + " && " + seen("#means-table", "Computation"))
         wait_for_whole_samples(browser, "r_3")

@@ -59,8 +59,7 @@ def _pause(experiment: FollowedExperiment, said: Mapping[str, Any]) -> str:
     status = _status(experiment)
     require_executed(status, experiment.folder.name, "There is nothing to pause")
     leave_request(ExperimentFolder(experiment.folder).pause)
-    run = status.current_run or (status.waiting_for or {}).get("next_run")
-    return f"It pauses after {run}." if run else "It pauses before the next run."
+    return f"It pauses {status.moment_of_pause}."
 
 
 def _end_pause(experiment: FollowedExperiment, said: Mapping[str, Any]) -> str:

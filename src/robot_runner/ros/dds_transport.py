@@ -270,7 +270,7 @@ class _Subscription:
     def adapt(self, writer: Endpoint) -> None:
         """Ask for what the topic's publishers offer, now that there is another."""
         if self._qos is None and writer.topic == self._wire_topic:
-            # Where its callback waits: what has come before must not be lost, nor what comes be handed on meanwhile.
+            # Not while its callback waits: messages that have arrived would be lost, or handed on out of turn.
             self._session.reception.when_idle(self._source, self._adapt)
 
     def close(self) -> None:

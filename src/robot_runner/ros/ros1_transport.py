@@ -221,7 +221,7 @@ class Ros1Transport:
 def _connect_once(subscriber: Any) -> None:
     """Have rospy keep the connection that it has to a publisher of which it is told twice at a time.
 
-    It would put a fresh one in its place, and what has come over the former and was not read yet would be lost.
+    It would replace the connection, and messages that have arrived on the former one unread would be lost.
     """
     add = subscriber.add_connection
 

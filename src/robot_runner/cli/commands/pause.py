@@ -32,6 +32,5 @@ def execute(arguments: Namespace) -> int:
         print(f"{status.experiment_name} is paused already. To go on: {command}")
         return 0
     leave_request(folder.pause)
-    moment = f"after {status.current_run}" if status.current_run else "before the next run"
-    print(f"{status.experiment_name} pauses {moment}. To go on, or to take this back: {command}")
+    print(f"{status.experiment_name} pauses {status.moment_of_pause}. To go on, or to take this back: {command}")
     return 0

@@ -94,8 +94,7 @@ class BetweenRuns:
         rest = max(rest, self._rests.get(run.run_id, 0.0))
         if rest and not self._ongoing.is_interrupted:
             yield Pause(rest)
-        if rest or finished is not None or name:  # it may have been asked for meanwhile
-            yield from self._pause_where_requested(run)
+        yield from self._pause_where_requested(run)  # it may have been asked for meanwhile
         yield from self._reboots.before(run)
 
     def _pause_where_requested(self, run: PendingRun) -> Steps[None]:

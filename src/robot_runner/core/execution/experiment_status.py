@@ -97,6 +97,11 @@ class ExperimentStatus:
     waiting_for: Mapping[str, Any] | None = None
     in_flight: tuple[InFlight, ...] = ()
 
+    @property
+    def moment_of_pause(self) -> str:
+        """When a pause begins that is asked for now, in words."""
+        return f"after {self.current_run}" if self.current_run else "before the next run"
+
 
 def read_status(folder: Path) -> ExperimentStatus:
     """Read how far an experiment has come; nothing is changed by asking.

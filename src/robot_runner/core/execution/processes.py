@@ -131,7 +131,7 @@ def flush_streams() -> None:
 def settle_streams() -> None:
     """Print line by line, in UTF-8, and not on the orchestrator's screen, which may stand in for the streams.
 
-    That screen would be drawn for who reads a line, too. What the environment keeps secret is not printed.
+    Reading a line from its keyboard would draw that screen, too. What the environment keeps secret is not printed.
     """
     # Both names: the stream beneath is closed with the last of them.
     sys.stdout = sys.__stdout__ = _settled(sys.__stdout__)  # type: ignore[assignment, misc]
