@@ -20,6 +20,8 @@ class ScpiServer:
         delay: how long the next answer takes, s; used once.
         is_mute: whether it takes lines and answers none.
         has_queue: whether it tells of its errors.
+        surplus: what it sends behind its next answer to a measurement without being asked; used once.
+        banner: what it sends to who connects.
     """
 
     def __init__(self, **numbers: float) -> None:
@@ -35,10 +37,13 @@ class ScpiServer:
         self.delay = 0.0
         self.is_mute = False
         self.has_queue = True
+        self.surplus = ""
+        self.banner = ""
         outer = self
 
         class Handler(socketserver.StreamRequestHandler):
             def handle(self) -> None:
+                self.wfile.write(outer.banner.encode("ascii"))
                 for line in self.rfile:
                     answer = outer.answer(line.decode("ascii").strip())
                     if answer is not None:
@@ -61,11 +66,13 @@ class ScpiServer:
             return None
         if line == "SYST:ERR?":
             return self.errors.pop(0) if self.errors else '0,"No error"'
+        surplus, self.surplus = (self.surplus, "") if line.startswith("MEAS") else ("", self.surplus)
         known = self.answers.get(line)
         if known is None and (line.endswith("?") or line not in {"*RST", "SYST:REM"}):
             self.errors.append('-113,"Undefined header"')
             return None
-        return known() if callable(known) else known
+        answer = known() if callable(known) else known
+        return f"{answer}\n{surplus}" if surplus and answer is not None else answer
 
     def stop(self) -> None:
         self._server.shutdown()

@@ -122,6 +122,16 @@ def test_an_interface_that_was_set_up_anew_after_gigabytes_did_not_go_round(meas
     assert any("set up anew" in finding.problem for finding in context.broker.findings)
 
 
+@pytest.mark.parametrize(("interfaces", "problems"), [(None, 1), (["wlan0"], 0)])
+def test_an_interface_that_is_plugged_in_meanwhile_is_told(measure, clock, tmp_path, interfaces, problems):
+    FakeInterface(tmp_path / "net", "wlan0")
+    clock.at(5.0, lambda: FakeInterface(tmp_path / "net", "wlan1").show(rx_bytes=1000))
+    context = measure(tmp_path / "net", interfaces=interfaces)
+    assert context.measures["Received"] == 0
+    told = "interface 'wlan1' was plugged in meanwhile, and nothing of it is counted"
+    assert [finding.problem for finding in context.broker.findings] == [told] * problems
+
+
 @given(steps=st.lists(st.integers(0, 2**30), max_size=40), start=st.integers(0, 2**32 - 1))
 def test_a_counter_of_32_bits_is_followed_exactly_however_often_it_goes_round(steps, start):
     counts = [start]

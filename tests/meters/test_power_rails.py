@@ -293,6 +293,20 @@ def test_a_counter_without_a_sign_does_not_count_what_flows_back_as_drawn(tmp_pa
     assert facts["energy_from"] == {"": "power"}
 
 
+@pytest.mark.parametrize(
+    ("files", "rail", "milli_ampere", "largest"),
+    [(rail_trees.INA226, None, 8192, "8.19 A"), (rail_trees.JETSON_ORIN, "VDD_IN", 32760, "32.8 A")],
+)
+def test_a_current_at_the_end_of_the_sensors_range_is_told(tmp_path, tree, clock, files, rail, milli_ampere, largest):
+    folder = tree.hwmon(files)
+    clock.at(14.02, lambda: write(folder / "curr1_input", milli_ampere))
+    context = measured(tmp_path, tree, clock, rails=rail and [rail])
+    (problem,) = [each for each in problems(context) if "range" in each]
+    assert problem.endswith(
+        f"was at the end of its sensor's range, {largest}, in 120 of 201 readings: what was drawn is more"
+    )
+
+
 def test_a_sensor_that_is_stuck_is_noticed(tmp_path, tree, clock):
     folder = tree.hwmon(rail_trees.INA226)
 

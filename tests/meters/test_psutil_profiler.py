@@ -11,6 +11,7 @@ from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.measure import Origin
 from robot_runner.core.links import ssh_command
 from robot_runner.measuring.host import ProcessUtilisation, SamplingReport
+from robot_runner.measuring.on_board_session import FORMS
 from robot_runner.measuring.utilisation import Selection, Utilisation
 from robot_runner.plugins import Circumstances, Window
 from robot_runner.plugins.profilers import PsUtil
@@ -227,6 +228,15 @@ def test_a_process_that_was_never_there_has_no_value_and_is_told_of():
         "no process name:talker was seen; new ones are looked for once a second",
         "the computer tells of no core 7",
     ]
+
+
+def test_what_ps_cannot_tell_is_doubted():
+    samples = [UtilisationSample(float(at), 50.0, 10.0) for at in range(3)]
+    report = SamplingReport(rate=1.0, form=FORMS["ps"].description)
+    seconds, resident = Utilisation(samples, Window(0.0, 2.0), Selection(), report, is_simulated=False).doubted()
+    assert seconds.problem.startswith("ps tells CPU time in whole seconds: over 2.0 s, utilisation may be off by 50 %")
+    assert resident.problem.startswith("ps tells the memory of processes only")
+    assert resident.measures == ("Memory",)
 
 
 def test_what_is_doubted_of_one_process_or_core_leaves_the_others_and_the_whole_computer_undoubted():

@@ -127,6 +127,23 @@ def test_a_counter_that_is_set_back_is_not_taken_for_one_that_went_round(measure
     assert "the counter of package-0 was set back: what it counted shortly before that is lost" in problems(context)
 
 
+@pytest.mark.parametrize("misread", [0, 89_999_999_000])
+def test_a_count_that_is_misread_once_is_passed_over_and_told(measure, tmp_path, clock, misread):
+    powercap = FakePowercap(tmp_path / "powercap", package=90_000_000_000, wraps_at=262_143_000_000)
+    clock.at(20.06, lambda: write(powercap.root / "intel-rapl:0" / "energy_uj", misread))
+    draw = powercap.draw
+
+    def draw_but_then(**joules):
+        draw(**joules)
+        if 20.06 < clock.now() < 20.14:
+            write(powercap.root / "intel-rapl:0" / "energy_uj", misread)
+
+    powercap.draw = draw_but_then
+    context = measure(powercap)
+    assert context.measures["Energy"] == pytest.approx(160.0, rel=0.01)
+    assert any("was set back" in problem for problem in problems(context))
+
+
 def test_a_counter_that_stands_still_has_not_counted_0_joules(measure, tmp_path):
     context = measure(FakePowercap(tmp_path / "powercap", package=5_000_000), watts=0.0, domains=["dram"])
     assert context.measures["Energy"] is None
@@ -134,6 +151,20 @@ def test_a_counter_that_stands_still_has_not_counted_0_joules(measure, tmp_path)
     assert context.measures["DramEnergy"] == pytest.approx(20.0, rel=0.01)
     assert [finding.problem for finding in context.broker.findings] == [
         "the counter of package-0 stood still at 5000000 uJ: no value"
+    ]
+
+
+def test_a_counter_that_stands_still_for_a_part_of_the_mission_is_doubted(measure, tmp_path, clock):
+    powercap = FakePowercap(tmp_path / "powercap")
+
+    def freeze():
+        powercap.draw = lambda **_: None
+
+    clock.at(22.02, freeze)
+    context = measure(powercap)
+    assert context.measures["Energy"] == pytest.approx(0.6 * 160.0, rel=0.01)  # of 20 s
+    assert problems(context) == [
+        "the counter of package-0 stood still for 7.9 s: its energy may lack what was used then"
     ]
 
 

@@ -77,6 +77,37 @@ def test_an_answer_that_comes_too_late_is_not_taken_for_the_next(tmp_path, serve
     assert any("failed, the first with: VisaIOError" in problem for problem in problems(context))
 
 
+@pytest.mark.parametrize("surplus", ["+5.00000E-01", "!FAN WARNING", " "])
+@pytest.mark.parametrize("behind", ["MEAS:VOLT?", "MEAS:CURR?"])
+def test_what_was_not_asked_for_costs_a_reading_and_is_not_taken_for_the_next_answer(tmp_path, server, surplus, behind):
+    voltage, clock = server.answers["MEAS:VOLT?"], FakeClock(10.0)
+
+    def disturb() -> None:
+        server.answers["MEAS:VOLT?"] = voltage
+        server.surplus = surplus
+
+    def disturbed() -> str:
+        disturb()  # the voltage's own answer is out of the way
+        return voltage()
+
+    if behind == "MEAS:VOLT?":
+        clock.at(15.05, disturb)
+    else:
+        clock.at(15.05, lambda: server.answers.update({"MEAS:VOLT?": disturbed}))
+    context = measured(tmp_path, Scpi(server.resource), clock, 10.0)
+    assert context.measures["MeanVoltage"] == pytest.approx(12.0)
+    assert context.measures["MeanCurrent"] == pytest.approx(0.5)
+    (problem,) = [each for each in problems(context) if "stuck" not in each]
+    assert problem.startswith("1 reading failed, the first with: ValueError: the instrument")
+
+
+def test_an_instrument_that_greets_whoever_connects_is_refused_and_not_misread(server):
+    server.banner = "Welcome to the supply\n"
+    finding = only_finding(Scpi(server.resource))
+    assert finding.problem == "the instrument sends what it was not asked for, such as 'Welcome to the supply'"
+    assert "5025" in finding.fix
+
+
 def test_an_instrument_that_falls_silent_blocks_no_mission(tmp_path, server):
     plugin, clock = Scpi(server.resource, timeout_s=0.3, rate_hz=10.0), SystemClock()
     context = make_context(tmp_path, plugin, robot=None, clock=clock)

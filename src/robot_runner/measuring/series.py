@@ -6,8 +6,8 @@ import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import islice, pairwise
-from operator import le
+from itertools import groupby, islice, pairwise
+from operator import itemgetter, le
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.window import Window
@@ -151,6 +151,17 @@ def renewed_every(series: Series) -> float | None:
     reading = (times[-1] - times[0]) / (len(series) - 1)
     is_even = spread <= _EVENNESS * every or (len(apart) > _EVEN_CHANGES and spread <= _SLACK * reading)
     return every if is_even else None
+
+
+def longest_standstill(times: Sequence[float], values: Sequence[object]) -> Sequence[float]:
+    """Return the times, s, of the longest stretch of equal values; that of the most samples, empty for none.
+
+    Example:
+        >>> longest_standstill([0.0, 1.0, 2.0, 3.0], [7, 8, 8, 9])
+        [1.0, 2.0]
+    """
+    groups = groupby(zip(times, values, strict=True), key=itemgetter(1))
+    return max(([time for time, _ in group] for _, group in groups), key=len, default=[])
 
 
 def mean(series: Series) -> float | None:

@@ -26,6 +26,8 @@ _NO_PROCESS = (
 )
 _ENDED = "Have it end after the mission, or measure it as Program(..., per='mission'), whose CPUTime is exact."
 _LATE = "Start it before the mission, or measure a computer that has a Python 3 (hosts.md)."
+_RESIDENT = "ps tells the memory of processes only: Memory lacks the kernel's, and counts shared pages repeatedly"
+_BETTER_FORM = "Install python3 there, or leave form out."
 _CORES = "Name cores that are switched on: /sys/devices/system/cpu/online has their numbers."
 
 
@@ -157,6 +159,7 @@ class Utilisation:
                 f"{off:.0f} % of a core for each process"
             )
             yield Doubt(problem)
+            yield Doubt(_RESIDENT, ("Memory",), _BETTER_FORM)
         for place, selector in enumerate(self.selection.processes):
             kind, _, name = selector.partition(":")
             if kind == "subject" and name not in started:

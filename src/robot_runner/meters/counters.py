@@ -27,6 +27,8 @@ class FileCounters(Meter[Counters]):
 def unwrapped(counts: Sequence[int] | Sequence[float], wraps_at: float | None = None) -> list[float]:
     """Return a counter that goes on where the true one began at 0 again, from 0 at its first count.
 
+    A single count that is too low, with the next one where the counter would be, was misread and is passed over.
+
     Args:
         counts: as they were read, oldest first.
         wraps_at: the value at which the counter begins at 0 again; None where it never does. Where it did not, a lower
@@ -37,15 +39,26 @@ def unwrapped(counts: Sequence[int] | Sequence[float], wraps_at: float | None = 
         [0, 7, 15]
         >>> unwrapped([90, 97, 5])
         [0, 7, 12]
+        >>> unwrapped([90, 97, 0, 99])
+        [0, 7, 7, 9]
     """
     total: float = 0
     totals: list[float] = [0] if counts else []
-    for sooner, later in pairwise(counts):
+    for sooner, later in pairwise(_without_dips(counts, wraps_at)):
         total += later if later < sooner else later - sooner
         if wraps_at is not None and _goes_round(sooner, later, wraps_at):
             total += wraps_at - sooner
         totals.append(total)
     return totals
+
+
+def _without_dips(counts: Sequence[int] | Sequence[float], wraps_at: float | None) -> Sequence[float]:
+    mended = list(counts)
+    for place in range(1, len(counts) - 1):
+        sooner, low, later = mended[place - 1], counts[place], counts[place + 1]
+        if low < sooner <= later and (wraps_at is None or not _goes_round(sooner, low, wraps_at)):
+            mended[place] = sooner
+    return mended
 
 
 def fall_count(counts: Sequence[int] | Sequence[float], wraps_at: float | None = None) -> int:

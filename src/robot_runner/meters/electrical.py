@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import groupby, pairwise
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.quality import Column, quality_of
-from robot_runner.measuring.series import Series, cut, energy, growth, mean, renewed_every
+from robot_runner.measuring.series import Series, cut, energy, growth, longest_standstill, mean, renewed_every
 from robot_runner.meters.counters import fall_count, unwrapped
 from robot_runner.meters.polled import PolledProfiler
 
@@ -271,9 +271,7 @@ def _seldom_renewed(sampling: Sampling[Readings], place: int) -> Iterator[str]:
 
 def _stuck(sampling: Sampling[Readings], place: int) -> Iterator[str]:
     within = sampling.within()
-    pairs = zip(within.times, (readings[place][:4] for readings in within.readings), strict=True)
-    stretches = [[time for time, _ in group] for _, group in groupby(pairs, key=lambda pair: pair[1])]
-    longest = max(stretches, key=len, default=[])
+    longest = longest_standstill(within.times, [readings[place][:4] for readings in within.readings])
     span = longest[-1] - longest[0] if longest else 0.0
     if len(longest) >= _STUCK_READINGS and span >= _STUCK_SHARE * sampling.window.duration:
         yield f"the meter said the same{{of}} {len(longest)} times, for {span:.1f} s: it may be stuck"

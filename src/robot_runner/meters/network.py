@@ -184,7 +184,9 @@ class Network(PolledProfiler[Counters]):
         }
 
     def doubts(self, sampling: Sampling[Counters]) -> Iterable[str]:
-        """Yield that an interface was set up anew, and that tshark failed."""
+        """Yield that an interface came or was set up anew, and that tshark failed."""
+        for name in sorted(set(self._chosen()).difference(self._names)):
+            yield f"interface {name!r} was plugged in meanwhile, and nothing of it is counted"
         for name, its in zip(self._names, self._counts(sampling.within()), strict=True):
             if any(fall_count(each, wraps_at(its)) for each in its):
                 yield f"interface {name!r} was set up anew: what it counted shortly before that is lost"

@@ -168,10 +168,17 @@ class PowerRails(ElectricalProfiler):
     def doubts(self, sampling: Sampling[Readings]) -> Iterator[str]:
         """Yield what is doubtful about the rails, the connection and the computer's clock."""
         yield from super().doubts(sampling)
-        for rail, status in sorted(self._states):
+        within = sampling.within().readings
+        for place, rail in enumerate(self._rails):
+            if clipped := sum(rail.is_clipped(readings[place]) for readings in within):
+                yield (
+                    f"rail {rail.name!r} was at the end of its sensor's range, {rail.largest:.3g} A, in {clipped} of "
+                    f"{len(within)} readings: what was drawn is more"
+                )
+        for name, status in sorted(self._states):
             if status != _DISCHARGING:
                 yield (
-                    f"rail {rail!r} is that of a battery whose status was {status!r}: its power may be what goes into "
+                    f"rail {name!r} is that of a battery whose status was {status!r}: its power may be what goes into "
                     "it, and not what is drawn"
                 )
         if self.host != LOCAL:

@@ -14,7 +14,7 @@ from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_findings
 from robot_runner.measuring.quality import Column
-from robot_runner.measuring.series import Series, growth
+from robot_runner.measuring.series import Series, growth, longest_standstill
 from robot_runner.meters.counters import Counters, FileCounters, fall_count, unwrapped
 from robot_runner.meters.parameter_checks import check_list
 from robot_runner.meters.polled import PolledProfiler
@@ -36,6 +36,9 @@ _OF_ONE_CORE = ("AuthenticAMD", "HygonGenuine")
 _LEAVE_OUT = "Leave 'core' out."
 _ONE_CORE = "the counter `core` of an AMD processor is that of one of its cores: no value"
 _MICRO = 1e-6
+#: A counter is doubted that stood still for so long, s, and for this share of the window: the processor brings it up to
+#: date every millisecond or so (Intel, Software Developer's Manual, volume 3B, RAPL domains).
+_STILL, _STILL_SHARE = 0.5, 0.05
 _FIRST_LINES = 10  # of /proc/cpuinfo: the vendor stands in the second
 
 
@@ -212,11 +215,12 @@ class Rapl(PolledProfiler[Counters]):
 
     def doubts(self, sampling: Sampling[Counters]) -> Iterator[str]:
         """Yield that a counter stood still, or was set to 0, as by a computer that was suspended."""
-        within = sampling.within().readings
+        within = sampling.within()
         for place, domain in enumerate(self._domains):
-            if domain.kind != _MAY_REST and len({reading[place] for reading in within}) == 1 < len(within):
-                yield f"the counter of {domain.label} stood still at {within[0][place]} uJ: no value"
-            if fall_count([reading[place] for reading in within], domain.wraps_at):
+            counts = [reading[place] for reading in within.readings]
+            if domain.kind != _MAY_REST:
+                yield from _standstill(domain.label, within.times, counts, sampling.window.duration)
+            if fall_count(counts, domain.wraps_at):
                 yield f"the counter of {domain.label} was set back: what it counted shortly before that is lost"
 
     def _tells_of_one_core(self) -> bool:
@@ -228,6 +232,15 @@ class Rapl(PolledProfiler[Counters]):
     def details(self) -> Mapping[str, Any]:
         """Return which domains were read, and where their counters begin at 0 again."""
         return {"domains": [{"label": each.label, "wraps_at_uJ": each.wraps_at} for each in self._domains]}
+
+
+def _standstill(label: str, times: Sequence[float], counts: Sequence[int], duration: float) -> Iterator[str]:
+    """Yield that a counter stood still, throughout or for so long that its energy may lack some of the window's."""
+    still = longest_standstill(times, counts)
+    if 1 < len(still) == len(counts):
+        yield f"the counter of {label} stood still at {counts[0]} uJ: no value"
+    elif still and (seconds := still[-1] - still[0]) > max(_STILL, _STILL_SHARE * duration):
+        yield f"the counter of {label} stood still for {seconds:.1f} s: its energy may lack what was used then"
 
 
 def _measure_of(kind: str) -> Measure:

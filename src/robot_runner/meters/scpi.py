@@ -26,6 +26,8 @@ _PREFIXES = {"m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
 #: What stands for an overload and for no number. Source: SCPI-99, volume 1, section 7.2.1.4: 9.9E37 and 9.91E37.
 _NO_NUMBER = 9.9e37
 _LONGEST_QUEUE = 50
+#: How long to look for what was not asked for, ms; the least that VISA waits.
+_AT_ONCE = 1
 #: What stands in the way where an instrument cannot be opened, by a word of what PyVISA says.
 _REFUSED = "Undefined header"
 _REMEDIES = (
@@ -41,7 +43,12 @@ _REMEDIES = (
     ),
     ("ermission", "Give yourself the right to open its device (group dialout, or a rule of udev)."),
 )
+_FIX_GREETING = "Use its port for programs instead of that for people (5025, not 5024), and switch its echo off."
 _REMEDY = "Look whether it is switched on, its address, and whether its remote interface is on."
+
+
+class OverloadError(ValueError):
+    """An answer that holds no value, and is one answer all the same."""
 
 
 def parse_number(answer: str) -> float:
@@ -59,12 +66,15 @@ def parse_number(answer: str) -> float:
         raise ValueError(f"the instrument answered {answer.strip()[:40]!r}, which is no number")
     number = float(match[1])
     if not math.isfinite(number) or abs(number) >= _NO_NUMBER:
-        raise ValueError(f"the instrument answered {answer.strip()[:40]!r}: an overload, or no value")
+        raise OverloadError(f"the instrument answered {answer.strip()[:40]!r}: an overload, or no value")
     return number * _PREFIXES.get((match[2] or "").lower(), 1.0)
 
 
 class _Instrument:
-    """An opened instrument. After a failure it is opened anew, so that a late answer is not taken for the next one's.
+    """An opened instrument.
+
+    After a failure it is opened anew, so that an answer that comes late, or was not asked for, is not taken for the
+    next one's.
 
     Raises:
         PluginError: the library is not installed, or the instrument does not answer as it should.
@@ -91,13 +101,14 @@ class _Instrument:
             raise self._error(f"the instrument refuses its setup: {complaint}", _REFUSED)
         for query in plugin.queries.values():
             self._try(query)
+        self._refuse_greeting()
 
     def read(self) -> tuple[ElectricalReading, ...]:
         if self._resource is None:
             self._open()
         try:
             told = {quantity: self._asked(query) for quantity, query in self._plugin.queries.items()}
-        except ValueError:  # an answer, though none that helps
+        except OverloadError:
             raise
         except Exception:
             self.close()
@@ -115,7 +126,44 @@ class _Instrument:
                 resource.close()
 
     def _asked(self, query: str) -> float:
+        self._refuse_surplus()
         return parse_number(self._resource.query(query))
+
+    def _refuse_greeting(self) -> None:
+        """Look whether it sent something before it was asked: then each answer is that to the query before.
+
+        Raises:
+            PluginError: so it is.
+        """
+        try:
+            answer = self._resource.query("*IDN?").strip()
+        except Exception as error:
+            self.close()
+            raise self._error(f"{self._plugin.resource} answers no more: {_said(error)}", str(error)) from error
+        if answer != self.identity:
+            self.close()
+            problem = f"the instrument sends what it was not asked for, such as {self.identity[:40]!r}"
+            raise PluginError(problem, where=self._plugin.name, fix=_FIX_GREETING)
+
+    def _refuse_surplus(self) -> None:
+        """Look whether more came than was asked for: from then on, each answer would be that to the query before.
+
+        Raises:
+            ValueError: so it is.
+        """
+        resource, visa = self._resource, import_module("pyvisa")
+        if resource.resource_class != "SOCKET" and resource.interface_type != visa.constants.InterfaceType.asrl:
+            return  # other interfaces tell one answer from the next
+        patience, resource.timeout = resource.timeout, _AT_ONCE
+        try:
+            surplus = resource.read()
+        except visa.VisaIOError as error:
+            if error.error_code != visa.constants.StatusCode.error_timeout:
+                raise
+        else:
+            raise ValueError(f"the instrument sent {surplus.strip()[:40]!r}, which was not asked for")
+        finally:
+            resource.timeout = patience
 
     def _open(self) -> None:
         plugin, milliseconds = self._plugin, round(self._plugin.timeout_s * 1000)

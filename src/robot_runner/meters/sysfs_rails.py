@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.meters.electrical import ElectricalReading
+from robot_runner.meters.ina219.sysfs import SHUNT_RANGES
 
 if TYPE_CHECKING:
     from robot_runner.measuring.host import FileHost
@@ -27,6 +29,10 @@ _INA2XX_IIO = {("voltage", 1), ("power", 2), ("current", 3)}
 #: Of an INA3221, in4 to in6 are the voltages of its shunts, and in7 their sum; of its siblings, in0 is. Source: Linux,
 #: Documentation/hwmon/ina3221.rst and ina2xx.rst.
 _INA3221_CHANNELS = (1, 2, 3)
+#: The largest voltage at the shunt, V: of an INA3221 its register's last step, 4095 x 40 uV (SBOS576, register maps).
+_SHUNT_RANGES = {**SHUNT_RANGES, "ina3221": 0.1638}
+#: Half a step of hwmon's, A.
+_HALF_STEP = 0.0005
 #: PMBus drivers call what belongs to one rail vin, iin, pin, or vout1, iout1, pout1.
 _PMBUS = re.compile(r"[vip](in|out\d*)")
 
@@ -49,6 +55,7 @@ class Rail:
         chip: the driver's name for the chip, such as `ina3221`.
         files: a file for each quantity that is shown: `power`, `voltage`, `current`, `joules`.
         status: of the supply of a battery, the file that says whether it is discharged; None for any other.
+        largest: the largest current that the sensor can tell, A; None where that is not known.
 
     Example:
         >>> rail = Rail("VDD_IN", "ina3221", {"voltage": RailFile("in1", 1e-3), "current": RailFile("curr1", 1e-3)})
@@ -60,6 +67,11 @@ class Rail:
     chip: str
     files: Mapping[str, RailFile]
     status: str | None = None
+    largest: float | None = None
+
+    def is_clipped(self, reading: ElectricalReading) -> bool:
+        """Whether a reading stands at the end of the sensor's range, so that the true current lies beyond."""
+        return self.largest is not None and abs(reading.current or 0.0) + _HALF_STEP >= self.largest
 
     @property
     def tells_power(self) -> bool:
@@ -101,10 +113,11 @@ def find_rails(host: FileHost, root: str = "/sys") -> list[Rail]:
     Raises:
         LinkError: the computer cannot be reached, or the scale of a channel is no number.
     """
-    hwmon = _files_of(host, f"{root}/class/hwmon/hwmon*", ("name", "*_input", "*_average", "*_label"))
+    patterns = ("name", "*_input", "*_average", "*_label", "shunt*_resistor")
+    hwmon = _files_of(host, f"{root}/class/hwmon/hwmon*", patterns)
     iio = _files_of(host, f"{root}/bus/iio/devices/iio:device*", ("name", "in_*", "rail_name_*"))
     addresses, batteries = _addresses(host, root), _batteries(host, root)
-    found: list[tuple[Sequence[str], str, Mapping[str, RailFile], str | None]] = []
+    found: list[tuple[Sequence[str], str, Mapping[str, RailFile], str | None, float | None]] = []
     for devices, rails_of in ((hwmon, _hwmon_rails), (iio, _iio_rails)):
         for folder, lines in devices.items():
             device = folder.rpartition("/")[2]
@@ -113,9 +126,23 @@ def find_rails(host: FileHost, root: str = "/sys") -> list[Rail]:
             for fallback, label, files in rails:
                 name = label or (chip if len(rails) == 1 else f"{chip}:{fallback}")
                 placed = f"{name}@{addresses.get(device, device)}"
-                found.append(((name, placed, f"{placed}:{fallback}"), chip, files, batteries.get(folder)))
+                names = name, placed, f"{placed}:{fallback}"
+                found.append((names, chip, files, batteries.get(folder), _largest_current(chip, files, lines)))
     taken = [name for names, *_ in found for name in names]
-    return [Rail(_first_unique(names, taken), chip, files, status) for names, chip, files, status in found]
+    return [
+        Rail(_first_unique(names, taken), chip, files, status, largest) for names, chip, files, status, largest in found
+    ]
+
+
+def _largest_current(chip: str, files: Mapping[str, RailFile], lines: Mapping[str, str]) -> float | None:
+    """Return what a sensor of the INA family can tell at most with its shunt, A; None where one is not known."""
+    if chip not in _SHUNT_RANGES or "current" not in files:
+        return None
+    number = re.sub(r"\D", "", files["current"].path.rpartition("/")[2])
+    units = {f"shunt{number}_resistor": 1e-6, "shunt_resistor": 1e-6, "in_shunt_resistor": 1.0}
+    with suppress(StopIteration, ValueError, ZeroDivisionError):
+        return next(_SHUNT_RANGES[chip] / (float(lines[name]) * unit) for name, unit in units.items() if name in lines)
+    return None
 
 
 def _first_unique(names: Sequence[str], taken: Sequence[str]) -> str:

@@ -6,7 +6,7 @@ import time
 
 import pytest
 from tests.meters.rehearsed import problems
-from tests.meters.scripted_meter import ScriptedMeter, frame
+from tests.meters.scripted_meter import ScriptedMeter, frame, hello
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.measure import Origin
@@ -121,6 +121,23 @@ def test_a_shunt_or_a_rate_that_contradicts_the_meter_is_told(measure):
 def test_a_current_beyond_the_sensors_range_is_told(measure):
     context = measure(ScriptedMeter(lambda _: 36.0).chunks(start=0.0, end=0.5), seconds=0.4)
     assert any("at the end of the sensor's range" in problem for problem in problems(context))
+
+
+def test_a_range_that_was_left_before_the_end_is_told_where_it_clipped(measure):
+    # At 40 mV a shunt of 0.1 ohm carries 0.4 A; with the range of its end alone, nothing would be clipped.
+    meter = ScriptedMeter(lambda moment: 4.44 if moment < 1.0 else 8.88)
+    chunks = meter.chunks(start=0.0, end=3.0)
+    chunks[0] = Chunk(0.0, hello(0, 0, configuration=0x01DD))
+    context = measure([*chunks[:300], Chunk(1.49, hello(299, 1_495_000)), *chunks[300:]])
+    assert any("at the end of the sensor's range" in problem for problem in problems(context))
+
+
+def test_another_meter_with_another_shunt_on_the_same_port_is_told(measure):
+    first, second = steady(first_stamp=9_000_000), steady(micro_ohm=10_000)
+    context = measure([*first.chunks(start=0.0, end=1.0), *second.chunks(start=1.02, end=3.0)])
+    assert (
+        "the power meter told of several shunts (0.01, 0.1 ohm), as where it is exchanged: 0.01 ohm counts"
+    ) in problems(context)
 
 
 def test_a_restart_of_the_meter_is_told(measure):

@@ -124,6 +124,9 @@ def _amount(count: int) -> str:
 
 def settings_doubts(stream: SampleStream, shunt: float, rate: float) -> Iterator[str]:
     """Yield where the device says of its shunt (ohm) and rate (Hz) what the user does not."""
+    if len(stream.shunts) > 1:
+        told = ", ".join(f"{each:g}" for each in sorted(stream.shunts))
+        yield f"the power meter told of several shunts ({told} ohm), as where it is exchanged: {shunt:g} ohm counts"
     hello = stream.sensing or stream.hello
     if hello is not None and abs(hello.shunt_ohm - shunt) > 0.001 * shunt:
         yield f"the power meter says that its shunt has {hello.shunt_ohm:g} ohm, not {shunt:g} ohm"

@@ -76,13 +76,16 @@ class Ranges:
     bus: int
 
     @classmethod
-    def of(cls, configuration: int) -> Ranges:
-        """Return the ranges that a configuration register sets; those of the protocol where it is 0, not known.
+    def of(cls, *configurations: int) -> Ranges:
+        """Return the narrowest ranges that configuration registers set; the protocol's where they are 0, not known.
 
         The gain (bits 12 and 11) sets ±40, 80, 160 or 320 mV, bit 13 sets 16 or 32 V.
         """
-        known = configuration or _USUAL_CONFIGURATION
-        return cls(shunt=4000 << (known >> 11 & 3), bus=8000 if known & 0x2000 else 4000)
+        known = [each for each in configurations if each] or [_USUAL_CONFIGURATION]
+        return cls(
+            shunt=min(4000 << (each >> 11 & 3) for each in known),
+            bus=min(8000 if each & 0x2000 else 4000 for each in known),
+        )
 
     def count_saturated(self, shunt_raw: Sequence[int], bus_raw: Sequence[int]) -> int:
         """Return how many samples have one of their readings at the end of its range."""
@@ -183,7 +186,7 @@ def evaluate_registers(
     calibration = Calibration(shunt)
     current, voltage = calibration.currents(stream.shunt_raw), calibration.voltages(stream.bus_raw)
     troubles, seen = stream.troubles(window, times), within(times, window)
-    ranges = Ranges.of(said.configuration if said else 0)
+    ranges = Ranges.of(*stream.configurations)
     return Evaluation(
         window=window,
         power=Series(times, array("d", map(mul, current, voltage))),

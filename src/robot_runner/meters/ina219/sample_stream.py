@@ -87,6 +87,7 @@ class SampleStream:
         hello: what the device said of itself last, or None.
         sensing: what it said of this sensor last, or None: the first firmware does not.
         configurations: every configuration of the sensor that was told of; 0 where it did not answer the device.
+        shunts: every resistance of its shunt that was told of, ohm.
         marks: when the mark changed.
         bytes: how many came.
         bytes_since_frame: how many of them came after the last chunk that completed a frame.
@@ -101,6 +102,7 @@ class SampleStream:
         self.hello: Hello | None = None
         self.sensing: Sensing | None = None
         self.configurations: set[int] = set()
+        self.shunts: set[float] = set()
         self.marks: list[StampedMark] = []
         self.bytes = 0
         self.bytes_since_frame = 0
@@ -218,6 +220,7 @@ class SampleStream:
                 self.hello = frame
                 if self.address == FIRST_SENSOR:
                     self.configurations.add(frame.configuration)
+                    self.shunts.add(frame.shunt_ohm)
             elif isinstance(frame, Sensing):
                 self._take_sensing(frame)
             else:
@@ -235,6 +238,7 @@ class SampleStream:
         if sensing.address == self.address or (self._is_behind_hello and self.address == FIRST_SENSOR):
             self.sensing = sensing
             self.configurations.add(sensing.configuration)
+            self.shunts.add(sensing.shunt_ohm)
 
     def _note(self, trouble: Trouble, count: int = 1) -> None:
         if count:

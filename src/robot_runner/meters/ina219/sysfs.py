@@ -24,8 +24,8 @@ AUTO = "auto"
 _PATTERNS = ("/sys/class/hwmon/hwmon*/name", "/sys/bus/iio/devices/iio:device*/name")
 #: The largest voltage at the shunt, V, by the chips' data sheets; the drivers leave the INA219's gain at 1/8. Of the
 #: others it is the register's last step, 32767 x 2.5 uV (SBOS547A, shunt voltage register).
-_SHUNT_RANGES = {"ina219": 0.32, "ina220": 0.32, "ina226": 0.0819175, "ina230": 0.0819175, "ina231": 0.0819175}
-_CHIPS = tuple(_SHUNT_RANGES)
+SHUNT_RANGES = {"ina219": 0.32, "ina220": 0.32, "ina226": 0.0819175, "ina230": 0.0819175, "ina231": 0.0819175}
+_CHIPS = tuple(SHUNT_RANGES)
 _OTHERS = "For another sensor, such as an INA3221 or INA238, use the profiler PowerRails."
 
 _HWMON = ("power1_input", "curr1_input", "in1_input")
@@ -225,7 +225,7 @@ class SysfsMeter:
 
     def _is_clipped(self, reading: Reading) -> bool:
         """Whether a reading stands at the end of the shunt's range, but for half a step of hwmon's (1 mA)."""
-        largest = _SHUNT_RANGES.get(self._sensor.chip)
+        largest = SHUNT_RANGES.get(self._sensor.chip)
         return largest is not None and (abs(reading.current) + 0.0005) * self._shunt_ohm >= largest
 
     def _doubts(self, report: SamplingReport) -> tuple[str, ...]:
