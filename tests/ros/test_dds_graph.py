@@ -9,14 +9,17 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="it is not published built for every machine")
 
-from cyclonedds.qos import _CQos
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.qos import Policy, Qos, _CQos
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 
 from robot_runner.core.events.context import SystemClock
+from robot_runner.ros import dds_session
 from robot_runner.ros.dds_graph import matched_publications, matched_subscriptions
 from robot_runner.ros.dds_link import open_dds_link
 from robot_runner.ros.dds_reception import READING_QOS, Reception
 from robot_runner.ros.dds_services import OfferedService
+from robot_runner.ros.graph_addresses import DdsSettings
 
 
 class Moving:
@@ -91,3 +94,13 @@ def test_a_request_that_comes_while_its_service_is_being_offered_is_answered(mon
         robot.offer("count", "std_srvs/Trigger", lambda request: {"success": True})
         asking.join(60.0)
     assert [each["success"] for each in answers] == [True]
+
+
+def test_links_that_join_a_graph_at_the_same_time_do_not_wait_for_each_other_as_for_a_robot(monkeypatch):
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    settings = DdsSettings(claim_domain(), "jazzy")
+    joining = dds_session._joined(settings)  # all that another link is in its first moment
+    robot = DomainParticipant(settings.domain, qos=Qos(Policy.Userdata(b"enclave=/;")))
+    with closing(dds_session.Session(settings)) as session:
+        assert session.graph.wait_for(lambda: {joining.guid, robot.guid} <= session.graph.participants, 60.0)
+        assert session.graph.silent() - {session.guid} == {robot.guid}

@@ -76,7 +76,7 @@ def _stop(experiment: FollowedExperiment, said: Mapping[str, Any]) -> str:
     status = _status(experiment)
     require_executed(status, experiment.folder.name, "There is nothing to stop")
     leave_request(ExperimentFolder(experiment.folder).stop)
-    return f"It stops: {status.current_run} is closed first." if status.current_run else "It stops."
+    return f"It stops: {status.closed_first}." if status.closed_first else "It stops."
 
 
 def _status(experiment: FollowedExperiment) -> ExperimentStatus:

@@ -24,14 +24,18 @@ from typing import TYPE_CHECKING, Any
 from cyclonedds.core import DDSException
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.pub import DataWriter
-from cyclonedds.qos import Policy
-from cyclonedds.qos import Qos as DdsQos
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding, Message
-from robot_runner.ros.dds_graph import matched_publications, matched_subscriptions, reply_topic, request_topic
+from robot_runner.ros.dds_graph import (
+    LINK_QOS,
+    matched_publications,
+    matched_subscriptions,
+    reply_topic,
+    request_topic,
+)
 from robot_runner.ros.dds_qos import service_profile
 from robot_runner.ros.dds_reception import Reception, delete, service_wire_type
 from robot_runner.ros.rtps_replies import RequestId, RtpsReplies, captured_messages
@@ -81,7 +85,7 @@ class PacketCapture:
                 capture = undoing.enter_context(os.fdopen(reading, "rb"))
                 self._domain = _captured_domain(domain, pipe)
                 self._stream = _stream_of(self._library, reading)
-                self.participant = DomainParticipant(self._domain.number, qos=DdsQos(Policy.Userdata(b"enclave=/;")))
+                self.participant = DomainParticipant(self._domain.number, qos=LINK_QOS)
                 os.set_blocking(reading, True)
             except DDSException as error:
                 problem = f"services of another middleware than Cyclone DDS cannot be called here: {error}"

@@ -29,6 +29,9 @@ _TOPIC, _REQUEST, _REPLY = "rt", "rq", "rr"
 _REQUEST_END, _REPLY_END = "Request", "Reply"
 _TYPE_PARTS = 4
 
+#: What the participants of our links tell of themselves, beside what each of ROS 2 does: names with values, as there.
+LINK_QOS = DdsQos(Policy.Userdata(b"enclave=/;program=robotrunner;"))
+
 
 def wire_topic(name: str) -> str:
     """Return the DDS topic of a ROS topic, given by its full name."""
@@ -127,6 +130,7 @@ class Graph:
         self._reception = reception
         self._lock = threading.Lock()
         self._participants: set[UUID] = set()
+        self._links: set[UUID] = set()
         self._writers: dict[UUID, Endpoint] = {}
         self._readers: dict[UUID, Endpoint] = {}
         self.on_writer: Callable[[Endpoint], None] | None = None
@@ -144,10 +148,13 @@ class Graph:
             return frozenset(self._participants)
 
     def silent(self) -> frozenset[UUID]:
-        """Return the participants that have told of no reader or writer."""
+        """Return the participants that have told of no reader or writer, but for links that are still being opened.
+
+        They have nothing to tell: two that are opened at the same time would wait for each other.
+        """
         with self._lock:
             told = {each.participant for each in (*self._readers.values(), *self._writers.values())}
-            return frozenset(self._participants - told)
+            return frozenset(self._participants - self._links - told)
 
     def writers(self, topic: str) -> list[Endpoint]:
         """Return the publishers of a DDS topic."""
@@ -191,8 +198,11 @@ class Graph:
         with self._lock:
             if _is_alive(sample):
                 self._participants.add(sample.key)
+                if Policy.Userdata in sample.qos and sample.qos[Policy.Userdata] == LINK_QOS[Policy.Userdata]:
+                    self._links.add(sample.key)
             else:
                 self._participants.discard(sample.key)
+                self._links.discard(sample.key)
 
     def _take_writer(self, sample: Any) -> None:
         self._take(self._writers, sample)

@@ -14,19 +14,19 @@ from uuid import UUID
 from cyclonedds.core import DDSException
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.pub import DataWriter
-from cyclonedds.qos import Policy
-from cyclonedds.qos import Qos as DdsQos
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding, Qos
-from robot_runner.ros.dds_graph import Endpoint, Graph, ros_type
+from robot_runner.ros.dds_graph import LINK_QOS, Endpoint, Graph, ros_type
 from robot_runner.ros.dds_qos import reader_profile, writer_profile
 from robot_runner.ros.dds_reception import RawSample, Reception, WireType, delete, topic_wire_type
 from robot_runner.ros.type_catalogue import TypeCatalogue
 
 if TYPE_CHECKING:
+    from cyclonedds.qos import Qos as DdsQos
+
     from robot_runner.ros.graph_addresses import DdsSettings
 
 #: rmw_dds_common: each participant says here which nodes it has, and which readers and writers are whose.
@@ -278,7 +278,7 @@ def _joined(settings: DdsSettings) -> DomainParticipant:
     if configuration is not None:  # what the user says to Cyclone DDS itself goes before what is said to ROS
         os.environ.setdefault(_CONFIGURATION, configuration)
     try:
-        return DomainParticipant(settings.domain, qos=DdsQos(Policy.Userdata(b"enclave=/;")))
+        return DomainParticipant(settings.domain, qos=LINK_QOS)
     except DDSException as error:
         raise LinkError(
             f"DDS domain {settings.domain} cannot be joined: {error}",

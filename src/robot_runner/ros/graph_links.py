@@ -86,6 +86,11 @@ class GraphLinkKind:
         begin = import_module("robot_runner.ros.graph_look").begin_look
         return begin(name, needs)
 
+    def graph_of(self, name: RobotName) -> str:
+        """Return what tells the graph of a robot from any other: its domain, its master, or its rosbridge."""
+        graph: str = import_module("robot_runner.ros.graph_addresses").graph_of(name.graph)
+        return graph
+
     def input_files(self, name: RobotName) -> Iterable[InputFile]:
         """Return the definitions of messages that its options name."""
         query = (name.address or "").partition("?")[2]

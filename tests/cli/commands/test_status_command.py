@@ -185,6 +185,16 @@ def test_json_holds_each_run_that_is_executed_as_facts(half_done: Path) -> None:
     assert _as_json(status)["in_flight"] == [{"run": "r_2", "place": "alice", "event": "start_run"}]
 
 
+def test_all_runs_in_flight_are_named_where_a_pause_or_a_stop_awaits_them(half_done: Path) -> None:
+    idle = read_status(half_done)
+    assert (idle.moment_of_pause, idle.closed_first) == ("before the next run", "")
+    one = replace(idle, in_flight=(InFlight("r_2"),))
+    assert (one.moment_of_pause, one.closed_first) == ("after r_2", "r_2 is closed first, and is to be done again")
+    two = replace(idle, in_flight=(InFlight("r_2", "alice"), InFlight("r_4", "bob")))
+    assert two.moment_of_pause == "after r_2 and r_4"
+    assert two.closed_first == "r_2 and r_4 are closed first, and are to be done again"
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("words", [["status"], ["stop"], ["exclude", "r_1", "--reason", "x"]])
 @pytest.mark.parametrize("target", ["results/trial", "config.py"])

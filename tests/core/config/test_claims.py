@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 HEAD = """\
 from robot_runner import *
 from robot_runner.plugins import Profiler, System
-from robot_runner.plugins.profilers import Ina219, PsUtil, WattsUpPro
+from robot_runner.plugins.profilers import Ina219, PsUtil, RosTopics, WattsUpPro
 from robot_runner.plugins.systems import BasicTurtlebot3, Together, Waypoints
 
 class Silent(Profiler):
@@ -82,12 +82,36 @@ def test_a_config_says_what_its_callbacks_need(claims: Callable[..., Any]) -> No
 def test_a_real_robot_is_claimed_with_its_graph_and_namespace(
     claims: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
-    monkeypatch.delenv("ROS_MASTER_URI", raising=False)
     body = 'robot = "rosbridge://alice:9090"\nprobe = False\nplugins = [BasicTurtlebot3(namespace="/alice")]'
     own, held = claims(body)
     assert set(own) == {"robot:rosbridge://alice:9090"}
-    assert held == {"robot:rosbridge://alice:9090/alice ROS_DOMAIN_ID=7"}
+    assert held == {"robot:rosbridge alice:9090/alice"}
+
+
+def test_one_robot_is_claimed_alike_over_any_link_and_whatever_else_of_ros_is_sourced(
+    write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plugins = "probe = False\nplugins = [BasicTurtlebot3(task='Video', task_factor=None)]"
+    for robot, environment, expected in (
+        ("dds:domain=7,namespace=alice", {}, "robot:domain 7/alice"),
+        ("dds:domain=7,namespace=alice", {"ROS_DOMAIN_ID": "3", "ROS_MASTER_URI": "http://a"}, "robot:domain 7/alice"),
+        ("dds://alice", {"ROS_DOMAIN_ID": "7"}, "robot:domain 7/alice"),
+        ("ros2://alice", {"ROS_DOMAIN_ID": "7", "ROS_DISTRO": "jazzy"}, "robot:domain 7/alice"),
+        ("dds://alice", {"ROS_DOMAIN_ID": "8"}, "robot:domain 8/alice"),
+        ("rosbridge://127.0.0.1:9090", {"ROS_DOMAIN_ID": "7"}, "robot:rosbridge localhost:9090"),
+        ("rosbridge://localhost", {}, "robot:rosbridge localhost:9090"),
+        ("ros1", {"ROS_MASTER_URI": "http://a:11311", "ROS_DOMAIN_ID": "7"}, "robot:master a:11311"),
+        ("ros1:master=http://a:11311", {}, "robot:master a:11311"),
+    ):
+        with monkeypatch.context() as patch:
+            for variable in ("ROS_DOMAIN_ID", "ROS_MASTER_URI", "ROS_DISTRO"):
+                patch.delenv(variable, raising=False)
+            for variable, value in environment.items():
+                patch.setenv(variable, value)
+            experiment = prepare(write_config(f'robot = "{robot}"\n{plugins}', head=HEAD), is_for_here=False).experiment
+            assert experiment is not None
+            found = Claims(experiment.parameters, experiment.plugins, experiment.events)
+            assert held_claims(found, experiment.model) == {expected}, (robot, environment)
 
 
 def test_one_robot_is_claimed_alike_however_its_namespace_is_named(
@@ -99,17 +123,20 @@ def test_one_robot_is_claimed_alike_however_its_namespace_is_named(
     named = "plugins = [BasicTurtlebot3(task='Video', task_factor=None, namespace='/lab/alice')]"
     pair = "plugins = [Together(*(Waypoints([(1, 0)], name=a[-3:], namespace=a) for a in ('lab/alice', 'bob')))]"
     bound = "plugins = [Waypoints([(1, 0)], namespace=treatment('Task'))]"
-    alice, bob = "robot:dds:domain=7/lab/alice", "robot:dds:domain=7/bob"
+    lidar = "plugins = [BasicTurtlebot3(task='Video', task_factor=None), RosTopics(['scan'], namespace='lidar')]"
+    alice, bob = "robot:domain 7/lab/alice", "robot:domain 7/bob"
     for robot, body, expected in (
         ("dds:domain=7,namespace=/lab/alice", lone, {alice}),
         ("dds:namespace=lab/alice/,domain=7", lone, {alice}),
         ("dds:domain=7", named, {alice}),
         ("dds:domain=7,namespace=lab", named.replace("/lab", ""), {alice}),
         ("dds:domain=7", pair, {alice, bob}),
-        ("dds:domain=7", bound, {"robot:dds:domain=7/Video", "robot:dds:domain=7/Network"}),
+        ("dds:domain=7", bound, {"robot:domain 7/Video", "robot:domain 7/Network"}),
+        ("dds:domain=7", lidar, {"robot:domain 7", "robot:domain 7/lidar"}),
+        ("dds:domain=7,namespace=lab/alice", lidar, {alice, f"{alice}/lidar"}),
     ):
         assert claims(f'robot = "{robot}"\nprobe = False\n{body}')[1] == expected, (robot, body)
-    assert claims(f'robot = "dds://alice"\n{lone}')[1] == {"robot:dds/alice"}
+    assert claims(f'robot = "dds://alice"\n{lone}')[1] == {"robot:domain 0/alice"}
 
 
 def test_nobody_looks_for_a_robot_to_know_what_is_claimed(

@@ -187,6 +187,35 @@ def test_a_pause_begins_once_nobody_is_asked_for_a_step_elsewhere_any_more(tmp_p
     assert kinds[:3] == ["attempt_started", "operator_step", "paused"], "the run of the step is paused before, too"
 
 
+class PersonWhoIsAway(Person):
+    """Somebody who wants a pause while they are asked first, says then that it is done, and goes on some time later."""
+
+    def __init__(self) -> None:
+        super().__init__(lambda asked: "\n" if asked.run_id != "r_1" else None)
+        self._looks = 0
+
+    def refresh(self) -> None:
+        folder = next((each.folder for each in self.notices if isinstance(each, WaitingForUser)), None)
+        self._looks += folder is not None
+        if self._looks == 30:  # the next run is in line by then
+            leave_request(folder / ".pause")
+            os.write(self._keyboard, b"\n")
+        elif self._looks == 80:  # it would have been asked about by then
+            (folder / ".pause").unlink(missing_ok=True)
+
+
+@pytest.mark.long
+def test_nobody_is_asked_for_a_step_while_the_study_is_paused(tmp_path: Path) -> None:
+    config = written_config(tmp_path, "workers = 2\nclaims = []\n" + steps('OperatorStep("place it")'), table=TABLE)
+    with closing(PersonWhoIsAway()) as person:
+        finished = execute_experiment(prepare_or_refuse(config), person)
+    assert finished.done_count == 4
+    told = Executed(config, finished, person.notices).journal("paused", "waiting", "continued")
+    kinds = [each["kind"] for each in told]
+    assert kinds[:4] == ["waiting", "continued", "paused", "continued"], "ENTER would have been for either"
+    assert told[3]["after"] == "pause"
+
+
 class Preparing:
     """The operator alone, with runs that are prepared step by step, as runs at several places are."""
 

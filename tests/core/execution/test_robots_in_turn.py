@@ -193,6 +193,20 @@ def test_what_cannot_take_turns_is_refused_with_all_findings(write_config: Calla
     assert any("bob would be looked for" in finding.problem for finding in findings)
 
 
+def test_one_robot_is_refused_that_is_named_twice_over_two_links_or_addresses(
+    write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    for first, second, robot in (
+        ("dds://alice", "dds:domain=7,namespace=/alice", "domain 7/alice"),
+        ("rosbridge://localhost:9090", "rosbridge://127.0.0.1", "rosbridge localhost:9090"),
+    ):
+        head = HEAD.replace('"simulated://alice", "simulated://bob"', f'a="{first}", b="{second}", c="dds://carol"')
+        findings = prepare(write_config(head=head, table=TABLE), looks_at_graph=False).findings
+        told = [each.problem for each in findings if each.is_error and "one robot" in each.problem]
+        assert told == [f"a and b are one robot ({robot}), which two runs would drive at the same time"]
+
+
 @pytest.mark.parametrize(("warm_up", "told"), [("1", 1), ("2", 0), ('WarmUp(1, per="Speed")', 1)])
 def test_fewer_warm_up_runs_than_robots_are_a_warning(
     write_config: Callable[..., Path], warm_up: str, told: int

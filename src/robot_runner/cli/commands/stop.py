@@ -26,6 +26,6 @@ def execute(arguments: Namespace) -> int:
     status = read_status(folder.root)
     require_executed(status, shown_path(folder.root), "There is nothing to stop")
     leave_request(folder.stop)
-    run = f"; {status.current_run} is closed first, and is to be done again" if status.current_run else ""
-    print(f"{status.experiment_name} stops{run}. To go on later: robot-runner run with its config.")
+    runs = f"; {status.closed_first}" if status.closed_first else ""
+    print(f"{status.experiment_name} stops{runs}. To go on later: robot-runner run with its config.")
     return 0

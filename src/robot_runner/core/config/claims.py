@@ -20,17 +20,13 @@ from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.events.manager import RUN_EVENTS, EventManager
 from robot_runner.core.events.measure import CONFIG_OWNER
-from robot_runner.core.links.connect import is_simulated, looks_for_robot, resolved_robot
-from robot_runner.core.links.graph_names import namespace_prefix
-from robot_runner.core.links.robot_name import RobotName
-from robot_runner.core.plugin import THIS_MACHINE, Plugin, with_parts
+from robot_runner.core.links.connect import is_simulated, robot_on_graph
+from robot_runner.core.plugin import THIS_MACHINE, Plugin, System, with_parts
 from robot_runner.core.treatments import built_with, factors_of, values_of
 from robot_runner.core.words import counted, enumerated
 
 #: Of a design with more runs than this, the first ones tell what all of them claim.
 _LOOKED_AT = 200
-#: What tells one ROS graph from another that is reached by the same name.
-_GRAPHS = ("ROS_DOMAIN_ID", "ROS_MASTER_URI")
 
 
 def usable_cores(system: Path = Path("/")) -> int:
@@ -139,28 +135,31 @@ class Claims:
     def _robots(self, combinations: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         """Yield the real robots, each with the graph that it is on and the namespaces that plugins name there.
 
-        One robot is claimed by one text, whether its namespace is part of its name or a plugin has it.
+        One robot is claimed by one text, however it is reached, whether its namespace is part of its name or a plugin
+        has it.
         """
-        graph = "".join(f" {name}={os.environ[name]}" for name in _GRAPHS if os.environ.get(name))
         links = [link for link in self._parameters.links if not is_simulated(link)]
         namespaces = self._namespaces(combinations) if links else set()
         for link in links:
             with suppress(LinkError):  # that there is no such robot is told where it is checked
-                # Where a robot is still to be looked for, none was found, or it is not asked what is here.
-                name = RobotName.parse(link) if looks_for_robot(link) else resolved_robot(link)[1]
-                robot = f"robot:{name.graph}{namespace_prefix(name.namespace)}"
-                yield from (f"{robot}{f'/{each}' if each else ''}{graph}" for each in namespaces or {""})
+                robot = f"robot:{robot_on_graph(link)}"
+                yield from (f"{robot}/{each}".rstrip("/") for each in namespaces or {""})
 
     def _namespaces(self, combinations: Sequence[Mapping[str, Any]]) -> set[str]:
-        """Return the namespaces that plugins, and those that they are made of, have in any of these runs."""
+        """Return the namespaces that plugins, and those that they are made of, have in any of these runs.
+
+        None, an empty one, is the robot's own: a system operates it there, and a profiler may be about any other.
+        """
         found = set()
         for plugin in self._plugins:
             apart = {str(values_of(plugin, each)): each for each in combinations}
             for combination in apart.values():
                 with suppress(Exception):  # treatments that it does not take fail their run
-                    parts = with_parts([built_with(plugin, combination)])
-                    found |= {str(getattr(part, "namespace", "")).strip("/") for part in parts}
-        return found - {""}
+                    for part in with_parts([built_with(plugin, combination)]):
+                        own = getattr(part, "namespace", None)
+                        if own or (own is not None and isinstance(part, System)):
+                            found.add(str(own).strip("/"))
+        return found
 
     def _of_plugin(self, plugin: Plugin, combination: Mapping[str, Any], robot: str | None) -> tuple[str, ...]:
         treatments = values_of(plugin, combination) if factors_of(plugin) else {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -44,7 +45,14 @@ from robot_runner.core.events.measure import (
     resolve_columns,
     with_phases,
 )
-from robot_runner.core.links.connect import found_robot, is_simulated, link_findings, looks_for_robot, meant_robot
+from robot_runner.core.links.connect import (
+    found_robot,
+    is_simulated,
+    link_findings,
+    looks_for_robot,
+    meant_robot,
+    robot_on_graph,
+)
 from robot_runner.core.plugin import Plugin
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.words import enumerated
@@ -81,7 +89,7 @@ def check_robot(loaded: LoadedConfig, parameters: Parameters, plugins: Sequence[
 
 
 def _link_findings(parameters: Parameters) -> Iterator[Finding]:
-    """Yield what keeps a robot from being reached, and whether robots that take turns differ in kind."""
+    """Yield what keeps a robot from being reached, and whether robots that take turns differ in kind, or are one."""
     if not parameters.robots:
         yield from link_findings(parameters.robot)
     for link in dict.fromkeys(parameters.robots.values()):
@@ -95,6 +103,15 @@ def _link_findings(parameters: Parameters) -> Iterator[Finding]:
             f"{enumerated(looked_for)} would be looked for" if looked_for else "simulated and real robots take turns"
         )
         yield Finding.error("robot", problem, "Name robots of one kind, each by its own link.")
+    reached: dict[str, list[str]] = {}
+    for name, link in parameters.robots.items():
+        with suppress(LinkError):  # that there is no such robot is told above
+            if not (is_simulated(link) or looks_for_robot(link)):
+                reached.setdefault(robot_on_graph(link), []).append(name)
+    for robot, names in reached.items():
+        if len(names) > 1:
+            problem = f"{enumerated(names)} are one robot ({robot}), which two runs would drive at the same time"
+            yield Finding.error("robot", problem, "Name each robot once.")
 
 
 #: From a config file and what is set from outside to a config object; raises ConfigError.

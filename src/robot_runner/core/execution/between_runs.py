@@ -100,7 +100,8 @@ class BetweenRuns:
     def _pause_where_requested(self, run: PendingRun) -> Steps[None]:
         """Wait, where `robot-runner pause` asked for it, until the request is taken back or the user interrupts.
 
-        Who is asked for a step at another place has done that first: ENTER is for one of both.
+        Who is asked for a step at another place has done that first, and nobody is asked meanwhile: ENTER is for one of
+        both.
         """
         pause = self._ongoing.experiment.folder.pause
         while not self._ongoing.is_interrupted and (
@@ -110,11 +111,11 @@ class BetweenRuns:
             yield Pause(_LISTEN)
         if not is_requested(pause) or self._ongoing.is_interrupted:
             return
-        self._is_paused = True
+        self._is_paused = self._operator.is_asking = True
         try:
             yield from self._paused(run)
         finally:
-            self._is_paused = False
+            self._is_paused = self._operator.is_asking = False
 
     def _paused(self, run: PendingRun) -> Steps[None]:
         progress, folder = self._ongoing.progress, self._ongoing.experiment.folder

@@ -22,6 +22,7 @@ from robot_runner.core.storage.lock import Holder, holder_of, is_requested, send
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
+from robot_runner.core.words import enumerated
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,8 +100,19 @@ class ExperimentStatus:
 
     @property
     def moment_of_pause(self) -> str:
-        """When a pause begins that is asked for now, in words."""
-        return f"after {self.current_run}" if self.current_run else "before the next run"
+        """When all stands still after a pause that is asked for now, in words."""
+        return f"after {self.runs_now}" if self.in_flight else "before the next run"
+
+    @property
+    def closed_first(self) -> str:
+        """What becomes of the runs that are being executed where the experiment is told to stop now; empty for none."""
+        verb = "are" if len(self.in_flight) > 1 else "is"
+        return f"{self.runs_now} {verb} closed first, and {verb} to be done again" if self.in_flight else ""
+
+    @property
+    def runs_now(self) -> str:
+        """The runs that are being executed, in words; empty for none."""
+        return enumerated([each.run for each in self.in_flight])
 
 
 def read_status(folder: Path) -> ExperimentStatus:
@@ -245,7 +257,7 @@ def require_waiting(status: ExperimentStatus, where: str) -> None:
         fix = can_go_on if _left(status) else "All its runs are done."
         raise ExecutionError("the experiment is not being executed", where=where, fix=fix)
     if not status.is_waiting_for_user:
-        doing = f"executes {status.current_run}" if status.current_run else "is between two runs"
+        doing = f"executes {status.runs_now}" if status.in_flight else "is between two runs"
         raise ExecutionError(
             f"the experiment does not wait: process {status.holder.pid} on {status.holder.host} {doing}",
             where=where,

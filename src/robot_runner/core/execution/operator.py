@@ -105,7 +105,7 @@ class Operator:
     """Asks the person who takes part, and keeps what they did and answered.
 
     Attributes:
-        is_asking: whether somebody is being asked at this moment.
+        is_asking: whether somebody is being asked at this moment, be it whether a pause is over.
     """
 
     def __init__(self, ongoing: OngoingExperiment) -> None:

@@ -204,6 +204,25 @@ def _is_slow(kind: kinds.RobotLinkKind) -> bool:
     return isinstance(kind, kinds.JoinsGraph) and kind.is_slow_to_join
 
 
+def robot_on_graph(robot: str) -> str:
+    """Return what tells one robot from another, however it is reached: its graph, and its namespace there.
+
+    One that is still to be looked for is told by its name.
+
+    Raises:
+        LinkError: there is no such link.
+
+    Example:
+        >>> robot_on_graph("dds:namespace=alice,domain=7"), robot_on_graph("rosbridge://10.0.0.7")
+        ('domain 7/alice', 'rosbridge 10.0.0.7:9090')
+    """
+    if looks_for_robot(robot):
+        return robot
+    kind, name = resolved_robot(robot)
+    graph = kind.graph_of(name) if isinstance(kind, kinds.TellsGraphs) else name.graph
+    return f"{graph.rstrip('/')}{namespace_prefix(name.namespace)}"
+
+
 def run_robot(context: RobotRunnerContext) -> tuple[kinds.RobotLinkKind, RobotName]:
     """Return the kind of link of the run's robot, and its name.
 

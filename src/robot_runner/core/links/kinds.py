@@ -86,6 +86,18 @@ class JoinsGraph(Protocol):
 
 
 @runtime_checkable
+class TellsGraphs(Protocol):
+    """A kind of link that can tell whether two names mean one graph."""
+
+    def graph_of(self, name: RobotName) -> str:
+        """Return what tells the graph of a robot from any other, however it is reached: `domain 7`.
+
+        Raises:
+            LinkError: the name cannot be one.
+        """
+
+
+@runtime_checkable
 class LooksAtGraph(Protocol):
     """A kind of link that can look, before anything is executed, whether its graph has what plugins need."""
 
