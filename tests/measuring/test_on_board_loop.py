@@ -293,8 +293,9 @@ def test_a_form_that_counts_in_whole_seconds_is_doubted_with_how_far_it_may_be_o
     samples = sampler.stop()
     window = Window(start, start + 2.0)
     measured = Utilisation(samples, window, Selection(), sampler.report(), is_simulated=False)
-    (doubt,) = (each.problem for each in measured.doubted() if "ps" in each.problem)
-    assert "may be off by 50 % of a core" in doubt
+    processor, memory = (each for each in measured.doubted() if each.problem.startswith("ps tells"))
+    assert "may be off by 50 % of a core" in processor.problem
+    assert memory.measures == ("Memory",)
 
 
 @pytest.mark.parametrize("form", PYTHON_AND_SHELL)
