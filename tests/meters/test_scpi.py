@@ -57,7 +57,7 @@ def test_an_analyser_is_asked_for_power_and_its_energy_counter(tmp_path, server)
 
 def test_setup_is_sent_before_the_measurement(tmp_path, server):
     measured(tmp_path, Scpi(server.resource, setup=["SYST:REM"]), FakeClock(), 1.0)
-    assert [line for line in server.received if line != "SYST:ERR?"][:2] == ["*IDN?", "SYST:REM"]
+    assert next(line for line in server.received if line not in {"SYST:ERR?", "*IDN?"}) == "SYST:REM"
 
 
 def test_an_answer_that_comes_too_late_is_not_taken_for_the_next(tmp_path, server):
@@ -98,7 +98,7 @@ def test_what_was_not_asked_for_costs_a_reading_and_is_not_taken_for_the_next_an
     assert context.measures["MeanVoltage"] == pytest.approx(12.0)
     assert context.measures["MeanCurrent"] == pytest.approx(0.5)
     (problem,) = [each for each in problems(context) if "stuck" not in each]
-    assert problem.startswith("1 reading failed, the first with: ValueError: the instrument")
+    assert problem.startswith("1 reading failed, the first with: SurplusError: the instrument sends")
 
 
 def test_an_instrument_that_greets_whoever_connects_is_refused_and_not_misread(server):
@@ -106,6 +106,22 @@ def test_an_instrument_that_greets_whoever_connects_is_refused_and_not_misread(s
     finding = only_finding(Scpi(server.resource))
     assert finding.problem == "the instrument sends what it was not asked for, such as 'Welcome to the supply'"
     assert "5025" in finding.fix
+
+
+@pytest.mark.parametrize("behind", ["MEAS:VOLT?", "MEAS:CURR?"])
+def test_an_instrument_that_sends_more_than_it_is_asked_for_when_tried_is_refused(server, behind):
+    known = server.answers[behind]
+    server.answers[behind] = lambda: f"{known()}\n!FAN WARNING"
+    finding = only_finding(Scpi(server.resource))
+    assert finding.problem == "the instrument sends what it was not asked for, such as '!FAN WARNING'"
+
+
+def test_an_instrument_that_echoes_is_refused_with_what_to_switch_off(server):
+    identity = server.answers["*IDN?"]
+    server.answers["*IDN?"] = f"*IDN?\n{identity}"
+    finding = only_finding(Scpi(server.resource))
+    assert finding.problem == "the instrument sends what it was not asked for, such as '*IDN?'"
+    assert "switch its echo off" in finding.fix
 
 
 def test_an_instrument_that_falls_silent_blocks_no_mission(tmp_path, server):

@@ -43,12 +43,19 @@ _REMEDIES = (
     ),
     ("ermission", "Give yourself the right to open its device (group dialout, or a rule of udev)."),
 )
-_FIX_GREETING = "Use its port for programs instead of that for people (5025, not 5024), and switch its echo off."
+_FIX_SURPLUS = "Use its port for programs instead of that for people (5025, not 5024), and switch its echo off."
 _REMEDY = "Look whether it is switched on, its address, and whether its remote interface is on."
 
 
 class OverloadError(ValueError):
     """An answer that holds no value, and is one answer all the same."""
+
+
+class SurplusError(ValueError):
+    """Something came that was not asked for: from then on, each answer would be that to the query before."""
+
+    def __init__(self, surplus: str) -> None:
+        super().__init__(f"the instrument sends what it was not asked for, such as {surplus.strip()[:40]!r}")
 
 
 def parse_number(answer: str) -> float:
@@ -85,23 +92,16 @@ class _Instrument:
     def __init__(self, plugin: Scpi) -> None:
         self._plugin = plugin
         try:
-            self._open()
-            self.identity = self._resource.query("*IDN?").strip()
-            for _ in range(_LONGEST_QUEUE):
-                if not self._complaint():  # of what others have sent before
-                    break
-            for command in plugin.setup:
-                self._resource.write(command)
-            complaint = self._complaint() if plugin.setup else ""
+            self._get_acquainted()
+        except PluginError:
+            self.close()
+            raise
+        except SurplusError as error:
+            self.close()
+            raise PluginError(str(error), where=plugin.name, fix=_FIX_SURPLUS) from error
         except Exception as error:  # each backend of PyVISA has errors of its own
             self.close()
             raise self._error(f"{plugin.resource} does not answer: {_said(error)}", str(error)) from error
-        if complaint:
-            self.close()
-            raise self._error(f"the instrument refuses its setup: {complaint}", _REFUSED)
-        for query in plugin.queries.values():
-            self._try(query)
-        self._refuse_greeting()
 
     def read(self) -> tuple[ElectricalReading, ...]:
         if self._resource is None:
@@ -129,27 +129,39 @@ class _Instrument:
         self._refuse_surplus()
         return parse_number(self._resource.query(query))
 
-    def _refuse_greeting(self) -> None:
-        """Look whether it sent something before it was asked: then each answer is that to the query before.
+    def _get_acquainted(self) -> None:
+        """Open it, set it up, and try each query.
+
+        Its identity is asked for before and after: a greeting or an echo comes in its place, whether it was sent early
+        or late.
 
         Raises:
-            PluginError: so it is.
+            PluginError: it refuses its setup, or does not understand a query.
+            SurplusError: it sends what it was not asked for.
         """
-        try:
-            answer = self._resource.query("*IDN?").strip()
-        except Exception as error:
-            self.close()
-            raise self._error(f"{self._plugin.resource} answers no more: {_said(error)}", str(error)) from error
-        if answer != self.identity:
-            self.close()
-            problem = f"the instrument sends what it was not asked for, such as {self.identity[:40]!r}"
-            raise PluginError(problem, where=self._plugin.name, fix=_FIX_GREETING)
+        self._open()
+        self.identity = self._resource.query("*IDN?").strip()
+        if self._resource.query("*IDN?").strip() != self.identity:
+            raise SurplusError(self.identity)
+        for _ in range(_LONGEST_QUEUE):
+            if not self._complaint():  # of what others have sent before
+                break
+        for command in self._plugin.setup:
+            self._resource.write(command)
+        complaint = self._complaint() if self._plugin.setup else ""
+        if complaint:
+            raise self._error(f"the instrument refuses its setup: {complaint}", _REFUSED)
+        for query in self._plugin.queries.values():
+            self._try(query)
+        said = self._resource.query("*IDN?").strip()
+        if said != self.identity:
+            raise SurplusError(said)
 
     def _refuse_surplus(self) -> None:
-        """Look whether more came than was asked for: from then on, each answer would be that to the query before.
+        """Look whether more came than was asked for.
 
         Raises:
-            ValueError: so it is.
+            SurplusError: so it is.
         """
         resource, visa = self._resource, import_module("pyvisa")
         if resource.resource_class != "SOCKET" and resource.interface_type != visa.constants.InterfaceType.asrl:
@@ -161,7 +173,7 @@ class _Instrument:
             if error.error_code != visa.constants.StatusCode.error_timeout:
                 raise
         else:
-            raise ValueError(f"the instrument sent {surplus.strip()[:40]!r}, which was not asked for")
+            raise SurplusError(surplus)
         finally:
             resource.timeout = patience
 
@@ -175,6 +187,8 @@ class _Instrument:
     def _try(self, query: str) -> None:
         try:
             self._asked(query)
+        except SurplusError:
+            raise
         except Exception as error:
             self.close()
             complaint = ""
