@@ -142,6 +142,13 @@ def test_a_registration_is_compared_with_a_config(
 
 
 @pytest.mark.long
+def test_warm_up_runs_are_told_apart_from_those_of_the_design(robot_runner: Callable[..., Answer], study: Path) -> None:
+    study.write_text(CONFIG.replace("shuffle=True", "shuffle=True, warm_up=2"), encoding="utf-8")
+    said = robot_runner("preregister", study).out
+    assert "Design      Task (Idle, Video); 3 repetitions, 8 runs, those that only warm up among them" in said
+
+
+@pytest.mark.long
 def test_a_registration_that_was_changed_or_is_missing_keeps_the_experiment_from_starting(
     robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
 ) -> None:
@@ -260,6 +267,24 @@ def test_a_factor_that_counts_repetitions_is_registered_with_the_power_of_others
     answer = robot_runner("preregister", study, "--power", "power/power.json", "--replace")
     assert answer.code == 0, answer.err
     assert "The config plans" not in answer.out
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("where", ["the model", "the plan"])
+def test_the_power_within_blocks_of_a_factor_that_counts_is_registered_however_it_is_written(
+    robot_runner: Callable[..., Answer], study: Path, where: str
+) -> None:
+    counted = CONFIG.replace('"Video"])], repetitions=3,', '"Video"]), Factor("repetition", range(3))],')
+    model, plan = (
+        ('shuffle=True, blocks="repetition"', "alpha=0.05")
+        if where == "the model"
+        else ("shuffle=True", 'alpha=0.05, blocks="repetition"')
+    )
+    study.write_text(counted.replace("shuffle=True", model).replace("alpha=0.05", plan), encoding="utf-8")
+    words = ("--sd", "10", "--difference", "Task=30", "--simulations", "100", "--repetitions", "3..9")
+    assert robot_runner("power", study, *words, "--output", "power").code == 0
+    answer = robot_runner("preregister", study, "--power", "power/power.json")
+    assert answer.code == 0, answer.err
 
 
 def test_what_is_left_out_and_adjusted_for_is_registered(

@@ -363,6 +363,33 @@ def test_the_standard_error_of_g_is_that_of_its_distribution():
     assert np.mean(found[:, 1] ** 2) == pytest.approx(found[:, 0].var(), rel=0.06)
 
 
+@pytest.mark.parametrize("covariates", [[], ["Warmth"]])
+def test_hedges_g_of_few_blocks_of_many_runs_is_hardly_less_than_the_d_of_the_report(make_folder, covariates):
+    # Three days tell their own variance with two degrees of freedom, and the standard deviation of a run with hundreds.
+    random = np.random.default_rng(8)
+    plan = {"measures": ["Energy"], "blocks": "Day", "covariates": covariates}
+
+    def make(name, day):
+        rows = [
+            (each, task, float(2.0 * (task == "b") + random.normal()), float(random.normal()))
+            for each in ("Mon", "Tue", "Wed")
+            for task in "ab"
+            for _ in range(40)
+        ]
+        factors = {"Day": ["Mon", "Tue", "Wed"], "Task": ["a", "b"]}
+        settings = {"name": name, "day": day, "manifest": {"analysis": plan}}
+        return make_folder(factors=factors, rows=rows, measures={"Energy": "J", "Warmth": "degC"}, **settings).root
+
+    folders = [make("one", "2026-06-01"), make("other", "2026-06-02")]
+    (effect,) = meta_analyse(*folders, measures=["Energy"]).measure("Energy").effects
+    for told, folder in zip(effect.experiments, folders, strict=True):
+        pair = analyse(load_results(folder)).measure("Energy").post_hoc[0].comparisons[0]
+        d = next(each.value for each in pair.effect_sizes if each.name == "Cohen's d")
+        assert told.freedom == pytest.approx(2.0, abs=0.2)
+        assert told.g == pytest.approx(d, rel=0.02)
+        assert told.g == pytest.approx(-2.0, abs=0.3)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("between", [0.0, 0.5, 4.0])
 @pytest.mark.parametrize("count", [2, 3, 6])

@@ -227,14 +227,15 @@ def test_origins_and_circumstances_that_differ_are_told(two_tasks):
     assert ("Seed of the order", "7", "8") in comparison.differing
 
 
-def test_a_branch_that_was_another_commit_is_told(two_tasks):
-    def at(commit):
-        kept = {"repository": "lab.example/nav", "commit": commit * 8, "build": "make", "path": "/tree"}
+def test_a_branch_that_was_another_commit_is_told_and_not_one_that_was_elsewhere(two_tasks):
+    def at(commit, place):
+        kept = {"repository": place, "commit": commit * 8, "build": "make", "path": "/tree"}
         revisions = {"Task": {"Video": kept, "Network": {**kept, "commit": "abcde" * 8}}}
         return two_tasks(name=commit, manifest={"revisions": revisions}).root
 
-    assert [each for each in compare(at("12345"), at("67890")).differing if "Task" in each[0]] == [
-        ("Task Video", "123451234512 (lab.example/nav)", "678906789067 (lab.example/nav)")
+    compared = compare(at("12345", "lab.example/nav"), at("67890", "/srv/lab/nav"))
+    assert [each for each in compared.differing if "Task" in each[0]] == [
+        ("Task Video", "123451234512 (lab.example/nav)", "678906789067 (/srv/lab/nav)")
     ]
 
 
@@ -552,6 +553,22 @@ def test_a_simulation_with_the_same_seed_is_told_to_be_the_same(two_tasks):
     told = compare(two_tasks().root, two_tasks(day="2026-02-01").root, bound="1%").again
     assert "every value is the same to the last digit, as of a copy, or a simulation with the same seed" in told
     assert told.endswith("That values agree tells nothing of runs that differ by chance.")
+
+
+def test_measures_that_are_the_same_in_each_run_are_told_where_others_differ(make_folder):
+    # As a replication computes again what follows from the seed, beside what the machine took for it.
+    rows = [("a", 10.5, 3.1, 1.5), ("a", 14.5, 3.2, 1.5), ("b", 18.5, 3.3, 2.5), ("b", 25.5, 3.4, 2.5)]
+    settings = {"factors": {"Task": ["a", "b"]}, "measures": {"Energy": "J", "Time": "s", "Step": "m"}}
+    original = make_folder(rows=rows, **settings).root
+    others = [(task, energy, time + 0.05, step) for task, energy, time, step in rows]
+    told = compare(original, make_folder(rows=others, day="2026-02-01", **settings).root, bound="5%").again
+    assert told == (
+        "experiment_2 has the values of experiment_1 again, of Energy: every value is the same to the last digit, as of"
+        " a copy, or a simulation with the same seed. That they agree tells nothing of runs that differ by chance, and"
+        " the tests take them for independent, which they are not."
+    )
+    others = [(task, energy + 0.05, time + 0.05, step) for task, energy, time, step in rows]
+    assert compare(original, make_folder(rows=others, day="2026-02-01", **settings).root).again == ""
 
 
 def test_an_experiment_of_which_some_runs_were_repeated_is_told_to_be_the_other_in_the_rest(two_tasks):

@@ -340,6 +340,23 @@ def test_long_names_that_differ_in_the_middle_are_told_apart_in_each_figure():
     assert all(speed in shown.axes[0].get_ylabel() for speed in ("fast", "slow"))
 
 
+def test_long_combinations_that_differ_in_two_places_are_told_apart():
+    names = [
+        f"config/nav2_{planner}_controller_params.yaml / maps/building_{floor}_floor_of_the_lab.yaml"
+        for planner in ("dwb", "rpp")
+        for floor in ("north", "south")
+    ]
+    groups = [Group(name, (1.0, 2.0), ("r_1", "r_2")) for name in names]
+    figure = draw_distribution(groups, value_label=LABEL, group_label="Config / Map")
+    figure_bytes(figure, FigureFormat.SVG)
+    shown = [label.get_text() for label in figure.axes[0].get_xticklabels()]
+    assert len(set(shown)) == len(names)
+    assert [("_rpp" in label, "_sou" in label) for label in shown] == [
+        (rpp, south) for rpp in (False, True) for south in (False, True)
+    ]
+    assert max(map(len, shown)) <= 31
+
+
 def test_a_long_name_of_a_measure_fits_beneath_many_groups():
     groups = [Group(f"a planner with a long name, {at} / hall", (1.0 * at, 2.0), ("r_1", "r_2")) for at in range(12)]
     figure = draw_distribution(

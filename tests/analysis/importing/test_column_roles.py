@@ -387,6 +387,19 @@ def test_blocks_are_as_they_are_said(tmp_path, text, said, expected):
     assert summary(guessed(tmp_path, text, **said)) == expected
 
 
+def test_numbers_that_count_from_1_in_each_combination_may_be_repetitions_in_another_language(tmp_path):
+    roles = guessed(tmp_path, made("task,Wiederholung,energy", TASK, 4, Wiederholung="{rep}"))
+    assert (roles.factors, roles.repetition) == (("task", "Wiederholung"), None)
+    (note,) = roles.notes
+    assert note == (
+        "Wiederholung counts from 1 to 4, and each combination has every number once: repetitions? Then say "
+        "--repetition Wiederholung"
+    )
+    assert guessed(tmp_path, made("task,speed,energy", TASK | {"speed": ["1", "3", "4"]}, 1)).notes == ()
+    (note,) = guessed(tmp_path, made("task,day,energy", TASK, 4, day="{rep}")).notes
+    assert note.startswith("day is taken for a block")
+
+
 def test_what_may_be_a_block_is_noted_with_its_option(tmp_path):
     (note,) = guessed(tmp_path, SHAPES["subjects"][0]).notes
     assert note == "subject has every combination for each of its values: a block? Then say --block subject"

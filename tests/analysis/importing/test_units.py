@@ -28,6 +28,8 @@ from robot_runner.analysis.importing.units import known_units, si_heading, split
         ("_s", "_s", None),
         ("time(s)", "time", "s"),
         ("Core(s)", "Core(s)", None),
+        ("Dauer (s)", "Dauer", "s"),
+        ("Laufzeit[s]", "Laufzeit", "s"),
         ("cpu (%)", "cpu", "%"),
         ("cpu_usage [avg %]", "cpu_usage", "%"),
         ("Battery Power* [uW] (Delta)", "Battery Power* (Delta)", "uW"),

@@ -127,6 +127,12 @@ DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
     "incomplete blocks, tiny differences": ([TASKS, MAPS], 6, {3, 8, 9}, {"blocks": "Repetition"}),
     "blocks, margins and gaps": ([TASKS, MAPS], 6, {3, 8, 9}, {"blocks": "Repetition"}),
     "replicated blocks": ([MAPS, Factor("Room", ["a", "b", "c", "d", "e"])], 2, set(), {"blocks": "Room"}),
+    "incomplete blocks of several runs": (
+        [Factor("Room", ["a", "b", "c", "d", "e"]), TASKS],
+        3,
+        {1, 2, 9, 16, 24, 31, 39},
+        {"blocks": "Room"},
+    ),
     "ranks": ([TASKS], 5, set(), {"analysis": {"measures": ["Energy"], "estimand": "rank"}}),
     "trimmed means": ([TASKS], 6, set(), {"analysis": {"measures": ["Energy"], "estimand": "trimmed mean"}}),
     "ANOVA-type, large differences": (

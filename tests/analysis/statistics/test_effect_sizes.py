@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from tests.analysis.made_experiment import make_experiment
+from tests.long_cases import long_but
 
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.statistics.effect_sizes import f_of_p_value, noncentralities_of_f, noncentralities_of_t
 from robot_runner.core.design.factor import Factor
+from robot_runner.designs import Crossover
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
 #: `qf(p, df1, df2, lower.tail = FALSE)` of R 4.2.
@@ -53,6 +56,44 @@ def test_an_effect_of_three_treatments_has_a_size_however_clear_it_is(
     assert (size.interval is not None) is has_interval
     missing = [each.what for each in measure.not_computed]
     assert ("interval of omega squared of Task" in missing) is not has_interval
+
+
+DAYS, TASKS = Factor("Day", [f"day {number}" for number in range(1, 9)]), Factor("Task", ["a", "b"])
+#: Factors, and what tells how runs of one combination that share a day, or a person, are taken together.
+SHARED: Mapping[str, tuple[list[Factor], dict[str, Any]]] = {
+    "in blocks": ([DAYS, TASKS], {"blocks": "Day"}),
+    "in blocks some of which lack a treatment": ([DAYS, TASKS], {"blocks": "Day"}),
+    "between blocks": ([DAYS, TASKS], {"blocks": "Day"}),
+    "in a crossover": ([TASKS, DAYS, Factor("Period", [1, 2])], {"chosen": Crossover("Day", "Period")}),
+}
+
+
+@pytest.mark.parametrize("repetitions", long_but([4], [1, 4, 64]))
+@pytest.mark.parametrize("design", SHARED)
+def test_an_effect_is_told_in_standard_deviations_of_runs_however_many_share_a_block(
+    tmp_path: Path, design: str, repetitions: int
+) -> None:
+    factors, more = SHARED[design]
+    # Runs of a cell have a standard deviation of 1, and their means vary between blocks as means of such runs do.
+    deviations = np.random.default_rng(3).normal(size=repetitions) if repetitions > 1 else np.ones(1)
+    deviations = (deviations - deviations.mean()) / (deviations.std(ddof=1) if repetitions > 1 else 1)
+    response = float(np.sqrt((3 / 4 if "between" in design else 7 / 16) / repetitions))
+
+    def values(treatments: dict[str, Any], repetition: int) -> dict[str, Any] | None:
+        day, is_b = DAYS.treatments.index(treatments["Day"]), treatments["Task"] == "b"
+        is_left_out = is_b == (day < 4) if "between" in design else "lack" in design and day < 3 and is_b == day % 2
+        if is_left_out:
+            return None
+        own = response * (1 if is_b else -1) * (1, 1, -1, -1)[day % 4]
+        return {"Energy": 50.0 + day * ("between" not in design) + is_b + own + float(deviations[repetition - 1])}
+
+    folder = make_experiment(tmp_path / "made", factors, values, repetitions=repetitions, **more).root
+    measure = analyse(load_results(folder)).measure("Energy")
+    assert measure.test is not None
+    size = next(each for each in measure.test.effects if each.factors == ("Task",)).effect_sizes[0]
+    assert size.name == "Cohen's d"
+    is_exact = design in {"in blocks", "between blocks"}
+    assert size.value == pytest.approx(-1.0, abs=1e-9 if is_exact else 0.4)
 
 
 @pytest.mark.parametrize("f_value", [1e11, 1e17, 1e40])

@@ -134,15 +134,22 @@ def _power(path: str | None, content: Mapping[str, Any]) -> dict[str, Any] | Non
     design = content["design"]
     factors = {name: texts for name, texts in design["factors"].items() if not _counts(name)}
     plan = json.loads(json.dumps(content["analysis"]))
+    if plan is not None:
+        plan["blocks"] = _blocks(plan["blocks"])
     for what, then, now in (
         ("names of the experiment", power.get("experiment"), content["experiment"]),
         ("the factors", power.get("columns"), factors),
-        ("the blocks", power.get("blocks"), design["blocks"]),
+        ("the blocks", power.get("blocks"), _blocks(design["blocks"])),
         ("choices of the analysis plan", power.get("analysis"), plan),
     ):
         if then != now:
             raise UsageError(f"{what} differ from those that the power was computed for", where=where, fix=_POWER_FIX)
     return power
+
+
+def _blocks(name: str | None) -> str | None:
+    """Return how `power` calls blocks: those of a factor that only counts are the repetitions."""
+    return REPETITION if name is not None and _counts(name) else name
 
 
 def _counts(factor: str) -> bool:
@@ -219,10 +226,9 @@ def _text(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if "parameters" in design:
         kind = str(design["parameters"]["kind"]).replace("_", " ")
         left_out = f", {counted(len(design['combinations']), 'combination')} of a {kind} design"
-    yield (
-        "Design",
-        f"{factors}{left_out}; {counted(design['repetitions'], 'repetition')}, {counted(design['runs'], 'run')}",
-    )
+    warm_up = ", those that only warm up among them" if design.get("warm_up") else ""
+    runs = f"{counted(design['repetitions'], 'repetition')}, {counted(design['runs'], 'run')}{warm_up}"
+    yield "Design", f"{factors}{left_out}; {runs}"
     blocks = f" within blocks of {design['blocks']}" if design["blocks"] else ""
     yield "Decided", str((design.get("facts") or {}).get("decides", ""))
     yield "Repeated", repeated_in_words(content["repeat_until"]) if content.get("repeat_until") else ""

@@ -30,8 +30,10 @@ from robot_runner.analysis.run_frame import several
 from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.descriptive import out_of_range, quiet
 from robot_runner.analysis.statistics.experiment_statistics import SEARCHED
+from robot_runner.analysis.statistics.lenth_test import LenthModel
 from robot_runner.analysis.statistics.lost_runs import failures_in_words
 from robot_runner.analysis.statistics.post_hoc import adjusted
+from robot_runner.analysis.statistics.surface_model import SurfaceModel
 from robot_runner.analysis.statistics.tested import Interval, NotComputed
 from robot_runner.analysis.statistics.tests import AnyModel, planned_model_of
 from robot_runner.core.design.analysis_plan import Correction, Estimand
@@ -211,7 +213,8 @@ def _answer(question: _Question, of: _Estimated, alpha: float) -> EffectIn | Non
     if not (error > 0 and freedom > 0 and math.isfinite(freedom) and spread > 0):
         return None
     reach = error * float(stats.t.ppf(1 - alpha / 2, freedom))
-    g, g_error = hedges_g(estimate, error, freedom, spread)
+    own = None if isinstance(of.model, LenthModel | SurfaceModel) else of.model.spread_freedom
+    g, g_error = hedges_g(estimate, error, freedom if own is None else own, spread)
     return EffectIn(
         of.experiment,
         int(of.data.frame[factor].astype(str).isin(list(weights)).sum()),
@@ -235,7 +238,7 @@ def hedges_g(difference: float, error: float, freedom: float, spread: float) -> 
     Args:
         difference: of means.
         error: its standard error.
-        freedom: the degrees of freedom of that.
+        freedom: the degrees of freedom of the standard deviation.
         spread: the standard deviation.
 
     Returns:

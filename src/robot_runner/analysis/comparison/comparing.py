@@ -32,7 +32,7 @@ from robot_runner.analysis.comparison.equivalence import (
     spread_of,
     why_not_testable,
 )
-from robot_runner.analysis.comparison.harmonising import COPIED, SAME_VALUES, same_runs, sameness
+from robot_runner.analysis.comparison.harmonising import COPIED, SAME_VALUES, same_measures, same_runs, sameness
 from robot_runner.analysis.comparison.matching import (
     MatchedValues,
     Matching,
@@ -147,6 +147,12 @@ def _again(called: tuple[str, ...], experiments: tuple[Results, ...], chosen: Se
         return (
             f"{called[1]} is {called[0]} again in {same} of {counted(of, 'run')}: {SAME_VALUES}. That these values "
             "agree proves nothing, and the tests take the two experiments for independent, which they are not."
+        )
+    alike = [name for name in same_measures(*experiments) if (name, name) in chosen]
+    if not why and alike:
+        return (
+            f"{called[1]} has the values of {called[0]} again, of {listed(alike)}: {SAME_VALUES}. That they agree "
+            "tells nothing of runs that differ by chance, and the tests take them for independent, which they are not."
         )
     if not why or (not is_of_one_name and experiments[0].folder == experiments[1].folder):
         return ""

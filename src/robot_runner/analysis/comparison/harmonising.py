@@ -132,6 +132,18 @@ def same_runs(one: Results, other: Results) -> tuple[int, int]:
     return (0 if alike.duplicated().any() else len(alike)), min(map(len, values))
 
 
+def same_measures(one: Results, other: Results) -> tuple[str, ...]:
+    """Return the measures that are the same in each run to the last digit; not those that runs share by rounding."""
+    values = _shared_values(one, other)
+    if values is None or not values[0].index.equals(values[1].index):
+        return ()
+    first, second = values
+    is_same = [first[name].equals(second[name]) and not first[name].dropna().duplicated().any() for name in first]
+    return tuple(
+        name for name, each in zip(first, is_same, strict=True) if each and (first[name].fillna(0.0) % 1).any()
+    )
+
+
 def _has_same_values(one: Results, other: Results) -> bool:
     """Return whether all measures are the same in each run; whole numbers may be by chance."""
     values = _shared_values(one, other)

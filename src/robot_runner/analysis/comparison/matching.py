@@ -321,9 +321,10 @@ def differing_circumstances(*experiments: Results) -> tuple[tuple[str, ...], ...
             treatments = (", ".join(map(str, each.runs[factor].cat.categories)) for each in experiments)
             rows.append((factor if factor in blocks else f"Treatments of {factor}", *treatments))
             revisions = [_within(each.manifest, ("revisions", factor)) or {} for each in experiments]
-            rows += [
-                (f"{factor} {name}", *(shown_commit(each.get(name)) for each in revisions)) for name in revisions[0]
-            ]
+            for name in revisions[0]:
+                of_each = [each.get(name) or {} for each in revisions]
+                if len({facts.get("commit") for facts in of_each}) > 1:  # not where its repository was
+                    rows.append((f"{factor} {name}", *map(shown_commit, of_each)))
     return tuple(row for row in rows if len(set(row[1:])) > 1)
 
 

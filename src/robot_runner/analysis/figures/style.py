@@ -38,6 +38,8 @@ _LETTERS_BESIDE = 46
 _LETTERS_IN_LEGEND = 50
 #: Letters of a name before those that tell it from another.
 _BEFORE = 3
+#: Letters of a treatment in the name of a combination, at the least.
+_FEWEST = 8
 #: What a line of a legend takes, and a letter of a slanted name, inches.
 _LEGEND_LINE, _SLANTED = 0.13, 0.02
 #: What can still be read in print, points.
@@ -261,7 +263,15 @@ def shortened_apart(labels: Sequence[str], longest: int = 28) -> list[str]:
         start = max((next(at for at, (one, other) in each if one != other) for each in pairs), default=0) - _BEFORE
         return shortened(f"…{label[start:]}" if start > 0 else label, longest)
 
-    return list(map(apart, labels))
+    shown = list(map(apart, labels))
+    if len(set(shown)) == len(set(labels)) or longest >= max(map(len, labels)):
+        return shown
+    parts = [label.split(" / ") for label in labels]
+    if len({len(each) for each in parts}) > 1 or len(parts[0]) == 1:
+        return shortened_apart(labels, 2 * longest)  # it takes more room
+    # Of combinations each factor differs in a place of its own.
+    of_factors = (shortened_apart(each, max(_FEWEST, longest // len(parts[0]))) for each in zip(*parts, strict=True))
+    return list(map(" / ".join, zip(*of_factors, strict=True)))
 
 
 def wrapped(text: str, line: int = _LINE) -> str:

@@ -274,10 +274,9 @@ class ColumnEvidence:
         return self.levels(name) > 1
 
     def counts(self, name: str) -> bool:
-        """Return whether a column has texts that are numbered from 0 or 1 on, as `set_1` and `set_2`."""
+        """Return whether a column has numbers from 0 or 1 on, or texts that are numbered so, as `set_1` and `set_2`."""
         numbers = sorted(number for each in self.values(name) if (number := repetition_number(each)) is not None)
-        is_counted = numbers in [list(range(first, first + self.levels(name))) for first in (0, 1)]
-        return is_counted and not self.is_numeric(name)
+        return numbers in [list(range(first, first + self.levels(name))) for first in (0, 1)]
 
     def tells_runs_apart(self, name: str, factors: Sequence[str]) -> bool:
         """Return whether the runs of each combination have values of their own in a column."""

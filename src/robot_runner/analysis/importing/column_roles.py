@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -36,6 +37,7 @@ _NUMBERED_NAME = re.compile(
     r"(?:[a-z_ -]*[a-z_ -])?\d+|[a-z]|\d{4}-\d\d-\d\d|mon|tue|wed|thu|fri|sat|sun", re.IGNORECASE
 )
 _FEWEST_BLOCKS = 3
+_FEWEST_COUNTED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,7 +298,10 @@ class _Guessing:
                 return
 
     def _doubt_counts(self) -> None:
-        """Ask about a factor of numbered texts with one run for each combination: it may count repetitions."""
+        """Ask about a factor of numbered texts with one run for each combination: it may count repetitions.
+
+        Plain numbers are more often treatments, and are noted: their column may be called so in another language.
+        """
         factors = self._named(Role.FACTOR)
         for name in factors:
             others = [each for each in factors if each != name]
@@ -306,8 +311,16 @@ class _Guessing:
                 and self._evidence.counts(name)
                 and self._evidence.tells_runs_apart(name, others)
             ):
-                reason = "its texts are numbered, and each combination has every one once: a repetition?"
-                self._take(name, Role.FACTOR, Confidence.UNSURE, reason)
+                numbers = self._evidence.values(name)
+                if not self._evidence.is_numeric(name):
+                    reason = "its texts are numbered, and each combination has every one once: a repetition?"
+                    self._take(name, Role.FACTOR, Confidence.UNSURE, reason)
+                elif len(numbers) >= _FEWEST_COUNTED and not (
+                    _BLOCK.fullmatch(_folded(name)) or _MAYBE_BLOCK.fullmatch(_folded(name))
+                ):
+                    first, *_, last = sorted(numbers, key=float)
+                    told = f"{name} counts from {first} to {last}, and each combination has every number once"
+                    self._notes.append(f"{told}: repetitions? Then say --repetition {shlex.quote(name)}")
 
     def _name_aliases(self) -> None:
         """Keep as text what follows from factors: names and numbers of combinations, second names of treatments."""

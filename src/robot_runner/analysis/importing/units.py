@@ -211,7 +211,7 @@ def split_heading(heading: str) -> tuple[str, Unit | None]:
         # Of `[avg %]` the last word is the unit; `Core(s)` is a plural.
         base = (name[: found.start()] + name[found.end() :]).strip()
         unit = _unit_in(base, found[1]) or _unit_in(base, found[1].split()[-1])
-        is_plural = found[1] == "s" and not _TIMES.search(base)
+        is_plural = found[0] == "(s)" and not _TIMES.search(base)
         if base and unit is not None and not is_plural:
             return base, unit
     if suffixed := _SUFFIXED.fullmatch(name):

@@ -343,6 +343,11 @@ class StudyFacts:
         return any(each.kind in kinds for each in self.compared)
 
     @property
+    def has_reduced(self) -> bool:
+        """Whether runs of some measure are reduced to means: in blocks, or where else they are alike."""
+        return any(each.kind == "blocks" or each.is_reduced for each in self.compared)
+
+    @property
     def has_designs(self) -> bool:
         """Whether some measure has the model of a design of its own."""
         return any(each.designed is not None for each in self.measures)

@@ -43,6 +43,8 @@ class AdjustedMeans:
         centre: the mean of all runs, at the mean of their covariates.
         spread: the standard deviation that differences are divided by: that of unadjusted values.
         residual_spread: the standard deviation of what the model leaves unexplained.
+        spread_freedom: the degrees of freedom of `spread` within blocks; None of runs of their own, of which it is as
+            well known as differences are.
         is_within: whether the means of blocks are taken away, as all factors differ within blocks.
         first_slope: the place of the first covariate among the coefficients.
         slopes_p_value: of the test that slopes are the same for all treatments; None where the runs do not tell.
@@ -59,6 +61,7 @@ class AdjustedMeans:
     centre: float
     spread: float
     residual_spread: float
+    spread_freedom: float | None
     is_within: bool
     first_slope: int
     slopes_p_value: float | None
@@ -145,7 +148,8 @@ def fit_adjusted(data: MeasureData, estimand: Estimand, statistic: Statistic) ->
 def _fitted(design: CovariateDesign, statistic: Statistic) -> AdjustedMeans | NoVariation:
     covariates, values = design.covariates, design.values
     fit = design.fit(design.columns)
-    spread, left = design.spread(design.fit(design.columns[:, :0])), design.spread(fit)
+    unadjusted = design.fit(design.columns[:, :0])
+    spread, left = design.spread(unadjusted), design.spread(fit)
     if not (math.isfinite(spread) and math.isfinite(left)):
         raise AdjustmentError("there are too few runs for the number of treatments and covariates.")
     if left <= rounding_of(values):
@@ -162,6 +166,7 @@ def _fitted(design: CovariateDesign, statistic: Statistic) -> AdjustedMeans | No
         float(np.mean(adjusted - design.effects[:, 1:] @ fit.beta[first : first + count])),
         spread,
         left,
+        float(design.freedom_left(unadjusted)) if design.is_within else None,
         is_within=design.is_within,
         first_slope=design.base.shape[1],
         slopes_p_value=_equal_slopes(design),

@@ -21,6 +21,8 @@ from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.batch_strata import batch_shares, run_counts, weights_in_blocks
 from robot_runner.analysis.statistics.cell_moments import (
     WINSORISED,
+    AveragedOut,
+    averaged_out,
     left_of,
     moments_of_runs,
     moments_of_strata,
@@ -139,6 +141,11 @@ class Layout:
         else:
             cells = np.add.reduceat(taken * self.row_weights, self.starts, axis=-1)
         return np.asarray(cells.reshape(*cells.shape[:-1], int(self.sizes.sum()), -1))
+
+    def averaged_out(self, values: Floats, estimand: Estimand = Estimand.MEAN) -> AveragedOut:
+        """Return what of the variance of a run the means of cells in blocks leave out."""
+        unit = np.repeat(np.arange(len(self.starts)), np.diff(np.append(self.starts, len(self.rows))))
+        return averaged_out(self._taken(values, estimand), unit, self.row_weights, self.batches)
 
     @property
     def _strata(self) -> tuple[Numbers, Floats] | None:

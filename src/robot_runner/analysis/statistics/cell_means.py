@@ -10,6 +10,7 @@ import numpy as np
 
 from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.cell_layout import ALONE
+from robot_runner.analysis.statistics.cell_moments import NOT_AVERAGED, AveragedOut
 from robot_runner.analysis.statistics.contrasts import (
     DRAWS,
     MOST_FLIPPED,
@@ -67,6 +68,7 @@ class CellMeans:
         statistic: which tests several contrasts at once.
         draws: of the bootstrap.
         units: the means of cells in each block, (..., blocks, cells); None of runs of their own.
+        averaged_out: what of the variance of a run the means of cells in blocks leave out.
     """
 
     layout: Layout
@@ -75,6 +77,7 @@ class CellMeans:
     statistic: Statistic = Statistic.COMBINED
     draws: int = DRAWS
     units: Floats | None = None
+    averaged_out: AveragedOut = NOT_AVERAGED
 
     @classmethod
     def of_values(
@@ -97,7 +100,8 @@ class CellMeans:
         largest = np.max(np.abs(found.means), axis=(-2, -1))[..., None, None, None]
         errors = np.where(np.abs(found.errors) <= (_ROUNDING * largest) ** 2, 0.0, found.errors)
         units = layout.units(values, estimand) if layout.is_blocked else None
-        return cls(layout, found._replace(errors=errors), estimand, statistic, draws, units)
+        beyond = layout.averaged_out(values, estimand) if layout.is_replicated else NOT_AVERAGED
+        return cls(layout, found._replace(errors=errors), estimand, statistic, draws, units, beyond)
 
     @property
     def method(self) -> TestMethod:
@@ -114,23 +118,38 @@ class CellMeans:
     @property
     def has_variation(self) -> bool:
         """Whether chance has a measure, in some combination at least; of blocks, in how they respond to treatments."""
-        return bool(np.all(self.spread > 0))
+        return bool(np.all(self._unit_variance > 0))
 
     @property
     def spread(self) -> Floats:
-        """The standard deviation that differences are divided by, the same for all of them.
+        """The standard deviation that differences are divided by, the same for all of them: that of a run.
 
         Of independent runs the root of the mean variance within combinations; of blocks that of what is left once their
         means are taken away; and where factors differ between blocks, that of blocks within combinations.
         """
+        return np.asarray(np.sqrt(self._unit_variance + self.averaged_out.variance))
+
+    @property
+    def spread_freedom(self) -> float | None:
+        """The degrees of freedom of `spread`; None of runs of their own: it is as well known as differences are."""
+        if not self.layout.is_blocked:
+            return None
+        count = self.moments.errors.shape[-1]
+        cells = count - 1 if count > 1 and not self.layout.between else count
+        freedom = float(cells * np.sum(self.layout.sizes - 1))
+        return self.averaged_out.freedom_with(float(self._unit_variance), freedom)
+
+    @property
+    def _unit_variance(self) -> Floats:
+        """The variance of runs of their own, or of the means of cells in blocks."""
         sizes = self.layout.variance_per_error(self.estimand)
         covariances = self.moments.errors * sizes[:, None, None]
         count = covariances.shape[-1]
         if count > 1 and not self.layout.between:
             whole = np.einsum("...gcc->...", covariances)
             own = beyond_rounding(whole - np.einsum("...gcd->...", covariances) / count, whole)
-            return np.asarray(np.sqrt(own / ((count - 1) * len(sizes))))
-        return np.asarray(np.sqrt(np.einsum("...gcc->...", covariances) / (len(sizes) * count)))
+            return np.asarray(own / ((count - 1) * len(sizes)))
+        return np.asarray(np.einsum("...gcc->...", covariances) / (len(sizes) * count))
 
     def effects(self) -> Iterator[EffectTest]:
         """Yield the test of each effect."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from robot_runner.analysis.arrays import Floats, Numbers
@@ -14,6 +16,9 @@ WINSORISED = 0.642
 
 #: The share that is cut off at either end for a trimmed mean (Wilcox, Introduction to Robust Estimation, 2012).
 _TRIMMED = 0.2
+
+#: What is left of a batch's column that tells nothing within units, but for rounding.
+_ROUNDING = 1e-9
 
 
 def trimmed_from(size: int) -> int:
@@ -49,6 +54,61 @@ def moments_of_strata(values: Floats, counts: Numbers, shares: Floats, estimand:
     means = centres.reshape(shape) @ shares
     errors = squares.reshape(shape).sum(axis=-1) / freedom * np.sum(shares**2 / left, axis=1)
     return Moments(means[..., None], errors[..., None, None], freedom)
+
+
+class AveragedOut(NamedTuple):
+    """What of the variance of a run the means of units leave out: the share 1 - 1 / n of that within a unit.
+
+    With it, an effect is in standard deviations of runs, however many of them a unit has.
+    """
+
+    variance: Floats
+    freedom: float
+
+    def freedom_with(self, own: float, freedom: float) -> float:
+        """Return the degrees of freedom of the variance of a run, of which means have their own (Satterthwaite 1946).
+
+        Args:
+            own: the variance of means.
+            freedom: its degrees of freedom.
+        """
+        beyond = float(self.variance)
+        return (own + beyond) ** 2 / (own**2 / freedom + beyond**2 / self.freedom) if beyond else freedom
+
+
+#: Of runs that are not averaged.
+NOT_AVERAGED = AveragedOut(np.zeros(()), 1.0)
+
+
+def averaged_out(
+    values: Floats, unit: Numbers, weights: Floats | None = None, batches: Numbers | None = None
+) -> AveragedOut:
+    """Return what the means of units leave out of the variance of a run.
+
+    Where all units have a single run, or batches tell all that differs within them, nothing is left out.
+
+    Args:
+        values: of the runs, (..., runs).
+        unit: of each run, from 0.
+        weights: of each run in the mean of its unit; all alike if left out.
+        batches: of each run, where there are several, each of which may be shifted as a whole.
+    """
+    order, sizes = np.argsort(unit, kind="stable"), np.bincount(unit)
+    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+
+    def within(of: Floats) -> Floats:
+        return np.asarray(of - np.repeat(np.add.reduceat(of, starts, axis=-1) / sizes, sizes, axis=-1))
+
+    rest, freedom = within(values[..., order]), len(unit) - len(sizes)
+    if batches is not None:
+        shifts = within((np.unique(batches)[:, None] == batches[order]).astype(np.float64))
+        directions, lengths, _ = np.linalg.svd(shifts.T, full_matrices=False)
+        basis = directions[:, lengths > _ROUNDING]
+        rest, freedom = rest - (rest @ basis) @ basis.T, freedom - basis.shape[1]
+    if freedom < 1:
+        return NOT_AVERAGED
+    shares = 1 / sizes if weights is None else np.bincount(unit, weights**2)
+    return AveragedOut(np.asarray(np.sum(rest**2, axis=-1) / freedom * (1 - shares.mean())), float(freedom))
 
 
 def left_of(counts: Numbers) -> Numbers:

@@ -180,13 +180,17 @@ class CovariateDesign:
 
     def spread(self, fit: RobustFit) -> float:
         """Return the root of the mean variance of combinations, or of what the model leaves; NaN of too few runs."""
-        blocks = int(self.units.max()) + 1 if self.units is not None and self.is_within else 0
-        freedom = len(fit.residuals) - len(fit.beta) - blocks
+        freedom = self.freedom_left(fit)
         if freedom < 1:
             return math.nan
         if self._variances is not None:
             return float(np.sqrt(np.mean(fit.working[np.unique(self.cell, return_index=True)[1]])))
         return float(np.sqrt(np.sum(fit.residuals**2) / freedom))
+
+    def freedom_left(self, fit: RobustFit) -> int:
+        """Return the degrees of freedom that are left of all runs."""
+        blocks = int(self.units.max()) + 1 if self.units is not None and self.is_within else 0
+        return len(fit.residuals) - len(fit.beta) - blocks
 
     def crossed(self) -> Floats | None:
         """Return the products of covariates and main effects, in which slopes differ; None where runs are too few."""

@@ -15,6 +15,7 @@ from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, MeasureData, covariate_column
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS, listed_layout, relative_ranks
 from robot_runner.analysis.statistics.cell_means import CellMeans
+from robot_runner.analysis.statistics.cell_moments import averaged_out
 from robot_runner.analysis.statistics.designed_columns import block_columns, carried_over, numbers_of_levels
 from robot_runner.analysis.statistics.effect_coding import Factors, Term, coded_columns
 from robot_runner.analysis.statistics.known_design import role_column
@@ -51,22 +52,28 @@ def designed_model_of(
     values = data.values if values is None else values  # noqa: PD011 - no data frame
     if estimand is Estimand.RANK:
         values = relative_ranks(values, data.batches if data.is_extended else None)
-    return _Fitting(*_of_units(data, values)).model(estimand, statistic)
+    unit = _units(data)
+    if unit is None:
+        return _Fitting(data, values).model(estimand, statistic)
+    model = _Fitting(*_of_units(data, values, unit)).model(estimand, statistic)
+    return replace(model, averaged_out=averaged_out(values, unit)) if isinstance(model, StrataModel) else model
 
 
-def _of_units(data: MeasureData, values: Floats) -> tuple[MeasureData, Floats]:
+def _units(data: MeasureData) -> Numbers | None:
+    """Return the combination within its blocks of each run; None where each has one run, or there are no blocks."""
+    if not data.known.columns:
+        return None
+    names = [*data.factors, *map(role_column, data.known.columns), *([BATCH] if data.is_extended else [])]
+    unit = data.frame.groupby(names, observed=True, sort=False).ngroup().to_numpy()
+    return None if int(unit.max()) + 1 == len(unit) else np.asarray(unit, dtype=np.intp)
+
+
+def _of_units(data: MeasureData, values: Floats, unit: Numbers) -> tuple[MeasureData, Floats]:
     """Return one row for each combination within its blocks: runs that repeat it there are reduced to their mean.
 
     They are not independent: what the place responds to a treatment is in all of them.
     """
-    if not data.known.columns:
-        return data, values
-    names = [*data.factors, *map(role_column, data.known.columns), *([BATCH] if data.is_extended else [])]
-    unit = data.frame.groupby(names, observed=True, sort=False).ngroup().to_numpy()
-    count = int(unit.max()) + 1
-    if count == len(unit):
-        return data, values
-    belongs = np.eye(count)[unit]
+    belongs = np.eye(int(unit.max()) + 1)[unit]
     belongs /= belongs.sum(axis=0)
     frame = data.frame.iloc[np.unique(unit, return_index=True)[1]].reset_index(drop=True)
     told = {covariate_column(name): data.covariate(name) @ belongs for name in data.covariates}

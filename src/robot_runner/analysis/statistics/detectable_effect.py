@@ -39,12 +39,13 @@ _NOTE = (
     f"average (harmonic mean). {_PLAN}"
 )
 _NOTE_BETWEEN = (
-    "Figures are for a test of the means of blocks, each of which has one treatment: more runs of the same blocks "
-    f"hardly help. {_PLAN}"
+    "Figures are for a test of the means of blocks, each of which has one treatment, and effects are in standard "
+    f"deviations of these means: more runs of the same blocks hardly help. {_PLAN}"
 )
 _NOTE_WITHIN = (
-    "Figures are for a test within complete blocks, with equal spreads; effects are in standard deviations of what is "
-    f"left once the means of blocks are taken away. More runs in the same blocks hardly help. {_PLAN}"
+    "Figures are for a test within complete blocks, with equal spreads; effects are in standard deviations of the "
+    "means of treatments in a block, of what is left once the means of blocks are taken away. More runs in the same "
+    f"blocks hardly help. {_PLAN}"
 )
 
 

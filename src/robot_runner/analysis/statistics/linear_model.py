@@ -19,6 +19,7 @@ from scipy import optimize, stats
 from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, MeasureData
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS
+from robot_runner.analysis.statistics.cell_moments import NOT_AVERAGED, AveragedOut, averaged_out
 from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
 from robot_runner.analysis.statistics.effect_coding import Factors, Term
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, NoVariation, TestMethod
@@ -72,6 +73,7 @@ class FittedModel:
         fit: what was estimated.
         beside: how many columns of the design, the last ones, are of batches, and of what else is taken out.
         note: why interactions are left out; empty where none is.
+        averaged_out: what of the variance of a run the means of combinations in blocks leave out.
     """
 
     factors: Factors
@@ -81,6 +83,7 @@ class FittedModel:
     fit: _Fit
     note: str
     beside: int = 0
+    averaged_out: AveragedOut = NOT_AVERAGED
 
     @property
     def method(self) -> TestMethod:
@@ -89,8 +92,15 @@ class FittedModel:
 
     @property
     def spread(self) -> float:
-        """The standard deviation of what the model leaves unexplained."""
-        return math.sqrt(self.fit.scale)
+        """The standard deviation of what the model leaves unexplained of a run."""
+        return math.sqrt(self.fit.scale + float(self.averaged_out.variance))
+
+    @property
+    def spread_freedom(self) -> float:
+        """The degrees of freedom of `spread`."""
+        every = self.exog if self.blocks is None else self._with_blocks
+        freedom = float(len(self.exog) - np.linalg.matrix_rank(every))
+        return self.averaged_out.freedom_with(self.fit.scale, freedom)
 
     def effects(self) -> Iterator[EffectTest]:
         """Yield the test of each effect: Wald's statistic as an F, with degrees of freedom by containment."""
@@ -166,9 +176,9 @@ def fit_model(
         response: takes the place of the values, as their ranks.
         beside: further columns that are taken out, (runs, columns).
     """
-    values = response if response is not None else data.values  # noqa: PD011 - no data frame
-    taken = np.empty((len(values), 0)) if beside is None else beside
-    frame = _means_in_blocks(data, {VALUE: values} | {f"{_TAKEN}{at}": each for at, each in enumerate(taken.T)})
+    response = response if response is not None else data.values  # noqa: PD011 - no data frame
+    taken = np.empty((len(response), 0)) if beside is None else beside
+    frame, unit = _means_in_blocks(data, {VALUE: response} | {f"{_TAKEN}{at}": each for at, each in enumerate(taken.T)})
     factors = data.treatments
     blocks = frame[_BLOCK].to_numpy(dtype=str) if data.is_blocked else None
     taken = frame[[name for name in frame if str(name).startswith(_TAKEN)]].to_numpy(dtype=np.float64)
@@ -190,7 +200,8 @@ def fit_model(
     if np.max(np.abs(left)) <= rounding_of(values) and np.linalg.matrix_rank(every) < len(values):
         of = "within each combination all values are equal" if blocks is None else "all blocks respond alike"
         return NoVariation("the test", f"{of}, so that chance has no measure.")
-    return FittedModel(factors, terms, blocks, exog, _fitted(values, exog, blocks), note, count)
+    beyond = averaged_out(response, unit)
+    return FittedModel(factors, terms, blocks, exog, _fitted(values, exog, blocks), note, count, beyond)
 
 
 def _independent(columns: Floats) -> Floats:
@@ -270,16 +281,17 @@ def _with_mean(columns: Iterable[pd.DataFrame], count: int) -> Floats:
     return np.column_stack([np.ones(count), *(each.to_numpy() for each in columns)])
 
 
-def _means_in_blocks(data: MeasureData, numbers: Mapping[str, Floats]) -> pd.DataFrame:
-    """Return one row a value: of blocks, the mean of each combination that a block holds."""
+def _means_in_blocks(data: MeasureData, numbers: Mapping[str, Floats]) -> tuple[pd.DataFrame, Numbers]:
+    """Return one row a value, of blocks the mean of each combination that a block holds; and the row of each run."""
     frame = data.frame[list(data.factors)].astype(str).assign(**numbers)
     if data.is_extended:
         frame[BATCH] = data.batches
     if not data.is_blocked:
-        return frame
+        return frame, np.arange(len(frame))
     frame[_BLOCK] = data.blocks
     units = [_BLOCK, BATCH] if data.is_extended else [_BLOCK]
-    return frame.groupby([*units, *data.factors], sort=False, as_index=False)[list(numbers)].mean()
+    runs = frame.groupby([*units, *data.factors], sort=False)
+    return runs[list(numbers)].mean().reset_index(), runs.ngroup().to_numpy(dtype=np.intp)
 
 
 def estimable_terms(factors: Factors, frame: pd.DataFrame, blocks: int) -> tuple[tuple[Term, ...], str]:

@@ -19,6 +19,7 @@ import numpy as np
 from scipy import stats
 
 from robot_runner.analysis.arrays import Floats, Numbers
+from robot_runner.analysis.statistics.cell_moments import NOT_AVERAGED, AveragedOut
 from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
 from robot_runner.analysis.statistics.effect_coding import Factors, Term
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, NoVariation, TestMethod
@@ -115,6 +116,7 @@ class StrataModel:
         method: what a paper calls the tests.
         reason: why this one, in a sentence.
         notes: what a reader has to know besides.
+        averaged_out: what of the variance of a run is left out where what is modelled are means of runs.
     """
 
     factors: Factors
@@ -125,6 +127,7 @@ class StrataModel:
     method: TestMethod
     reason: str
     notes: tuple[str, ...] = ()
+    averaged_out: AveragedOut = NOT_AVERAGED
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -136,10 +139,17 @@ class StrataModel:
         """The standard deviation of a run: of whole plots and of runs within them together."""
         within = self.fits[-1].mean_square
         if len(self.fits) == 1:
-            return np.sqrt(within)
+            return np.asarray(np.sqrt(within + self.averaged_out.variance))
         between = self.fits[0].mean_square
         share = np.where(np.isfinite(between), between + (self.plot_size - 1) * within, self.plot_size * within)
-        return np.asarray(np.sqrt(share / self.plot_size))
+        return np.asarray(np.sqrt(share / self.plot_size + self.averaged_out.variance))
+
+    @property
+    def spread_freedom(self) -> float | None:
+        """The degrees of freedom of `spread`; None of two strata: it is as well known as differences are."""
+        if len(self.fits) > 1:
+            return None
+        return self.averaged_out.freedom_with(float(self.fits[0].mean_square), self.fits[0].freedom)
 
     def effects(self) -> Iterator[EffectTest]:
         """Yield the test of each effect."""
