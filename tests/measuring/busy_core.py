@@ -11,9 +11,10 @@ import threading
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
+from tests.waiting import wait_until
 
 from robot_runner.measuring.host import SUBJECT_VARIABLE
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from robot_runner.measuring.host import UtilisationSample
+    from robot_runner.measuring.on_board_sampler import OnBoardSampler
 
 #: The name of the subject that `busy_family` keeps busy: all processes of the machine are looked through, among which
 #: may be those of tests that another process executes at the same time.
@@ -145,6 +147,19 @@ def counted_seconds(samples: Sequence[UtilisationSample], place: int = 0) -> flo
     """Return the CPU time, s, that samples tell of the processes of one selector."""
     shares = [(late.time - soon.time) * (late.processes[place].cpu or 0.0) for soon, late in pairwise(samples)]
     return sum(shares) / 100 * (os.cpu_count() or 1)
+
+
+def samples_so_far(sampler: OnBoardSampler[Any]) -> int:
+    """Return how many samples have arrived, or are kept on board where that is this machine."""
+    if sampler._path is None:
+        return len(sampler._session.samples)
+    return Path(sampler._path).read_text(encoding="utf-8").count("\n") - 1  # the first line tells whose they are
+
+
+def wait_for_samples(count: int, sampler: OnBoardSampler[Any]) -> int:
+    """Wait for so many samples, however long a busy machine takes for them, and return how many there are."""
+    wait_until(lambda: samples_so_far(sampler) >= count)
+    return samples_so_far(sampler)
 
 
 def wait(seconds: float) -> None:

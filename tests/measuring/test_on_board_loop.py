@@ -6,6 +6,7 @@ import ast
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -23,7 +24,9 @@ from tests.measuring.busy_core import (
     late_program,
     needs_affinity,
     wait,
+    wait_for_samples,
 )
+from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
@@ -65,6 +68,12 @@ def test_the_loop_keeps_to_an_old_python() -> None:
     ast.parse((PROGRAMS / "loop.py").read_text(), feature_version=(3, 6))
 
 
+def test_the_loop_needs_no_clock_that_an_old_python_has_no_name_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr("time.CLOCK_BOOTTIME", raising=False)  # Python has it from 3.7 on
+    processes = loop.Processes([f"pid:{os.getpid()}"])
+    assert f"0:{os.getpid()}:" in " ".join(processes.counters(0.0))
+
+
 def test_the_best_way_is_chosen() -> None:
     session = OnBoardSession(["sh", "-c", REMOTE_COMMAND], where="here", clock=SystemClock())
     assert session.form == "python3"
@@ -93,7 +102,7 @@ def test_samples_come_at_the_rate_and_are_placed_on_the_runs_clock(host: Callabl
     link = host(form)
     begun = clock.now()
     sampler = link.sample_utilisation(20.0)
-    wait(1.0)
+    wait_for_samples(15, sampler)
     samples = sampler.stop()
     ended = clock.now()
     report = sampler.report()
@@ -101,7 +110,7 @@ def test_samples_come_at_the_rate_and_are_placed_on_the_runs_clock(host: Callabl
     assert report.rate == 20.0
     assert FORMS[form].description == report.form
     assert begun - 0.05 <= samples[0].time <= samples[-1].time <= ended + 0.05
-    assert 10 <= len(samples) <= 23
+    assert 15 < len(samples) <= 20.0 * (ended - begun) + 3
     assert samples[0].cpu is None
     told = [sample for sample in samples[1:] if sample.cpu is not None]
     assert all(0.0 <= sample.cpu <= 100.0 and 0.0 < sample.memory < 100.0 for sample in told)
@@ -170,16 +179,17 @@ def test_what_a_subject_has_started_belongs_to_it_where_its_mark_was_taken_away(
 def test_ps_is_asked_for_cpu_time_and_not_for_the_share_of_a_lifetime(host: Callable[..., SshHost]) -> None:
     with busy_core() as busy:
         sampler = host("ps").sample_processes(10.0, [f"pid:{busy.pid}"])
-        spent = -busy.cpu_seconds
+        spent, looked = -busy.cpu_seconds, -time.monotonic()
         wait(3.3)
+        wait_for_samples(2, sampler)
         samples = sampler.stop()
-        spent += busy.cpu_seconds
+        spent, looked = spent + busy.cpu_seconds, looked + time.monotonic()
     assert sampler.report().rate == 1.0
-    assert 3 <= len(samples) <= 5
+    assert 3 <= len(samples) <= looked + 2
     seconds = samples[-1].time - samples[0].time
     counted = [(late.time - soon.time) * late.processes[0].cpu for soon, late in pairwise(samples)]
     # ps tells whole seconds, so that each end may be wrong by one.
-    assert sum(counted) / 100 * os.cpu_count() == pytest.approx(spent * seconds / 3.3, abs=1.1)
+    assert sum(counted) / 100 * os.cpu_count() == pytest.approx(spent * seconds / looked, abs=1.1)
     assert samples[-1].cores == ()
 
 
@@ -187,9 +197,7 @@ def test_ps_is_asked_for_cpu_time_and_not_for_the_share_of_a_lifetime(host: Call
 def test_streamed_samples_are_there_before_the_stop(host: Callable[..., SshHost], form: str) -> None:
     link = host(form)
     sampler = link.sample_processes(20.0, (), is_streamed=True)
-    wait(0.5)
-    arrived = len(sampler._session.samples)
-    assert arrived >= 4
+    arrived = wait_for_samples(4, sampler)
     assert len(sampler.stop()) > arrived
     assert sampler.report().problems == ()
 
@@ -224,7 +232,7 @@ def test_files_are_read_at_the_rate(host: Callable[..., SshHost], form: str, tmp
     paths = [str(tmp_path / name) for name in ("power", "empty", "nothing")]
     link = host(form)
     sampler = link.sample_files(20.0, paths)
-    wait(0.4)
+    wait_for_samples(4, sampler)
     samples = sampler.stop()
     assert len(samples) >= 4
     assert samples[0].lines[0] == "7500"
@@ -239,7 +247,7 @@ def test_the_shell_loop_works_in_every_shell_that_is_here(host: Callable[..., Ss
     command = [*words, "-c", REMOTE_COMMAND.replace("exec sh", f"exec {' '.join(words)}")]
     link = host("sh", command=command)
     sampler = link.sample_processes(20.0, ["pid:1"])
-    wait(0.5)
+    wait_for_samples(5, sampler)
     samples = sampler.stop()
     assert sampler.report().problems == ()
     assert len(samples) >= 5
@@ -319,10 +327,7 @@ os.kill(os.getpid(), 9)
     link = host(form)
     link.connect()
     assert not left.exists()
-    deadline = time.monotonic() + 5.0
-    while _is_alive(holder) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not _is_alive(holder)
+    wait_until(lambda: not _is_alive(holder))
 
 
 def test_samples_of_a_run_that_goes_on_are_left_alone(host: Callable[..., SshHost], tmp_path: Path) -> None:
@@ -330,7 +335,7 @@ def test_samples_of_a_run_that_goes_on_are_left_alone(host: Callable[..., SshHos
     foreign = tmp_path / "robot-runner-samples-0123456789abcdef-1-0123456789abcdef"
     foreign.write_text("pid\t999999999\n")
     host().connect()
-    wait(0.3)
+    wait_for_samples(3, first)
     assert foreign.exists()  # somebody else's, who may want them
     foreign.unlink()
     assert len(first.stop()) >= 3
@@ -344,34 +349,36 @@ def _is_alive(pid: int) -> bool:
 
 
 @pytest.mark.parametrize("form", PYTHON_AND_SHELL)
-def test_a_loop_that_is_told_to_leave_ends_at_once(host: Callable[..., SshHost], form: str) -> None:
+def test_a_loop_that_is_told_to_leave_ends_at_once(
+    host: Callable[..., SshHost], form: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(on_board_session, "_LAST_WORDS", PATIENCE)  # and no signal ends it
     link = host(form)
     sampler = link.sample_utilisation(20.0)
-    wait(0.2)
-    begun = time.monotonic()
+    wait_for_samples(2, sampler)
     session = sampler._session
     session.close()
-    assert time.monotonic() - begun < 1.5
-    assert session._process.returncode is not None
+    assert session._process.returncode == 0
     sampler.stop()  # recovers what was kept
 
 
+@pytest.mark.parametrize("lease", [2, 600])
 @pytest.mark.parametrize("form", PYTHON_AND_SHELL)
-def test_a_loop_without_its_connection_ends_after_its_lease(
-    host: Callable[..., SshHost], form: str, monkeypatch: pytest.MonkeyPatch
+def test_a_loop_without_its_connection_ends_after_its_lease_and_not_before(
+    host: Callable[..., SshHost], form: str, lease: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(on_board_session, "_LEASE", 2)
+    monkeypatch.setattr(on_board_session, "_LEASE", lease)
     link = host(form)
     sampler = link.sample_utilisation(20.0)
-    session = sampler._session
-    wait(0.5)
-    session._process.stdin.close()  # as where a connection is cut
+    wait_for_samples(2, sampler)
+    sampler._session._process.stdin.close()  # as where a connection is cut
     holder = int(re.search(r"pid\t(\d+)", Path(sampler._path).read_text()).group(1))
-    wait(0.7)
-    assert _is_alive(holder)
-    wait(4.0)
-    assert not _is_alive(holder)
-    assert len(sampler.stop()) >= 20  # what it had kept by then
+    if lease > PATIENCE:
+        wait_for_samples(20, sampler)
+        assert _is_alive(holder)
+        os.killpg(sampler._session._process.pid, signal.SIGKILL)
+    wait_until(lambda: not _is_alive(holder))
+    assert len(sampler.stop()) >= 2  # what it had kept by then
 
 
 def test_a_computer_on_which_nobody_answers_is_an_error(host: Callable[..., SshHost]) -> None:

@@ -17,6 +17,12 @@ def test_columns_come_back_as_they_were_written(tmp_path):
         assert list(csv.reader(file)) == [["time_s", "raw"], ["0.005000", "-3"], ["0.010000", "7"]]
 
 
+def test_names_in_any_language_come_back(tmp_path):
+    write_samples(tmp_path / "samples.csv", [Column("cpu_grüner_percent", [1.0]), Column("raw_\udcff", [2.0])])
+    lines = (tmp_path / "samples.csv").read_text(encoding="utf-8").splitlines()
+    assert lines == ["cpu_grüner_percent,raw_\\udcff", "1.000000,2.000000"]  # the last one was no UTF-8
+
+
 def test_no_samples_leave_the_heading(tmp_path):
     write_samples(tmp_path / "samples.csv", [Column("time_s", [])])
     assert (tmp_path / "samples.csv").read_text() == "time_s\n"

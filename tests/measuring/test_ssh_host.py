@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.core.links.ssh_server import SshServer
-from tests.measuring.busy_core import wait
+from tests.measuring.busy_core import wait_for_samples
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
@@ -75,7 +75,7 @@ def test_samples_arrive_over_one_session(connect: Callable[..., SshHost], form: 
     link = connect(form)
     begun = time.monotonic()
     sampler = link.sample_processes(20.0, ["pid:1"], is_streamed=is_streamed)
-    wait(0.5)
+    wait_for_samples(5, sampler)
     samples = sampler.stop()
     assert len(samples) >= 5
     assert begun - 0.05 < samples[0].time < samples[-1].time < time.monotonic() + 0.05
@@ -89,7 +89,7 @@ def test_the_samples_of_a_lost_connection_are_recovered_from_on_board(
     connect: Callable[..., SshHost], server: SshServer
 ) -> None:
     sampler = connect().sample_utilisation(50.0)
-    wait(1.3)
+    wait_for_samples(25, sampler)
     server.cut()
     samples = sampler.stop()
     lost, recovered = sampler.report().problems
@@ -105,10 +105,10 @@ def test_the_loop_goes_on_after_the_connection_was_cut(
 ) -> None:
     clock = SystemClock()
     sampler = connect(form).sample_utilisation(20.0)
-    wait(0.6)
+    kept = wait_for_samples(2, sampler)
     cut_at = clock.now()
     server.cut()
-    wait(2.0)
+    wait_for_samples(kept + 60, sampler)  # of which some may be older: they are written once a second
     samples = sampler.stop()
     assert samples[-1].time > cut_at + 1.5
     after = [sample for sample in samples if sample.time > cut_at]
@@ -120,7 +120,7 @@ def test_the_samples_that_had_arrived_before_the_connection_was_lost_are_kept(
     connect: Callable[..., SshHost], server: SshServer
 ) -> None:
     sampler = connect("sh").sample_processes(50.0, (), is_streamed=True)
-    wait(0.6)
+    wait_for_samples(5, sampler)
     server.cut()
     samples = sampler.stop()
     lost, kept = sampler.report().problems
@@ -135,7 +135,6 @@ def test_a_robot_that_does_not_come_back_leaves_word_where_the_samples_are(tmp_p
     link = SshHost("robot", SystemClock(), config=server.config)
     try:
         sampler = link.sample_utilisation(20.0)
-        wait(0.3)
     finally:
         server.stop()
     assert sampler.stop() == []
@@ -151,9 +150,9 @@ def test_a_robot_that_does_not_come_back_leaves_word_where_the_samples_are(tmp_p
 def test_a_robot_that_falls_silent_is_told_of(
     connect: Callable[..., SshHost], server: SshServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(on_board_session, "_PATIENCE", 1.0)
     sampler = connect().sample_processes(20.0, (), is_streamed=True)
-    wait(0.3)
+    wait_for_samples(1, sampler)
+    monkeypatch.setattr(on_board_session, "_PATIENCE", 1.0)
     client = sampler._session._process.pid
     os.kill(client, 19)  # SIGSTOP: the network holds everything back
     try:
@@ -231,7 +230,7 @@ def test_samples_of_a_host_with_a_shifted_and_drifting_clock_stand_at_their_true
     shifted: SshHost, is_streamed: bool
 ) -> None:
     sampler = shifted.sample_files(50.0, ["/proc/uptime"], is_streamed=is_streamed)
-    wait(2.0)
+    wait_for_samples(100, sampler)
     samples = sampler.stop()
     booted = SystemClock().now() - time.clock_gettime(time.CLOCK_BOOTTIME)
     record = sampler.report().clock

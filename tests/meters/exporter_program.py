@@ -29,7 +29,9 @@ print(server.server_address[1], flush=True)  # noqa: T201 - its way to speak
 for line in sys.stdin:
     verb, name, amount = line.split()
     metric = {"joules": joules, "watts": watts}.get(name)
-    if name.endswith("0"):
+    if name.startswith("core"):
+        metric = load.labels(name.removeprefix("core"))
+    elif name.endswith("0"):
         metric = packets.labels(name)
     if verb == "set":
         metric.set(float(amount))

@@ -17,6 +17,7 @@ class FakeDriver:
         paths: of the instruments that are connected.
         watts: what they measure, W at a time of the clock.
         published: topics and values, in order.
+        counted: what the energy counter tells of the joules that it has counted, J.
         is_silent: whether no statistics come any more.
         is_finalized: whether it was let go of.
     """
@@ -27,6 +28,7 @@ class FakeDriver:
         self.opened: set[str] = set()
         self.is_silent = self.is_finalized = False
         self.joules = 500.0
+        self.counted: Callable[[float], float] = lambda joules: joules
         self._beats: list[Any] = []
 
     def device_paths(self, timeout=None) -> list[str]:
@@ -71,5 +73,8 @@ class FakeDriver:
         return {
             "time": {"range": {"value": [0.0, 0.1], "units": "s"}, "delta": {"value": 0.1, "units": "s"}},
             "signals": {"current": signal(watts / 12, "A"), "voltage": signal(12.0, "V"), "power": signal(watts, "W")},
-            "accumulators": {"charge": {"value": 1.0, "units": "C"}, "energy": {"value": self.joules, "units": "J"}},
+            "accumulators": {
+                "charge": {"value": 1.0, "units": "C"},
+                "energy": {"value": self.counted(self.joules), "units": "J"},
+            },
         }

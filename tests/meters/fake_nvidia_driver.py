@@ -13,7 +13,7 @@ SUCCESS, INVALID_ARGUMENT, NOT_SUPPORTED, DRIVER_NOT_LOADED, GPU_IS_LOST = 0, 2,
 
 @dataclass
 class FakeGpu:
-    """What a GPU says; energy in mJ grows by its power from `offset` on, if it `counts`."""
+    """What a GPU says; energy in mJ grows by its power from `offset` on, if it `counts`, or else `millijoules`."""
 
     watts: float | Callable[[float], float] = 50.0
     utilisation: int = 40
@@ -24,6 +24,7 @@ class FakeGpu:
     counts: bool = True
     offset: int = 5_000_000
     is_lost: bool = False
+    millijoules: Callable[[float], float] | None = None
 
 
 class FakeNvidiaDriver:
@@ -74,7 +75,8 @@ class FakeNvidiaDriver:
         gpu = self._handles[id(handle)]
         if not gpu.has_counter:
             return NOT_SUPPORTED
-        millijoules._obj.value = gpu.offset + gpu.counts * round(1000 * self._watts(gpu) * self.clock.now())
+        told = gpu.millijoules or (lambda time: gpu.offset + gpu.counts * 1000 * self._watts(gpu) * time)
+        millijoules._obj.value = round(told(self.clock.now()))
         return SUCCESS
 
     def nvmlDeviceGetUtilizationRates(self, handle, rates):  # noqa: N802

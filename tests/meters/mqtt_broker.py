@@ -11,6 +11,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.loopback_port import claim_port
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,9 +33,7 @@ class Broker:
         found = shutil.which("mosquitto", path=_SEARCHED)
         if found is None:
             pytest.skip("mosquitto is not installed (Debian, Ubuntu: sudo apt install mosquitto)")
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = int(probe.getsockname()[1])
+        self.port = claim_port()
         self.url = f"mqtt://127.0.0.1:{self.port}"
         lines = [f"listener {self.port} 127.0.0.1", f"allow_anonymous {'false' if password else 'true'}"]
         if os.geteuid() == 0:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import socketserver
 import threading
 import time
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -43,14 +44,12 @@ class ScpiServer:
 
         class Handler(socketserver.StreamRequestHandler):
             def handle(self) -> None:
-                self.wfile.write(outer.banner.encode("ascii"))
-                for line in self.rfile:
-                    answer = outer.answer(line.decode("ascii").strip())
-                    if answer is not None:
-                        try:
+                with suppress(OSError):  # the other end did not wait
+                    self.wfile.write(outer.banner.encode("ascii"))
+                    for line in self.rfile:
+                        answer = outer.answer(line.decode("ascii").strip())
+                        if answer is not None:
                             self.wfile.write(answer.encode("ascii") + b"\n")
-                        except OSError:  # the other end did not wait
-                            return
 
         self._server = socketserver.ThreadingTCPServer(("127.0.0.1", 0), Handler)
         self._server.daemon_threads = True

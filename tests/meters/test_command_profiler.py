@@ -27,9 +27,10 @@ from robot_runner.testing import ProfilerContract, make_context, rehearse
 #: Rows come each 20 ms; gaps of five times this are let pass, for a machine that is busy with other tests.
 PATIENT = 0.3
 METER = Path(__file__).with_name("meter_program.py")
+CPU = Measure("CPU", "%", "Utilisation.")
 COLUMNS = (
     CommandColumn("watts", Measure("Energy", "J", "Energy."), Aggregate.INTEGRAL),
-    CommandColumn("percent", Measure("CPU", "%", "Utilisation.")),
+    CommandColumn("percent", CPU),
     CommandColumn("energy_mJ", Measure("Counted", "J", "Energy by the counter."), Aggregate.INCREASE, factor=1e-3),
 )
 
@@ -51,7 +52,8 @@ class TestCommandProfilerOnARealProgram(InRealTime, ProfilerContract):
 @pytest.fixture
 def measure(tmp_path):
     def execute(*options, seconds=0.3, **settings):
-        plugin = profiler(*options, **settings)
+        # Half a minute without a row is let pass: what a meter that is slow costs is not the matter here.
+        plugin = profiler(*options, **{"period_s": 6.0, **settings})
         context = make_context(tmp_path, plugin, robot=None, clock=SystemClock())
         rehearse(context, plugin, mission=lambda: time.sleep(seconds))
         return context
@@ -153,6 +155,37 @@ def test_a_counter_that_is_set_back_has_no_value_and_says_why():
 def test_a_column_that_is_filled_in_now_and_then_is_no_doubt():
     values, doubts = _rows_of_ten_seconds(lambda time: "5.0" if round(time * 10) % 3 == 0 else "")
     assert (values["Energy"], doubts) == (pytest.approx(50.0), [])
+
+
+@pytest.mark.parametrize(
+    ("time", "moments", "told"),
+    [
+        (None, [n // 2 for n in range(20)], "10 of 20"),  # each row twice
+        (TimeColumn("second"), [*range(10), 9], "1 of 11"),  # the last one
+        (None, [n / 2 for n in range(21)], ""),  # a program that is faster than was said
+        (TimeColumn("second"), [n / 2 for n in range(21)], ""),
+        (None, [0, 1, 2, 3, 5, 5, 6, 7, 8, 9, 10], ""),  # a row that was held up
+    ],
+)
+def test_a_sum_of_rows_that_the_program_repeats_is_doubted(time, moments, told):
+    columns = [CommandColumn("count", Measure("Seen", "1", "Things."), Aggregate.SUM), CommandColumn("count", CPU)]
+    rows = [{"count": "3", **({"second": str(moment)} if time else {})} for moment in moments]
+    plugin = CommandProfiler(command=["meter"], columns=columns, time=time)
+    ending = Ending(0, was_asked=True, was_killed=False, complaint="")
+    measured = Measured(rows, moments, Window(0.5, 10.0), Window(0.0, 10.0), ending)
+    problem = f"{told} rows are the same as the row before, at the same moment: each of them counts in the sum"
+    assert list(plugin.column_doubts(measured)) == ([("Seen", problem)] if told else [])
+
+
+def test_what_becomes_of_a_column_is_told_with_its_measure():
+    columns = [
+        CommandColumn("mJ", Measure("Energy", "J"), Aggregate.INCREASE, factor=1e-3),
+        CommandColumn("watts", Measure("Power", "W", "Of the whole rack.")),
+    ]
+    assert [measure.description for measure in CommandProfiler(command=["meter"], columns=columns).measures] == [
+        "Column 'mJ': increase of a counter over the measured window, times 0.001.",
+        "Of the whole rack. Column 'watts': mean over the measured window.",
+    ]
 
 
 def test_raw_output_and_samples_are_kept(measure):

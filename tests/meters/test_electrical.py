@@ -123,3 +123,63 @@ def test_a_reading_without_power_now_and_then_is_bridged(measure):
     )
     assert measures["Energy"] == pytest.approx(80.0)
     assert not problems
+
+
+@pytest.mark.parametrize("odd", [float("nan"), float("inf"), 1e300])
+def test_what_is_no_quantity_costs_a_reading_and_not_the_run(measure, odd):
+    def say(time):
+        return ElectricalReading(odd if 3.05 < time < 3.15 else 8.0, wobbling(time), joules=odd)
+
+    measures, problems = measure(say)
+    assert measures["Energy"] == pytest.approx(80.0)
+    assert problems == ["the energy was told in 0 of 101 readings only"]
+
+
+def test_a_quantity_that_is_never_a_number_is_missing_for_a_reason(measure):
+    values, problems = measure(lambda time: ElectricalReading(float("nan"), wobbling(time)))
+    assert values["Energy"] is None
+    assert problems == ["the power was told in 0 of 101 readings only"]
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e3], ids=["kW for W", "mW for W"])
+@pytest.mark.parametrize(("since", "told"), [(0.0, "101 of 101"), (9.0, "11 of 101")])
+def test_power_in_another_unit_than_voltage_and_current_is_doubted(measure, factor, since, told):
+    def say(time):
+        watts = 8.0 + 0.01 * (round(time * 10) % 7)
+        return ElectricalReading(watts * (factor if time > since - 0.05 else 1.0), wobbling(time), watts / 12.0)
+
+    problems = measure(say)[1]
+    (problem,) = (each for each in problems if "contradicts" in each)
+    assert problem.startswith(f"the power contradicts voltage times current in {told} readings, such as ")
+    assert problem.endswith(" A: one of them may have another unit")
+
+
+@pytest.mark.parametrize(
+    ("watts", "volts", "amperes"),
+    [
+        (0.6, 230.0, 0.05),  # a charger that stands by: a power factor of 0.05
+        (0.4, 230.0, 0.0),  # a current that is less than a step
+        (4.5, 230.0, 0.01),  # a current of 0.0196 A, cut off
+        (20.0, 12.0, None),  # a meter that tells no current
+        (690.0, 230.0, 1.0),  # the power of three phases, and the current of one
+        (0.0, 234.9, 0.08),  # a clamp without a load, as a Shelly Pro EM-50 told it
+        (0.1, 234.9, 0.08),
+    ],
+)
+def test_power_that_voltage_and_current_allow_is_not_doubted(measure, watts, volts, amperes):
+    def say(time):
+        return ElectricalReading(watts, volts * (1 + 0.001 * (round(time * 10) % 7)), amperes)
+
+    assert measure(say)[1] == []
+
+
+def test_power_at_no_voltage_is_doubted(measure):
+    problems = measure(lambda time: ElectricalReading(8.0 + 0.01 * (round(time * 10) % 7), 0.0, 0.7))[1]
+    assert any("the power contradicts voltage times current" in each for each in problems)
+
+
+def test_a_step_of_the_load_while_power_and_current_are_asked_is_no_contradiction(measure):
+    problems = measure(
+        lambda time: ElectricalReading(40.0 if time > 5.05 else 0.4, wobbling(time), 3.4 if time > 4.95 else 0.034)
+    )[1]
+    assert [each for each in problems if "contradicts" in each] == []

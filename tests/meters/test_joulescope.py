@@ -72,6 +72,37 @@ def test_what_happens_between_two_readings_is_in_the_counter(tmp_path, clock, co
     assert problems(context) == []
 
 
+def test_current_and_voltage_are_means_over_all_of_the_time_between_two_readings(tmp_path, clock, connect):
+    # The load is on while those statistics are made that no reading of the last one sees.
+    connect("u/js220/000415", watts=lambda time: 100.0 if 0.6 < time % 1 < 0.7 else 2.0)
+    context = measured(tmp_path, Joulescope(rate_hz=1.0), clock, seconds=20.0)
+    assert context.measures["MeanCurrent"] == pytest.approx((0.1 * 100.0 + 0.9 * 2.0) / 12.0, rel=0.03)
+    assert problems(context) == []
+
+
+@pytest.mark.parametrize(
+    "counted",
+    [
+        lambda joules: min(joules, 560.0),  # it stands still
+        lambda joules: joules + 400.0 * (joules > 560.0),  # another program has set it
+        lambda joules: joules / 3.6,  # in mWh
+    ],
+)
+def test_a_counter_that_power_contradicts_is_doubted(tmp_path, clock, connect, counted):
+    driver = connect("u/js220/000415", watts=lambda time: 8.0 + 0.1 * (time % 0.7))
+    driver.counted = counted
+    (problem,) = problems(measured(tmp_path, Joulescope(), clock, seconds=10))
+    assert problem.startswith("the energy counter rose by ")
+    assert ", and its power amounts to 80.3" in problem
+
+
+def test_power_before_a_short_mission_does_not_contradict_the_counter(tmp_path, clock, connect):
+    connect("u/js220/000415", watts=lambda time: 8.0 if time < 10.0 else 40.0)
+    context = measured(tmp_path, Joulescope(), clock, seconds=0.2)
+    assert (context.measures["Energy"], context.measures["MeanCurrent"]) == pytest.approx((8.0, 40.0 / 12.0))
+    assert problems(context) == []
+
+
 def test_an_instrument_that_falls_silent_costs_the_values_and_not_the_run(tmp_path, clock, connect):
     driver = connect("u/js220/000415")
     clock.at(13.0, lambda: setattr(driver, "is_silent", True))

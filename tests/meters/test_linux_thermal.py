@@ -153,6 +153,35 @@ def test_the_firmware_of_a_raspberry_pi_is_understood(measure, board, flags, thr
     assert all(said in problem for problem in problems(context))
 
 
+def test_what_a_raspberry_pi_says_to_have_happened_between_two_samples_is_told(measure, board, clock):
+    board.firmware(0x20000)  # its frequency was capped once, before
+    clock.at(4.1, lambda: board.firmware(0x50005 | 0x20000))
+    clock.at(4.3, lambda: board.firmware(0x50000 | 0x20000))
+    context = measure()
+    assert context.measures["Throttled"] == pytest.approx(100 / 21)
+    assert problems(context) == [
+        "the processor was held back in 1 of 21 samples, at up to 45 °C",
+        "the supply voltage of the computer was too low for a time",
+    ]
+
+
+def test_a_zone_that_tells_whole_degrees_is_doubted(measure, board, clock):
+    told = (
+        "a thermal zone told temperatures below 0.15 °C in 10 of 21 samples: it may tell whole degrees, not thousandths"
+    )
+    board.zone("thermal_zone0", "acpitz", 0.0)
+    board.zone("thermal_zone1", "cpu-thermal", 0.0)
+    assert problems(measure()) == []  # in a cold lab
+    board.zone("thermal_zone1", "cpu-thermal", 45.0)
+    clock.at(clock.now() + 5.25, lambda: board.zone("thermal_zone1", "cpu-thermal", 0.045))
+    assert told in problems(measure())
+
+
+def test_a_core_at_0_hz_does_not_tell_its_frequency(measure, board, clock):
+    clock.at(5.25, lambda: board.frequency(1, 0))
+    assert measure().measures["MeanFrequency"] == pytest.approx(1.5e9)
+
+
 def test_what_a_machine_does_not_tell_is_missing_and_told_by_the_check(measure, board):
     for cpu in (0, 1):
         (board.root / f"devices/system/cpu/cpu{cpu}/cpufreq/scaling_cur_freq").unlink()

@@ -132,6 +132,23 @@ def test_an_interface_that_is_plugged_in_meanwhile_is_told(measure, clock, tmp_p
     assert [finding.problem for finding in context.broker.findings] == [told] * problems
 
 
+def test_interfaces_that_exchange_their_names_are_told(measure, clock, tmp_path):
+    wired, wlan = FakeInterface(tmp_path / "net", "eth0"), FakeInterface(tmp_path / "net", "wlan0")
+    write(wired.folder / "ifindex", 2)
+    write(wlan.folder / "ifindex", 3)
+    wlan.show(rx_bytes=4_000_000, rx_packets=5_000)
+    assert measure(tmp_path / "net", interfaces=["eth0"]).broker.findings == ()
+
+    def exchange():
+        wired.folder.rename(tmp_path / "net" / "between")
+        wlan.folder.rename(wired.folder)
+        (tmp_path / "net" / "between").rename(wlan.folder)
+
+    clock.at(clock.now() + 5.25, exchange)
+    (finding,) = measure(tmp_path / "net", interfaces=["eth0"]).broker.findings
+    assert finding.problem == "interface 'eth0' is another one now: its counters are those of two"
+
+
 @given(steps=st.lists(st.integers(0, 2**30), max_size=40), start=st.integers(0, 2**32 - 1))
 def test_a_counter_of_32_bits_is_followed_exactly_however_often_it_goes_round(steps, start):
     counts = [start]

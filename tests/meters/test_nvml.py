@@ -67,15 +67,81 @@ def test_without_a_counter_energy_is_the_integral_of_power(measure):
 
 
 def test_a_counter_that_stands_still_is_told_and_power_takes_its_place(measure):
-    context = measure(FakeGpu(50.0, counts=False))
+    context = measure(FakeGpu(50.0, counts=False, utilisation=0))
     assert context.measures["Energy"] == pytest.approx(1000.0)
     assert problems(context) == ["the energy counter of GPU 0 stood still: its energy is the integral of its power"]
 
 
 def test_a_counter_that_was_set_back_and_passed_its_beginning_again_gives_way_to_power(measure, clock):
-    gpu = FakeGpu(lambda time: 50.0 if time < 15.0 else 100.0)
+    gpu = FakeGpu(lambda time: 50.0 if time < 15.0 else 100.0, utilisation=0)
     clock.at(15.0, lambda: setattr(gpu, "offset", 3_900_000))
-    assert measure(gpu).measures["Energy"] == pytest.approx(5 * 50.0 + 15 * 100.0, rel=0.01)
+    context = measure(gpu)
+    assert context.measures["Energy"] == pytest.approx(5 * 50.0 + 15 * 100.0, rel=0.01)
+    assert problems(context) == ["the energy counter of GPU 0 was set back: its energy is the integral of its power"]
+
+
+@pytest.mark.parametrize(
+    ("millijoules", "rise"),
+    [
+        (lambda time: 50_000 * min(time, 20.0), "500"),  # it stands still half way
+        (lambda time: 50.0 * time, "1"),  # it counts in J
+        (lambda time: 28_500 * time, "570"),  # as a real one did: ml-energy/zeus, issue 181
+    ],
+)
+def test_a_counter_that_its_power_contradicts_is_doubted(measure, millijoules, rise):
+    context = measure(FakeGpu(50.0), FakeGpu(50.0, millijoules=millijoules))
+    assert problems(context) == [f"the energy counter of GPU 1 rose by {rise} J, and its power amounts to 1000 J"]
+
+
+def test_power_that_is_an_average_over_the_last_second_does_not_contradict_the_counter(measure):
+    def watts(time):  # 500 W from 17 s on, as the GPU tells it
+        return 100.0 + 400.0 * min(max(time - 17.0, 0.0), 1.0)
+
+    def millijoules(time):
+        return 1000 * (100.0 * time + 400.0 * max(time - 17.0, 0.0))
+
+    context = measure(FakeGpu(watts, millijoules=millijoules), seconds=7.5)
+    assert context.measures["Energy"] == pytest.approx(750.0 + 200.0)
+    assert problems(context) == []
+
+
+def test_a_mission_that_is_short_beside_the_renewals_of_the_counter_is_doubted(measure):
+    def millijoules(time):  # it is brought up to date every 0.1 s, and at other moments than it is read
+        return 5_000_000 + 300_000 * (int(time * 10 + 0.55) / 10)
+
+    (problem,) = problems(measure(FakeGpu(300.0, millijoules=millijoules), seconds=0.2))
+    assert problem == "GPU 0 renews its energy counter every 0.1 s or so: over 0.200 s, its energy may be off by 50 %"
+    assert problems(measure(FakeGpu(300.0, millijoules=millijoules), seconds=4.0)) == []
+
+
+def test_a_gpu_that_computes_and_tells_the_same_power_all_along_may_be_stuck(measure):
+    def frozen(time):
+        return 50.0 + 0.1 * (round(min(time, 25.0) * 10) % 7)
+
+    (problem,) = problems(measure(FakeGpu(frozen, has_counter=False)))
+    assert problem == "GPU 0 told the same power 51 times, for 5.0 s, while it computed: it may be stuck"
+    assert problems(measure(FakeGpu(frozen, has_counter=False, utilisation=0))) == []
+
+
+def test_a_gpu_that_tells_no_power_at_all_is_doubted(measure):
+    assert "GPU 0 told a power of 0 W throughout" in problems(measure(FakeGpu(0.0, has_counter=False, utilisation=0)))
+
+
+def test_power_that_changes_between_readings_bends_an_energy_that_no_counter_tells(measure):
+    def spike(time):
+        return 4_294_967.295 if 20.05 < time < 20.15 else 50.0
+
+    assert any(
+        "of GPU 0 changed between samples" in each for each in problems(measure(FakeGpu(spike, has_counter=False)))
+    )
+
+
+def test_power_that_a_gpu_seldom_renews_is_doubted(measure):
+    def told(time):
+        return 50.0 + 7 * int(time / 2.0) % 3
+
+    context = measure(FakeGpu(told, has_counter=False))
+    assert any("renews its power of GPU 0 every 2.0 s only" in each for each in problems(context))
 
 
 def test_a_gpu_that_is_lost_half_way_costs_the_values_and_not_the_run(measure, clock):

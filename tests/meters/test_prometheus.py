@@ -113,6 +113,45 @@ def test_a_histogram_tells_how_often_and_how_long(tmp_path, exporter):
     assert context.measures["LatencySecondsSum"] == pytest.approx(0.75)
 
 
+def test_buckets_which_count_those_below_them_as_well_are_not_added_up(tmp_path, exporter):
+    (finding,) = findings(exporter.url, "latency_seconds_bucket")
+    assert finding.problem == "latency_seconds_bucket has 15 buckets, each of which counts the smaller ones as well"
+    assert finding.is_error
+    assert 'le="0.005"' in finding.fix
+    chosen = 'latency_seconds_bucket{le="0.5"}'
+    assert findings(exporter.url, chosen) == []
+    clock = FakeClock()
+    for second, latency in ((2.0, 0.25), (3.0, 0.75), (4.0, 0.25)):
+        clock.at(second, lambda latency=latency: exporter.tell(f"observe latency {latency}"))
+    context = measured(tmp_path, Prometheus(exporter.url, [chosen]), clock, seconds=10)
+    assert context.measures["LatencySecondsBucket_0_5"] == pytest.approx(2.0)
+
+
+def test_a_series_that_shows_nan_is_missing_from_a_sum_and_told(tmp_path, exporter):
+    exporter.tell("set core1 nan")
+    total = ScrapedMetric(selector="core_load_percent", measure=Measure("Load", "%", "All cores."), combine="sum")
+    context = measured(tmp_path, Prometheus(exporter.url, [total]), FakeClock(), seconds=10)
+    assert context.measures["Load"] == pytest.approx(20.0)
+    assert problems(context) == ["1 of 2 series of core_load_percent showed no number, but NaN or infinity"]
+    with (context.raw_data_folder / "samples.csv").open(newline="") as file:
+        row = next(csv.DictReader(file))
+    assert (row["Load_0"], row["Load_1"]) == ("20", "")
+
+
+def test_a_series_that_shows_nan_for_a_time_is_told(tmp_path, exporter):
+    clock = FakeClock()
+    clock.at(4.5, lambda: exporter.tell("set core1 nan"))
+    total = ScrapedMetric(selector="core_load_percent", measure=Measure("Load", "%", "All cores."), combine="sum")
+    context = measured(tmp_path, Prometheus(exporter.url, [total]), clock, seconds=10)
+    assert problems(context) == ["1 of 2 series of core_load_percent were there for a part of the time only"]
+
+
+def test_a_single_series_that_shows_nan_is_refused_by_that_reason(exporter):
+    exporter.tell("set core1 nan")
+    (finding,) = findings(exporter.url, 'core_load_percent{core="1"}')
+    assert finding.problem == 'core_load_percent{core="1"} shows no number now, but nan'
+
+
 def test_the_sum_of_a_histogram_has_the_unit_of_what_it_adds_up():
     metrics = [ScrapedMetric(selector=f"latency_seconds_{each}") for each in ("sum", "count")]
     assert [metric.yields.unit for metric in metrics] == ["s", "1"]
@@ -149,8 +188,36 @@ def test_a_gauge_that_the_exporter_seldom_renews_is_doubted(tmp_path, exporter):
     assert problems(context) == ["supply_power_watts is renewed every 25 s only: its mean is that of 4 values or so"]
 
 
+@pytest.mark.parametrize(
+    ("begun", "seconds", "told"),
+    [(103.0, 17.0, "10 s only: its increase may be off by up to 59 %"), (101.0, 6.0, "6 s only"), (100.0, 300.0, "")],
+)
+def test_a_series_that_is_seldom_renewed_by_its_own_stamps_is_doubted(tmp_path, monkeypatch, begun, seconds, told):
+    clock = FakeClock(begun)
+
+    def page(*_, **__):  # as cAdvisor shows it, which looks at its containers every ten seconds
+        stamp = clock.now() // 10 * 10
+        return f'container_cpu_usage_seconds_total{{name="nav"}} {0.5 * stamp} {int(stamp * 1000)}\n'.encode()
+
+    monkeypatch.setattr("robot_runner.meters.http_requests.HttpDevice.get", page)
+    plugin = Prometheus("http://robot:8080/metrics", ["container_cpu_usage_seconds_total"])
+    found = [each for each in problems(measured(tmp_path, plugin, clock, seconds)) if "is renewed every" in each]
+    assert len(found) == bool(told)
+    assert told in " ".join(found)
+
+
+def test_a_label_in_any_language_is_kept(tmp_path, monkeypatch):
+    page = 'room_watts{room="Küche"} 5\n'.encode()
+    monkeypatch.setattr("robot_runner.meters.http_requests.HttpDevice.get", lambda *_, **__: page)
+    plugin = Prometheus("http://lab:9100/metrics", ['room_watts{room="Küche"}'])
+    context = measured(tmp_path, plugin, FakeClock(), seconds=5)
+    assert context.measures["RoomWatts_Küche"] == 5.0
+    lines = (context.raw_data_folder / "samples.csv").read_text(encoding="utf-8").splitlines()
+    assert lines[0] == "time_s,RoomWatts_Küche"
+
+
 def test_an_exporter_that_dies_blocks_no_mission(tmp_path, exporter):
-    clock, plugin = SystemClock(), Prometheus(exporter.url, ["supply_power_watts"], rate_hz=10.0, timeout_s=0.5)
+    clock, plugin = SystemClock(), Prometheus(exporter.url, ["supply_power_watts"], rate_hz=10.0, timeout_s=20.0)
     context = make_context(tmp_path, plugin, robot=None, clock=clock)
 
     def mission() -> None:

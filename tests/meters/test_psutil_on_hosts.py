@@ -7,7 +7,7 @@ import json
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.measuring.busy_core import busy_core, needs_affinity, wait
+from tests.measuring.busy_core import busy_core, needs_affinity, wait, wait_for_samples
 from tests.meters.rehearsed import InRealTime
 
 from robot_runner.core.config.preparation import prepare_or_refuse
@@ -15,6 +15,7 @@ from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import Origin
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.measuring.on_board_sampler import OnBoardSampler
 from robot_runner.plugins.profilers import PsUtil
 from robot_runner.testing import ProfilerContract, make_context, rehearse
 
@@ -88,7 +89,8 @@ def test_a_lost_connection_is_reported_and_the_samples_are_kept(tmp_path: Path, 
     context = make_context(tmp_path, plugin, robot=None, clock=SystemClock())
 
     def mission() -> None:
-        wait(0.5)
+        assert isinstance(plugin._sampler, OnBoardSampler)
+        wait_for_samples(10, plugin._sampler)
         server.cut()
         wait(0.5)
 

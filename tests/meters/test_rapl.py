@@ -127,9 +127,11 @@ def test_a_counter_that_is_set_back_is_not_taken_for_one_that_went_round(measure
     assert "the counter of package-0 was set back: what it counted shortly before that is lost" in problems(context)
 
 
-@pytest.mark.parametrize("misread", [0, 89_999_999_000])
-def test_a_count_that_is_misread_once_is_passed_over_and_told(measure, tmp_path, clock, misread):
-    powercap = FakePowercap(tmp_path / "powercap", package=90_000_000_000, wraps_at=262_143_000_000)
+@pytest.mark.parametrize(
+    ("before", "misread"), [(90_000_000_000, 0), (90_000_000_000, 89_999_999_000), (240_000_000_000, 0)]
+)
+def test_a_count_that_is_misread_once_is_passed_over_and_told(measure, tmp_path, clock, before, misread):
+    powercap = FakePowercap(tmp_path / "powercap", package=before, wraps_at=262_143_000_000)
     clock.at(20.06, lambda: write(powercap.root / "intel-rapl:0" / "energy_uj", misread))
     draw = powercap.draw
 

@@ -4,19 +4,30 @@ from __future__ import annotations
 
 import csv
 import json
-import socket
+import os
+import pty
+import threading
 import time
+import tty
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import pytest
+from tests.loopback_port import claim_port
 from tests.meters.rehearsed import measured, only_finding, problems
 from tests.meters.scpi_server import ScpiServer
+from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.meters import scpi
 from robot_runner.meters.scpi import parse_number
 from robot_runner.plugins import Circumstances
 from robot_runner.plugins.profilers import Scpi
 from robot_runner.testing import FakeClock, ProfilerContract, make_context, rehearse
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
 
 pytest.importorskip("pyvisa", reason="pyvisa is not installed")
 pytest.importorskip("pyvisa_py", reason="pyvisa-py is not installed")
@@ -60,15 +71,44 @@ def test_setup_is_sent_before_the_measurement(tmp_path, server):
     assert next(line for line in server.received if line not in {"SYST:ERR?", "*IDN?"}) == "SYST:REM"
 
 
-def test_an_answer_that_comes_too_late_is_not_taken_for_the_next(tmp_path, server):
-    # The voltage comes 0.3 s after its question was given up: taken for the current it would be 144 W.
-    plugin, clock = Scpi(server.resource, timeout_s=0.15, rate_hz=20.0), SystemClock()
+@contextmanager
+def hurried(instrument):
+    """Have the instrument waited for so shortly meanwhile; what it is to answer may take long on a busy machine."""
+    instrument._resource.timeout = 100
+    try:
+        yield
+    finally:
+        if instrument._resource is not None:
+            instrument._resource.timeout = round(instrument._plugin.timeout_s * 1000)
+
+
+def test_an_answer_that_comes_too_late_is_not_taken_for_the_next(tmp_path, server, monkeypatch):
+    # The voltage comes once its question was given up: taken for the current it would be 144 W.
+    plugin, clock = Scpi(server.resource, timeout_s=20, rate_hz=20.0), SystemClock()
     context = make_context(tmp_path, plugin, robot=None, clock=clock)
+    asked, prompt, is_given_up = scpi._Instrument._asked, server.answers["MEAS:VOLT?"], threading.Event()
+
+    def late() -> str:
+        server.answers["MEAS:VOLT?"] = prompt
+        is_given_up.wait(PATIENCE)
+        return prompt()
+
+    def ask(instrument, query):
+        if server.answers.get(query) is not late:
+            return asked(instrument, query)
+        try:
+            with hurried(instrument):
+                return asked(instrument, query)
+        finally:
+            is_given_up.set()
 
     def mission() -> None:
         clock.sleep(0.5)
-        server.delay = 0.4
-        clock.sleep(1.5)
+        server.answers["MEAS:VOLT?"] = late
+        assert is_given_up.wait(PATIENCE)
+        clock.sleep(0.5)
+
+    monkeypatch.setattr(scpi._Instrument, "_asked", ask)
 
     rehearse(context, plugin, mission=mission)
     with (context.raw_data_folder / "samples.csv").open(newline="") as file:
@@ -101,6 +141,59 @@ def test_what_was_not_asked_for_costs_a_reading_and_is_not_taken_for_the_next_an
     assert problem.startswith("1 reading failed, the first with: SurplusError: the instrument sends")
 
 
+@contextmanager
+def serial_instrument(answered: Callable[[bytes], bytes]) -> Iterator[str]:
+    """Yield the address of an instrument at a serial line."""
+    other_end, line = pty.openpty()
+    for each in (other_end, line):
+        tty.setraw(each)
+
+    def answer() -> None:
+        with os.fdopen(other_end, "r+b", buffering=0) as instrument:
+            for query in iter(instrument.readline, b"END\n"):
+                instrument.write(answered(query.strip()))
+
+    answering = threading.Thread(target=answer)
+    answering.start()
+    try:
+        yield f"ASRL{os.ttyname(line)}::INSTR"
+    finally:
+        os.write(line, b"END\n")
+        answering.join()
+        os.close(line)
+
+
+_SERIAL = {b"*IDN?": b"Robot Runner,Fake Supply,1,1.0\n", b"MEAS:VOLT?": b"12.0\n", b"MEAS:CURR?": b"0.5\n"}
+
+
+def test_what_comes_byte_by_byte_over_a_serial_line_is_not_taken_for_the_next_answer(tmp_path):
+    # Of a notice, "12.5", one byte is there when the current is to be asked for, the others come before its answer.
+    heard: list[bytes] = []
+
+    def answered(query: bytes) -> bytes:
+        heard.append(query)
+        answer = _SERIAL.get(query, b'0,"No error"\n')
+        if heard.count(b"MEAS:VOLT?") != 2:  # it has been tried
+            return answer
+        return {b"MEAS:VOLT?": b"12.0\n1", b"MEAS:CURR?": b"2.5\n0.5\n"}.get(query, answer)
+
+    with serial_instrument(answered) as resource:
+        context = measured(tmp_path, Scpi(resource, timeout_s=20), FakeClock(10.0), 10.0)
+    assert context.measures["MeanVoltage"] == pytest.approx(12.0)
+    assert context.measures["MeanCurrent"] == pytest.approx(0.5)
+    (problem,) = [each for each in problems(context) if "stuck" not in each]
+    assert "1 reading failed, the first with: SurplusError: the instrument sends what it was not asked for" in problem
+
+
+@pytest.mark.parametrize("end", [b"\n\r", b" \n", b"\r\n"])
+def test_blanks_at_the_end_of_an_answer_are_no_answer(tmp_path, end):
+    with serial_instrument(lambda query: _SERIAL.get(query, b'0,"No error"\n').replace(b"\n", end)) as resource:
+        context = measured(tmp_path, Scpi(resource, timeout_s=20), FakeClock(), 5.0)
+    assert context.measures["MeanVoltage"] == pytest.approx(12.0)
+    assert context.measures["MeanCurrent"] == pytest.approx(0.5)
+    assert not [each for each in problems(context) if "stuck" not in each]
+
+
 def test_an_instrument_that_greets_whoever_connects_is_refused_and_not_misread(server):
     server.banner = "Welcome to the supply\n"
     finding = only_finding(Scpi(server.resource))
@@ -124,15 +217,24 @@ def test_an_instrument_that_echoes_is_refused_with_what_to_switch_off(server):
     assert "switch its echo off" in finding.fix
 
 
-def test_an_instrument_that_falls_silent_blocks_no_mission(tmp_path, server):
-    plugin, clock = Scpi(server.resource, timeout_s=0.3, rate_hz=10.0), SystemClock()
+def test_an_instrument_that_falls_silent_blocks_no_mission(tmp_path, server, monkeypatch):
+    plugin, clock = Scpi(server.resource, timeout_s=20, rate_hz=10.0), SystemClock()
     context = make_context(tmp_path, plugin, robot=None, clock=clock)
+    asked, falls_silent = scpi._Instrument._asked, threading.Event()
+
+    def ask(instrument, query):
+        if not falls_silent.is_set():
+            return asked(instrument, query)
+        server.is_mute = True
+        with hurried(instrument):
+            return asked(instrument, query)
 
     def mission() -> None:
         clock.sleep(0.3)
-        server.is_mute = True
+        falls_silent.set()
         clock.sleep(0.7)
 
+    monkeypatch.setattr(scpi._Instrument, "_asked", ask)
     begun = time.monotonic()
     rehearse(context, plugin, mission=mission)
     assert time.monotonic() - begun < 5.0
@@ -152,8 +254,20 @@ def test_a_good_instrument_has_no_findings(server):
     assert list(Scpi(server.resource).check(Circumstances())) == []
 
 
-def test_a_query_that_it_does_not_know_is_told_with_its_own_words(server):
-    finding = only_finding(Scpi(server.resource, power="MEAS:PWR?", timeout_s=0.2))
+def test_a_query_that_it_does_not_know_is_told_with_its_own_words(server, monkeypatch):
+    asked = scpi._Instrument._asked
+
+    def ask(instrument, query):
+        if query != "MEAS:PWR?":
+            return asked(instrument, query)
+        with hurried(instrument):
+            try:
+                return asked(instrument, query)
+            finally:
+                wait_until(lambda: server.errors)
+
+    monkeypatch.setattr(scpi._Instrument, "_asked", ask)
+    finding = only_finding(Scpi(server.resource, power="MEAS:PWR?", timeout_s=20))
     assert "MEAS:PWR?" in finding.problem
     assert "Undefined header" in finding.problem
 
@@ -169,16 +283,19 @@ def test_errors_that_others_have_left_in_the_queue_are_not_of_this_setup(server,
     assert list(Scpi(server.resource, setup=setup).check(Circumstances())) == []
 
 
-def test_an_instrument_without_a_queue_of_errors_is_measured_with(server):
-    server.has_queue = False
-    assert list(Scpi(server.resource, setup=["SYST:REM"], timeout_s=0.1).check(Circumstances())) == []
+def test_an_instrument_without_a_queue_of_errors_is_measured_with(server, monkeypatch):
+    server.has_queue, complaint = False, scpi._Instrument._complaint
+
+    def complain(instrument):
+        with hurried(instrument):
+            return complaint(instrument)
+
+    monkeypatch.setattr(scpi._Instrument, "_complaint", complain)
+    assert list(Scpi(server.resource, setup=["SYST:REM"], timeout_s=20).check(Circumstances())) == []
 
 
 def test_nothing_at_the_address_is_told():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    finding = only_finding(Scpi(f"TCPIP::127.0.0.1::{port}::SOCKET", timeout_s=0.5))
+    finding = only_finding(Scpi(f"TCPIP::127.0.0.1::{claim_port()}::SOCKET", timeout_s=0.5))
     assert "does not answer" in finding.problem
     assert finding.fix
 

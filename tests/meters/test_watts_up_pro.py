@@ -20,16 +20,16 @@ from robot_runner.testing import Chunk, FakeClock, FakeSerialLine, ProfilerContr
 PORT = "/dev/null"  # a character device, so that the check has nothing against it
 
 
-def record(watts: float, volts: float = 230.0) -> bytes:
-    """Return a record as the meter sends it: tenths of watts and volts, thousandths of amperes."""
-    fields = (round(10 * watts), round(10 * volts), round(1000 * watts / volts))
+def record(watts: float, volts: float = 230.0, *, factor: float = 1.0) -> bytes:
+    """Return a record as the meter sends it: tenths of watts (times a factor) and volts, thousandths of amperes."""
+    fields = (round(10 * watts * factor), round(10 * volts), round(1000 * watts / volts))
     return b"#d,-,18,%d,%d,%d,0,0,0,0,9999,9999,9999,0,0,0,100,60,0,500,0;\r\n" % fields
 
 
-def line_on(clock, power, *, seconds=40, **script) -> FakeSerialLine:
+def line_on(clock, power, *, seconds=40, factor=1.0, **script) -> FakeSerialLine:
     start = clock.now()
     greeting = Chunk(start + 0.2, b"#h,-,18,W,V,A,WH,Cost;\r\n")
-    chunks = [Chunk(start + number + 0.5, record(power(number))) for number in range(seconds)]
+    chunks = [Chunk(start + number + 0.5, record(power(number), factor=factor)) for number in range(seconds)]
     return FakeSerialLine(clock, [greeting, *chunks], **script)
 
 
@@ -70,6 +70,17 @@ def test_each_record_tells_of_the_second_before_it(measure):
     assert context.measures["MeanPower"] == pytest.approx(75.0, rel=0.01)
     assert context.broker.findings == ()
     assert context.broker.measures["Energy"].origin is Origin.MEASURED
+
+
+def test_a_meter_that_is_stuck_is_doubted(measure):
+    context, _ = measure(lambda number: 60.0 + 0.1 * (min(number, 5) % 3), seconds=38.0)
+    (finding,) = context.broker.findings
+    assert finding.problem == "the meter said the same 34 times, for 33.0 s: it may be stuck"
+
+
+def test_power_that_contradicts_voltage_and_current_is_doubted(measure):
+    context, _ = measure(lambda _: 60.0, factor=1000.0)
+    assert any("contradicts voltage times current" in finding.problem for finding in context.broker.findings)
 
 
 def test_the_meter_is_told_to_begin_and_to_end(measure):

@@ -74,4 +74,4 @@ class LiveSamples:
             self._has_begun = True
             line = f"{','.join(column.name for column in columns)}\n{line}"
         with open_to_append(self._path) as file:
-            file.write(f"{line}\n".encode("ascii", "backslashreplace"))
+            file.write(f"{line}\n".encode("utf-8", "backslashreplace"))

@@ -88,7 +88,9 @@ class LocalProcesses:
     def _scan(self, now: float) -> None:
         known, self._young_until = self._young_until, {}
         for pid in self._psutil.pids():
-            until = self._young_until[pid] = known.get(pid) or now + YOUNG - self._age_of(pid)
+            # What was not there at the look before is new, whatever the computer's clock has been set to since.
+            until = known.get(pid) or now + YOUNG - (0.0 if known else self._age_of(pid))
+            self._young_until[pid] = until
             if pid not in known or now < until:
                 self._look_at(pid, self._matched.pop(pid, (None, ())))
         self._subjects = {pid: subject for pid, subject in self._subjects.items() if pid in self._young_until}

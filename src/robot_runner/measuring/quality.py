@@ -47,7 +47,7 @@ def write_samples(path: Path, columns: Sequence[Column]) -> None:
     Raises:
         ValueError: the columns are not equally long.
     """
-    with io.TextIOWrapper(open_to_fill(path), encoding="ascii", newline="") as file:
+    with io.TextIOWrapper(open_to_fill(path), encoding="utf-8", errors="backslashreplace", newline="") as file:
         file.write(",".join(column.name for column in columns) + "\n")
         file.writelines(_rows(columns))
 

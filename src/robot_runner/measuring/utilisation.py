@@ -85,7 +85,11 @@ def _process_measures(label: str, selector: str) -> tuple[Measure, Measure]:
     which = f"the processes {selector}"
     return (
         _mean(f"CPU_{label}", f"Share of all cores together that {which} used, mean over the measured window."),
-        _mean(f"Memory_{label}", f"Share of the physical memory that {which} held, mean over the window."),
+        _mean(
+            f"Memory_{label}",
+            f"Resident sets of {which}, added up (what they share counts for each), as a share of the physical memory, "
+            "mean over the window.",
+        ),
     )
 
 

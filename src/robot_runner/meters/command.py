@@ -6,7 +6,7 @@ import shutil
 import signal
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import ClassVar
 
@@ -29,6 +29,7 @@ from robot_runner.meters.command_output import (
     TimeColumn,
     TimeKind,
     parse_csv,
+    repeated_rows,
     row_times,
 )
 from robot_runner.meters.parameter_checks import check_list, check_positive
@@ -39,6 +40,8 @@ _LONGEST_AFTERMATH = 2.0
 #: Stands for the path of the output file in a command.
 _PLACE = "{output}"
 _COUNTERS = (Aggregate.INCREASE, Aggregate.RATE)
+#: Which share of the rows may be the same as the one before where they are told apart by their arrival alone.
+_HELD_UP = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,9 +136,7 @@ class CommandProfiler(Profiler):
         check_positive(self.name, period_s=period_s, grace_s=grace_s, startup_s=startup_s)
         self.command = [str(word) for word in command]
         self.columns = tuple(columns)
-        self.measures: Sequence[Measure] = tuple(
-            replace(column.measure, over=column.measure.over or column.aggregate.over) for column in self.columns
-        )
+        self.measures: Sequence[Measure] = tuple(column.yields for column in self.columns)
         self.output = output
         self.period_s = period_s
         self.probe_s = probe_window(1 / period_s)
@@ -267,9 +268,11 @@ class CommandProfiler(Profiler):
     def column_doubts(self, measured: Measured) -> Iterator[tuple[str, str]]:
         """Yield what makes single measures doubtful, with their names; a subclass may add to it.
 
-        Their cells hold texts such as `N/A`, `7,5` or `7.5 W`, or too few hold anything, or their counter fell.
+        Their cells hold texts such as `N/A`, `7,5` or `7.5 W`, or too few hold anything, or their counter fell, or rows
+        that come twice are added up.
         """
         window = measured.window
+        yield from self._doubts_about_sums(measured)
         rows = [
             row for time, row in zip(measured.times, measured.rows, strict=True) if window.start <= time <= window.end
         ]
@@ -287,6 +290,14 @@ class CommandProfiler(Profiler):
                 yield column.measure.name, problem
             elif column.aggregate in _COUNTERS and column.value(measured.times, measured.rows, window) is None:
                 yield column.measure.name, f"the counter in column {column.source!r} was set back: no value"
+
+    def _doubts_about_sums(self, measured: Measured) -> Iterator[tuple[str, str]]:
+        count, repeated = len(measured.rows), repeated_rows(measured.times, measured.rows)
+        # By their arrival, rows that were held up look as if they were of one moment.
+        if repeated > (0 if self._time is not None else _HELD_UP * count):
+            same = f"{repeated} of {count} rows are the same as the row before, at the same moment"
+            problem = f"{same}: each of them counts in the sum"
+            yield from ((each.measure.name, problem) for each in self.columns if each.aggregate is Aggregate.SUM)
 
     def _is_told(self, column: CommandColumn, measured: Measured, window: Window) -> bool:
         """Whether the cells that hold a number cover enough of a window; the last one may stand alone."""
@@ -375,5 +386,4 @@ class CommandProfiler(Profiler):
 
 def _heading(source: str) -> str:
     """Return the name of a column as it can stand in a file of samples."""
-    plain = source.encode("ascii", "replace").decode()
-    return '"' + plain.replace('"', '""') + '"' if set(plain) & set(',"\n') else plain
+    return '"' + source.replace('"', '""') + '"' if set(source) & set(',"\n') else source

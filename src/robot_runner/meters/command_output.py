@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import accumulate, pairwise
 
@@ -19,6 +19,10 @@ from robot_runner.measuring.series import Series, cut, growth, mean_of_intervals
 Row = Mapping[str, str | float | None]
 #: From the records of the output to one row for each of them; None for a record that is no row, such as a heading.
 Parse = Callable[[Sequence[str]], Sequence[Row | None]]
+
+
+#: Rows are of one moment where no more of the mean time between rows lies between them.
+_AT_ONCE = 0.1
 
 
 class Aggregate(Enum):
@@ -103,6 +107,14 @@ class CommandColumn:
     aggregate: Aggregate = Aggregate.MEAN
     factor: float = 1.0
 
+    @property
+    def yields(self) -> Measure:
+        """The measure, which says how it comes out of the rows."""
+        times = "" if self.factor == 1.0 else f", times {self.factor:g}"
+        how = f"Column {self.source!r}: {self.aggregate.value}{times}."
+        over = self.measure.over or self.aggregate.over
+        return replace(self.measure, over=over, description=f"{self.measure.description} {how}".lstrip())
+
     def values(self, rows: Sequence[Row]) -> list[float | None]:
         """Return the number of each row in the unit of the measure; None where the cell holds none."""
         numbers = (_number(row.get(self.source)) for row in rows)
@@ -181,6 +193,18 @@ def _number(cell: str | float | None) -> float | None:
     except ValueError:
         return None
     return number if math.isfinite(number) else None
+
+
+def repeated_rows(times: Sequence[float], rows: Sequence[Row]) -> int:
+    """Return how many rows are the same as the row before, in a tenth of the mean time between rows or less.
+
+    Example:
+        >>> repeated_rows([0.0, 0.0, 1.0, 2.0], [{"count": "3"}] * 4)
+        1
+    """
+    apart = (times[-1] - times[0]) / len(times) if times else 0.0
+    pairs = zip(pairwise(times), pairwise(rows), strict=True)
+    return sum(left == right and later - sooner <= _AT_ONCE * apart for (sooner, later), (left, right) in pairs)
 
 
 def parse_csv(records: Sequence[str], *, delimiter: str = ",", comment: str = "#") -> list[Row | None]:

@@ -44,7 +44,7 @@ def unwrapped(counts: Sequence[int] | Sequence[float], wraps_at: float | None = 
     """
     total: float = 0
     totals: list[float] = [0] if counts else []
-    for sooner, later in pairwise(_without_dips(counts, wraps_at)):
+    for sooner, later in pairwise(_without_dips(counts)):
         total += later if later < sooner else later - sooner
         if wraps_at is not None and _goes_round(sooner, later, wraps_at):
             total += wraps_at - sooner
@@ -52,12 +52,12 @@ def unwrapped(counts: Sequence[int] | Sequence[float], wraps_at: float | None = 
     return totals
 
 
-def _without_dips(counts: Sequence[int] | Sequence[float], wraps_at: float | None) -> Sequence[float]:
+def _without_dips(counts: Sequence[int] | Sequence[float]) -> Sequence[float]:
+    """Return the counts without those that were misread; one that had begun at 0 again would not be so high so soon."""
     mended = list(counts)
     for place in range(1, len(counts) - 1):
-        sooner, low, later = mended[place - 1], counts[place], counts[place + 1]
-        if low < sooner <= later and (wraps_at is None or not _goes_round(sooner, low, wraps_at)):
-            mended[place] = sooner
+        if counts[place] < mended[place - 1] <= counts[place + 1]:
+            mended[place] = mended[place - 1]
     return mended
 
 
@@ -65,12 +65,14 @@ def fall_count(counts: Sequence[int] | Sequence[float], wraps_at: float | None =
     """Return how often a counter was lower than at the reading before, though it had not gone round.
 
     Example:
-        >>> fall_count([90, 97, 5, 6]), fall_count([90, 97, 5, 6], wraps_at=100)
-        (1, 0)
+        >>> fall_count([90, 97, 5, 6]), fall_count([90, 97, 5, 6], wraps_at=100), fall_count([90, 5, 97], wraps_at=100)
+        (1, 0, 1)
     """
-    return sum(
+    mended = _without_dips(counts)
+    misread = sum(each != count for each, count in zip(mended, counts, strict=True))
+    return misread + sum(
         later < sooner and (wraps_at is None or not _goes_round(sooner, later, wraps_at))
-        for sooner, later in pairwise(counts)
+        for sooner, later in pairwise(mended)
     )
 
 

@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.quality import Column, quality_of
-from robot_runner.measuring.series import Series, cut, energy, growth, longest_standstill, mean, renewed_every
+from robot_runner.measuring.series import (
+    Series,
+    cut,
+    energy,
+    growth,
+    longest_standstill,
+    mean,
+    mean_of_intervals,
+    renewed_every,
+)
 from robot_runner.meters.counters import fall_count, unwrapped
 from robot_runner.meters.polled import PolledProfiler
 
@@ -23,12 +32,24 @@ if TYPE_CHECKING:
 _FINE = 0.005
 #: A stretch of equal readings is doubted where it is this long, and fills this share of the window. A converter of ten
 #: bits and more shows its own noise in one of three quantities far sooner.
-_STUCK_READINGS, _STUCK_SHARE = 30, 0.2
+STUCK_READINGS, STUCK_SHARE = 30, 0.2
 #: Power is renewed seldom where that takes so many readings, and this share of the window.
 _SELDOM_READINGS, _SELDOM_SHARE = 3, 0.05
 
 #: Where power that changed between samples may bend the energy by more than this share, that is told.
-_OFF_SHARE = 0.05
+OFF_SHARE = 0.05
+#: What is larger than any meter tells in SI units, and small enough for sums and squares to stay finite.
+_BEYOND = 1e18
+#: Power contradicts voltage times current above this multiple: rounding a small current doubles it, three phases of
+#: which one tells its current triple it, and another unit makes a thousandfold. And below this share: the filter of a
+#: charger that stands by makes it some hundredths, and the noise of a clamp without a load a 200th.
+_MOST_OF_APPARENT, _LEAST_OF_APPARENT = 10.0, 1 / 500
+#: No power at all contradicts so many volt-amperes: such a clamp tells 0 W at 19 VA (a Shelly Pro EM-50 in ShellyPy's
+#: issue 20), and coarse meters tell whole watts.
+_APPARENT = 100.0
+#: Told where it holds for this share of the readings, and for more than a step of the load explains, where quantities
+#: are asked one after the other.
+_CONTRADICTED_SHARE, _OF_A_STEP = 0.05, 2
 
 
 class ElectricalReading(NamedTuple):
@@ -101,6 +122,8 @@ class ElectricalProfiler(PolledProfiler[Readings]):
     Attributes:
         counter_step: the smallest step of the meter's energy counters, J.
         counter_period: how much time may go by until the meter brings its energy counters up to date, s.
+        averaged: over how much time power, voltage and current are means, s, where each reading tells of all the time
+            since the one before; 0 where they are those of a moment.
         disagreement: how far a counter and the integral of power may be apart before they are doubted, as a share.
 
     Example:
@@ -120,6 +143,7 @@ class ElectricalProfiler(PolledProfiler[Readings]):
 
     counter_step: float = 0.0
     counter_period: float = 0.0
+    averaged: float = 0.0
     disagreement: float = 0.05
 
     def __init__(self, *, name: str | None = None, rate_hz: float = 10.0, channels: Sequence[str] = ("",)) -> None:
@@ -151,7 +175,7 @@ class ElectricalProfiler(PolledProfiler[Readings]):
         for place in range(len(self.channels)):
             joules = self._energy(sampling, place)[0]
             watts = joules / window.duration if joules is not None and window.duration else None
-            means = [mean(cut(_told(sampling, place, each), window)) for each in ("voltage", "current")]
+            means = [self._mean(sampling, place, each) for each in ("voltage", "current")]
             values += (joules, watts, *means)
         return dict(zip((measure.name for measure in self.measures), values, strict=True))
 
@@ -180,7 +204,14 @@ class ElectricalProfiler(PolledProfiler[Readings]):
         counter = _told(sampling, place, "joules")
         return growth(Series(counter.times, unwrapped(counter.values)), sampling.window)
 
+    def _mean(self, sampling: Sampling[Readings], place: int, quantity: str) -> float | None:
+        told, window = _told(sampling, place, quantity), sampling.window
+        return mean_of_intervals(told, window) if self.averaged else mean(cut(told, window))
+
     def _integral(self, sampling: Sampling[Readings], place: int) -> float | None:
+        if self.averaged:
+            watts = self._mean(sampling, place, "power")
+            return None if watts is None else watts * sampling.window.duration
         # Where the readings suffice, a gap at an edge is bridged as one inside: by the reading beside it.
         return energy(_told(sampling, place, "power"), sampling.window, reach=sampling.window.duration)
 
@@ -194,7 +225,9 @@ class ElectricalProfiler(PolledProfiler[Readings]):
         if falls := _falls(sampling, place):
             yield f"the energy counter{{of}} was set back{'' if falls == 1 else f' {falls} times'}"
         elif counted is not None and integral is not None:
-            blur = 2 * self._blur(sampling, integral)
+            watts = _series(sampling.within(), place, "power").values
+            late = self.averaged * (max(watts, default=0.0) - min(watts, default=0.0))
+            blur = 2 * self._blur(sampling, integral) + late
             if abs(counted - integral) > max(self.disagreement * (abs(counted) + abs(integral)) / 2, blur):
                 yield f"the energy counter{{of}} rose by {counted:.4g} J, and its power amounts to {integral:.4g} J"
         if counted is not None and integral is None and (blur := self._blur(sampling, counted)) > _FINE * counted:
@@ -202,9 +235,9 @@ class ElectricalProfiler(PolledProfiler[Readings]):
         if integral is not None and integral < 0:
             yield f"the energy{{of}} is {integral:.4g} J: the meter is the wrong way round, or the load feeds back"
         if self._energy(sampling, place)[1] == "power":
-            yield from _seldom_renewed(sampling, place)
-            yield from _stepped(sampling, place, integral)
-        yield from _stuck(sampling, place)
+            yield from seldom_renewed(_series(sampling.within(), place, "power"), sampling)
+            yield from stepped(_told(sampling, place, "power"), sampling, integral)
+        yield from doubts_about_readings(sampling, place)
         yield from _partly_told(sampling, place)
 
 
@@ -221,9 +254,10 @@ def _off(power: Series, window: Window) -> float:
     return 2 * math.sqrt(math.fsum((span * change) ** 2 for span, change in inside if span > 0) / 12)
 
 
-def _stepped(sampling: Sampling[Readings], place: int, joules: float | None) -> Iterator[str]:
-    off = _off(_told(sampling, place, "power"), sampling.window)
-    if joules is not None and off > _OFF_SHARE * abs(joules):
+def stepped(power: Series, sampling: Sampling[Any], joules: float | None) -> Iterator[str]:
+    """Yield that power changed so much between samples that its integral may be off; `{of}` stands for the channel."""
+    off = _off(power, sampling.window)
+    if joules is not None and off > OFF_SHARE * abs(joules):
         apart = f"{1 / sampling.rate:.1f} s apart"
         yield (
             f"the power{{of}} changed between samples that are {apart}: "
@@ -231,12 +265,18 @@ def _stepped(sampling: Sampling[Readings], place: int, joules: float | None) -> 
         )
 
 
+def _quantity(reading: ElectricalReading, quantity: str) -> float | None:
+    """Return what a reading tells of a quantity; None also for what is none, such as NaN and what overflowed."""
+    value: float | None = getattr(reading, quantity)
+    return value if value is not None and abs(value) < _BEYOND else None
+
+
 def _series(sampling: Sampling[Readings], place: int, quantity: str) -> Series:
     """Return one quantity of a channel; a reading that the meter stamped counts once, at its stamp."""
     told: dict[float, float] = {}
     for time, readings in zip(sampling.times, sampling.readings, strict=True):
         reading = readings[place]
-        value = getattr(reading, quantity)
+        value = _quantity(reading, quantity)
         if value is not None:
             told.setdefault(time if reading.time is None else reading.time, value)
     times = sorted(told)
@@ -246,7 +286,7 @@ def _series(sampling: Sampling[Readings], place: int, quantity: str) -> Series:
 def _told(sampling: Sampling[Readings], place: int, quantity: str) -> Series:
     """Return one quantity of a channel where it was told for enough of the window, else nothing."""
     moments = zip(sampling.times, sampling.readings, strict=True)
-    times = [time for time, readings in moments if getattr(readings[place], quantity) is not None]
+    times = [time for time, readings in moments if _quantity(readings[place], quantity) is not None]
     is_sufficient = quality_of(times, sampling.window, sampling.rate).is_sufficient
     return _series(sampling, place, quantity) if is_sufficient else Series([], [])
 
@@ -254,8 +294,9 @@ def _told(sampling: Sampling[Readings], place: int, quantity: str) -> Series:
 def _partly_told(sampling: Sampling[Readings], place: int) -> Iterator[str]:
     readings = [each[place] for each in sampling.within().readings]
     for quantity, word in (("power", "power"), ("voltage", "voltage"), ("current", "current"), ("joules", "energy")):
-        told = sum(getattr(reading, quantity) is not None for reading in readings)
-        if 0 < told < len(readings) and not len(_told(sampling, place, quantity)):
+        told = sum(_quantity(reading, quantity) is not None for reading in readings)
+        is_known = any(getattr(reading, quantity) is not None for reading in readings)
+        if is_known and told < len(readings) and not len(_told(sampling, place, quantity)):
             yield f"the {word}{{of}} was told in {told} of {len(readings)} readings only"
 
 
@@ -263,15 +304,48 @@ def _falls(sampling: Sampling[Readings], place: int) -> int:
     return fall_count(_series(sampling.within(), place, "joules").values)
 
 
-def _seldom_renewed(sampling: Sampling[Readings], place: int) -> Iterator[str]:
-    every = renewed_every(_series(sampling.within(), place, "power")) or 0.0
+def seldom_renewed(power: Series, sampling: Sampling[Any]) -> Iterator[str]:
+    """Yield that a meter renews its power, as read in the window, less often than it is read; `{of}` as above."""
+    every = renewed_every(power) or 0.0
     if every * sampling.rate >= _SELDOM_READINGS and every > _SELDOM_SHARE * sampling.window.duration:
         yield f"the meter renews its power{{of}} every {every:.1f} s only: the energy lacks what changed in between"
+
+
+def doubts_about_readings(sampling: Sampling[Readings], place: int = 0) -> Iterator[str]:
+    """Yield that a meter is stuck, or that its quantities contradict each other; `{of}` stands for the channel."""
+    yield from _stuck(sampling, place)
+    yield from _contradicted(sampling, place)
 
 
 def _stuck(sampling: Sampling[Readings], place: int) -> Iterator[str]:
     within = sampling.within()
     longest = longest_standstill(within.times, [readings[place][:4] for readings in within.readings])
     span = longest[-1] - longest[0] if longest else 0.0
-    if len(longest) >= _STUCK_READINGS and span >= _STUCK_SHARE * sampling.window.duration:
+    if len(longest) >= STUCK_READINGS and span >= STUCK_SHARE * sampling.window.duration:
         yield f"the meter said the same{{of}} {len(longest)} times, for {span:.1f} s: it may be stuck"
+
+
+def _contradicted(sampling: Sampling[Readings], place: int) -> Iterator[str]:
+    told = [
+        (watts, volts, amperes)
+        for (watts, volts, amperes) in (
+            tuple(_quantity(readings[place], each) for each in ("power", "voltage", "current"))
+            for readings in sampling.within().readings
+        )
+        if watts is not None and volts is not None and amperes is not None
+    ]
+    odd = [each for each in told if _contradicts(*each)]
+    if len(odd) > max(_OF_A_STEP, _CONTRADICTED_SHARE * len(told)) or (odd and len(odd) == len(told)):
+        watts, volts, amperes = odd[0]
+        yield (
+            f"the power{{of}} contradicts voltage times current in {len(odd)} of {len(told)} readings, such as "
+            f"{watts:.3g} W at {volts:.3g} V and {amperes:.3g} A: one of them may have another unit"
+        )
+
+
+def _contradicts(watts: float, volts: float, amperes: float) -> bool:
+    apparent = abs(volts * amperes)
+    if not volts or not watts:
+        return bool(watts) or apparent >= _APPARENT
+    # A current that is told as 0 may be less than a step.
+    return bool(amperes) and not _LEAST_OF_APPARENT <= abs(watts) / apparent <= _MOST_OF_APPARENT

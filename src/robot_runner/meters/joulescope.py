@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
-import math
+from collections import deque
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from importlib import import_module
+from statistics import fmean
 from typing import Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
@@ -31,13 +32,15 @@ _SILENT_READINGS = 5
 
 
 class _Instrument:
-    """An opened Joulescope that sends statistics; the last of them is what is read."""
+    """An opened Joulescope that sends statistics; those since the last reading are what is read."""
 
     def __init__(self, plugin: Joulescope, clock: Clock) -> None:
         self._plugin = plugin
         self._clock = clock
         self._patience = max(_SILENT_READINGS / plugin.rate_hz, 1.0)
         self._last: ElectricalReading | None = None
+        self._new: deque[tuple[float, float, float]] = deque()  # power, voltage and current of each of the statistics
+        self._means: tuple[float, ...] = ()
         try:
             self._driver: Any = import_module("pyjoulescope_driver").Driver()
         except ImportError as error:
@@ -73,7 +76,11 @@ class _Instrument:
         silent = self._clock.now() - (last.time if last and last.time else 0.0)
         if last is None or silent > self._patience:
             raise TimeoutError(f"the Joulescope has told nothing for {silent:.1f} s")
-        return (last,)
+        new = [self._new.popleft() for _ in range(len(self._new))]
+        if new:
+            self._means = tuple(map(fmean, zip(*new, strict=True)))
+        power, voltage, current = self._means
+        return (ElectricalReading(power, voltage, current, last.joules, last.time),)
 
     def close(self) -> None:
         with suppress(Exception):  # it may be unplugged; what is left is let go of by `finalize`
@@ -113,7 +120,8 @@ class _Instrument:
         signals = value["signals"]
         power, voltage, current = (float(signals[name]["avg"]["value"]) for name in ("power", "voltage", "current"))
         joules = float(value["accumulators"]["energy"]["value"])
-        self._last = ElectricalReading(power, voltage, current, joules, self._clock.now())
+        self._new.append((power, voltage, current))
+        self._last = ElectricalReading(joules=joules, time=self._clock.now())
 
 
 class Joulescope(ElectricalProfiler):
@@ -134,7 +142,6 @@ class Joulescope(ElectricalProfiler):
 
     needs: ClassVar[str] = "A Joulescope on USB, and robot-runner[joulescope]."
     bytes_per_run: int = 70_000  # 10 readings a second of 70 bytes for a mission of 95 s
-    disagreement = math.inf  # its counter sees what happens between two readings of power
 
     def __init__(self, *, name: str | None = None, device: str | None = None, rate_hz: float = 10.0) -> None:
         super().__init__(name=name, rate_hz=rate_hz)
@@ -142,6 +149,7 @@ class Joulescope(ElectricalProfiler):
             fix = f"Give rate_hz {_FASTEST} at most: the energy between two readings is counted by the instrument."
             raise PluginError(f"rate_hz is {rate_hz!r}", where=self.name, fix=fix)
         self.device = device
+        self.averaged = 1.0 / rate_hz
         self._path = ""
 
     def claims(self, robot: str | None) -> Iterable[str]:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -17,6 +18,7 @@ from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_fin
 from robot_runner.measuring.quality import Column, sufficient
 from robot_runner.measuring.series import Series, cut, mean
 from robot_runner.meters.machine.machine_state import (
+    EVER,
     FIRMWARE,
     HELD_BACK,
     PROCESSOR_COOLERS,
@@ -34,6 +36,9 @@ if TYPE_CHECKING:
 
 _MILLI = 1e-3
 _KILO = 1e3
+#: Of a zone that tells whole degrees, what is taken for thousandths is below this, in degC; a processor that is at work
+#: passes by there for a moment at most.
+_WHOLE_DEGREES, _A_MOMENT = 0.15, 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +53,7 @@ class ThermalReading:
         throttle_count: how often it was throttled since the machine started; None where a core does not tell.
         is_held_back: whether the kernel or the firmware holds it back now.
         is_under_voltage: whether the supply voltage is too low now.
+        happened: the flags of what the firmware says to have happened before, in the places of those of now.
     """
 
     temperature: float | None
@@ -57,6 +63,7 @@ class ThermalReading:
     is_under_voltage: bool = False
     core_frequencies: tuple[float | None, ...] = ()
     silent_zones: int = 0
+    happened: int = 0
 
 
 class _Machine(Meter[ThermalReading]):
@@ -83,7 +90,7 @@ class _Machine(Meter[ThermalReading]):
         told = [_temperature(path) for path in self.temperatures]
         temperatures = [celsius for celsius in told if celsius is not None]
         clocks = [_number(path) for path in self.frequencies]
-        frequencies = [clock for clock in clocks if clock is not None]
+        frequencies = [clock for clock in clocks if clock]
         counts = _numbers(self.counters)
         states = _numbers(self.coolers)
         flags = [int(text, 16) for path in self.firmware if (text := text_in(path))]
@@ -95,8 +102,9 @@ class _Machine(Meter[ThermalReading]):
             throttle_count=int(sum(counts)) if counts and len(counts) == len(self.counters) else None,
             is_held_back=any(states) or any(flag & HELD_BACK for flag in flags) if tells else None,
             is_under_voltage=any(flag & UNDER_VOLTAGE for flag in flags),
-            core_frequencies=tuple(None if clock is None else clock * _KILO for clock in clocks),
+            core_frequencies=tuple(clock * _KILO if clock else None for clock in clocks),
             silent_zones=len(self.temperatures) - len(temperatures),
+            happened=max((flag >> EVER for flag in flags), default=0),
         )
 
 
@@ -252,12 +260,21 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
         """Yield that the processor was held back or starved of voltage, and that sensors were silent."""
         yield from _silences(sampling)
         sampling = sampling.within()
+        temperatures = _series(sampling, "temperature").values
+        odd = sum(0 < celsius < _WHOLE_DEGREES for celsius in temperatures)
+        if odd > _A_MOMENT * len(temperatures):
+            yield (
+                f"a thermal zone told temperatures below {_WHOLE_DEGREES} °C in {odd} of {len(temperatures)} samples: "
+                "it may tell whole degrees, not thousandths"
+            )
         held_back = _held_back(sampling.readings)
         if any(held_back):
-            hottest = max(_series(sampling, "temperature").values, default=None)
+            hottest = max(temperatures, default=None)
             at = "" if hottest is None else f", at up to {hottest:.0f} °C"
             yield f"the processor was held back in {sum(held_back)} of {len(held_back)} samples{at}"
-        if any(reading.is_under_voltage for reading in sampling.readings):
+        told = sampling.readings
+        new = [bool(later.happened & ~sooner.happened & UNDER_VOLTAGE) for sooner, later in pairwise(told)]
+        if any(new) or any(reading.is_under_voltage for reading in told):
             yield "the supply voltage of the computer was too low for a time"
 
     def details(self) -> Mapping[str, Any]:
@@ -301,10 +318,11 @@ def _silences(sampling: Sampling[ThermalReading]) -> Iterable[str]:
 
 def _held_back(readings: Sequence[ThermalReading]) -> list[bool]:
     """Return, for each reading that tells, whether the processor was held back then or since the reading before."""
-    held_back, counted = [], math.inf
+    held_back, counted, happened = [], math.inf, HELD_BACK
     for each in readings:
         if each.is_held_back is not None or each.throttle_count is not None:
             count = counted if each.throttle_count is None else each.throttle_count
-            held_back.append(bool(each.is_held_back) or count > counted)
-            counted = count
+            has_been = count > counted or each.happened & ~happened & HELD_BACK
+            held_back.append(bool(each.is_held_back or has_been))
+            counted, happened = count, each.happened
     return held_back

@@ -18,6 +18,7 @@ from robot_runner.measuring.meter_process import Ending, MeterProcess
 from robot_runner.measuring.quality import Column
 from robot_runner.measuring.series import Series, growth
 from robot_runner.meters.counters import Counters, FileCounters, fall_count, unwrapped
+from robot_runner.meters.machine.machine_state import text_in
 from robot_runner.meters.parameter_checks import check_list
 from robot_runner.meters.polled import PolledProfiler
 
@@ -98,6 +99,7 @@ class Network(PolledProfiler[Counters]):
         # 2 readings a second of 80 bytes for a mission of 95 s; a capture of 100 packets a second for as long.
         self.bytes_per_run = 15_000 + (2_000_000 if capture else 0)
         self._names: list[str] = []
+        self._indices: list[str] = []
         self._capturing: MeterProcess | None = None
         self._ending: Ending | None = None
 
@@ -124,6 +126,7 @@ class Network(PolledProfiler[Counters]):
         for fault in self._faults():
             raise fault
         self._names = self._chosen()
+        self._indices = list(map(self._index, self._names))
         interfaces = [self.root / name / "statistics" for name in self._names]
         counters = FileCounters([interface / counter for interface in interfaces for counter in _COUNTERS])
         if self.capture:
@@ -187,8 +190,10 @@ class Network(PolledProfiler[Counters]):
         """Yield that an interface came or was set up anew, and that tshark failed."""
         for name in sorted(set(self._chosen()).difference(self._names)):
             yield f"interface {name!r} was plugged in meanwhile, and nothing of it is counted"
-        for name, its in zip(self._names, self._counts(sampling.within()), strict=True):
-            if any(fall_count(each, wraps_at(its)) for each in its):
+        for name, index, its in zip(self._names, self._indices, self._counts(sampling.within()), strict=True):
+            if self._index(name) not in {index, ""}:
+                yield f"interface {name!r} is another one now: its counters are those of two"
+            elif any(fall_count(each, wraps_at(its)) for each in its):
                 yield f"interface {name!r} was set up anew: what it counted shortly before that is lost"
         if self._ending is not None and (
             not self._ending.was_asked or self._ending.exit_code not in {0, -signal.SIGINT}
@@ -204,6 +209,10 @@ class Network(PolledProfiler[Counters]):
         width = len(_COUNTERS)
         begins = range(0, len(self._names) * width, width)
         return [[[each[at + place] for each in sampling.readings] for place in range(width)] for at in begins]
+
+    def _index(self, name: str) -> str:
+        """Return the kernel's number of an interface, which no other one has until the next start of the machine."""
+        return text_in(self.root / name / "ifindex")
 
     def _there(self) -> list[str]:
         return sorted(path.name for path in self.root.glob("*") if (path / "statistics").is_dir())

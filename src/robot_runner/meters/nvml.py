@@ -13,8 +13,9 @@ from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.measured_machine import simulation_findings
 from robot_runner.measuring.quality import Column, sufficient
-from robot_runner.measuring.series import Series, cut, energy, growth, mean
+from robot_runner.measuring.series import Series, cut, energy, growth, longest_standstill, mean
 from robot_runner.meters.counters import fall_count
+from robot_runner.meters.electrical import OFF_SHARE, STUCK_READINGS, STUCK_SHARE, seldom_renewed, stepped
 from robot_runner.meters.parameter_checks import check_list
 from robot_runner.meters.polled import PolledProfiler, known_series, trial_findings
 
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
 _INSTALL = "Install it: pip install 'robot-runner[nvml]'."
 _DRIVER = "Install NVIDIA's driver, and see that `nvidia-smi` works."
 _MILLI = 1e-3
+#: How long a GPU's energy counter may be behind, s, and the time over which the power of newer ones is an average, s
+#: (NVML's reference manual, nvmlDeviceGetPowerUsage).
+_RENEWED, _AVERAGED = 0.1, 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,25 +193,68 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
         }
 
     def doubts(self, sampling: Sampling[tuple[GpuReading, ...]]) -> Iterator[str]:
-        """Yield where an energy counter stood still while power was drawn, and what was told for a part of the time."""
+        """Yield where counter or power may be off, and what was told for a part of the time only."""
         within = sampling.within()
         for place, gpu in enumerate(self.gpus or range(len(self._names))):
             for quantity, word in _WORDS.items():
                 told, count = len(_known(within, place, quantity)), len(within.readings)
                 if 0 < told < count and not len(_series(sampling, place, quantity)):
                     yield f"the {word} of GPU {gpu} was told in {told} of {count} readings only"
-            if self._counted(sampling, place) == 0 and self._energy(sampling, place):
-                yield f"the energy counter of GPU {gpu} stood still: its energy is the integral of its power"
+            if self._counted(sampling, place):
+                yield from self._doubts_about_counter(sampling, place, gpu)
+            else:
+                yield from self._doubts_about_power(sampling, place, gpu)
+
+    def _doubts_about_counter(self, sampling: Sampling[tuple[GpuReading, ...]], place: int, gpu: int) -> Iterator[str]:
+        counted, integral = self._counted(sampling, place) or 0.0, self._integral(sampling, place)
+        seconds = sampling.window.duration
+        if seconds * OFF_SHARE < _RENEWED:
+            off = min(100.0, 100 * _RENEWED / seconds)
+            yield (
+                f"GPU {gpu} renews its energy counter every {_RENEWED} s or so: over {seconds:.3f} s, "
+                f"its energy may be off by {off:.0f} %"
+            )
+        if integral is not None:
+            watts = _known(sampling.within(), place, "power").values
+            late = 2 * _RENEWED * integral / seconds + _AVERAGED * (max(watts, default=0.0) - min(watts, default=0.0))
+            if abs(counted - integral) > max(OFF_SHARE * (counted + integral) / 2, late):
+                rose = f"the energy counter of GPU {gpu} rose by {counted:.4g} J"
+                yield f"{rose}, and its power amounts to {integral:.4g} J"
+
+    def _doubts_about_power(self, sampling: Sampling[tuple[GpuReading, ...]], place: int, gpu: int) -> Iterator[str]:
+        joules = self._integral(sampling, place)
+        if joules is None:
+            return
+        if len(_series(sampling, place, "joules")):
+            how = "was set back" if self._counted(sampling, place) is None else "stood still"
+            yield f"the energy counter of GPU {gpu} {how}: its energy is the integral of its power"
+        if not joules:
+            yield f"GPU {gpu} told a power of 0 W throughout"
+        within = sampling.within()
+        for doubt in (
+            *seldom_renewed(_known(within, place, "power"), sampling),
+            *stepped(_series(sampling, place, "power"), sampling, joules),
+        ):
+            yield doubt.format(of=f" of GPU {gpu}")
+        # One that has nothing to do may draw the same power for long.
+        busy = [each[place].power if each[place].utilisation else object() for each in within.readings]
+        longest = longest_standstill(within.times, busy)
+        span = longest[-1] - longest[0] if longest else 0.0
+        if len(longest) >= STUCK_READINGS and span >= STUCK_SHARE * sampling.window.duration:
+            same = f"GPU {gpu} told the same power {len(longest)} times, for {span:.1f} s"
+            yield f"{same}, while it computed: it may be stuck"
 
     def details(self) -> Mapping[str, Any]:
         """Return the names of the GPUs."""
         return {"gpus": self._names}
 
     def _energy(self, sampling: Sampling[tuple[GpuReading, ...]], place: int) -> float | None:
-        counted = self._counted(sampling, place)
-        # Where the readings suffice, a gap at an edge is bridged as one inside: by the reading beside it.
-        integral = energy(_series(sampling, place, "power"), sampling.window, reach=sampling.window.duration)
+        counted, integral = self._counted(sampling, place), self._integral(sampling, place)
         return counted or (counted if integral is None else integral)
+
+    def _integral(self, sampling: Sampling[tuple[GpuReading, ...]], place: int) -> float | None:
+        # Where the readings suffice, a gap at an edge is bridged as one inside: by the reading beside it.
+        return energy(_series(sampling, place, "power"), sampling.window, reach=sampling.window.duration)
 
     def _counted(self, sampling: Sampling[tuple[GpuReading, ...]], place: int) -> float | None:
         """Return by how much the GPU's energy counter grew, J; None where it has none, or was set back."""

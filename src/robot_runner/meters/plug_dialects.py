@@ -14,6 +14,10 @@ from robot_runner.meters.electrical import ElectricalReading
 _KILOWATT_HOUR, _WATT_HOUR, _WATT_MINUTE = 3.6e6, 3600.0, 60.0
 
 
+#: What a later Shelly's `errors` begin with where its power is not to be believed, such as `out_of_range:apower`.
+_OF_METER = ("power_meter", "out_of_range")
+
+
 class Exchange(NamedTuple):
     """What is published to ask a plug, and on which topics it answers."""
 
@@ -50,7 +54,7 @@ class PlugDialect(Protocol):
 def _decoded(body: bytes) -> Mapping[str, Any]:
     try:
         decoded = json.loads(body, parse_int=float)  # an int may be larger than any float
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"the plug answered {body[:40]!r}, which is no JSON") from error
     if not isinstance(decoded, dict):
         raise ValueError(f"the plug answered {body[:40]!r}, which is no object")  # noqa: TRY004 - it came from outside
@@ -184,6 +188,10 @@ class _ShellyLater:
         if "error" in told:
             raise ValueError(f"the plug refuses: {str(told['error'])[:80]}")
         fields = _fields(told, "result") or told
+        errors = fields.get("errors")
+        for error in errors if isinstance(errors, list) else ():
+            if str(error).startswith(_OF_METER):
+                raise ValueError(f"the plug says {error!r} of its power meter")
         joules = _number(_fields(fields, "aenergy"), "total", unit=_WATT_HOUR)
         power, voltage, current = (_number(fields, name) for name in ("apower", "voltage", "current"))
         return _required(ElectricalReading(power, voltage, current, joules), told)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
@@ -32,7 +32,8 @@ _SELECTOR = re.compile(r"([a-zA-Z_:][a-zA-Z0-9_:]*)(?:\{(.*)\})?")
 _LABEL = re.compile(r"""\s*([a-zA-Z_][a-zA-Z0-9_]*)\s*=\s*("[^"]*"|'[^']*')\s*(?:,|$)""")
 #: Endings of names that only counters have, and base units by the ending of a name. Source: Prometheus' documentation,
 #: Metric and label naming.
-_COUNTER_ENDINGS = ("_total", "_sum", "_count", "_bucket")
+_BUCKETS = "_bucket"
+_COUNTER_ENDINGS = ("_total", "_sum", "_count", _BUCKETS)
 _UNITS = {
     "seconds": "s",
     "bytes": "B",
@@ -60,7 +61,12 @@ _TEXT_FORMAT = "text/plain;version=0.0.4"
 #: The labels of one series, sorted.
 Labels = tuple[tuple[str, str], ...]
 #: For each metric its series at one moment.
-Scrape = tuple["Mapping[Labels, float]", ...]
+Scrape = tuple["Mapping[Labels, _Shown]", ...]
+
+
+class _Shown(NamedTuple):
+    value: float
+    stamp: float | None  # when that was so, by the exporter's clock; None where it does not say
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -168,18 +174,29 @@ class _Exporter(Meter[Scrape]):
         samples = [sample for family in self.families() for sample in family.samples]
         scrape = tuple(_chosen(metric, samples) for metric in self._metrics)
         for metric, series in zip(self._metrics, scrape, strict=True):
-            if not series:
-                raise LinkError(f"the exporter shows no {metric.selector}", where=self._where)
+            if not _numbers(series):
+                what = "no number, but NaN or infinity, for" if series else "no"
+                raise LinkError(f"the exporter shows {what} {metric.selector}", where=self._where)
         return scrape
 
 
-def _chosen(metric: ScrapedMetric, samples: Iterable[Any]) -> Mapping[Labels, float]:
+def _chosen(metric: ScrapedMetric, samples: Iterable[Any]) -> Mapping[Labels, _Shown]:
     wanted = metric.labels.items()
     return {
-        tuple(sorted(sample.labels.items())): float(sample.value)
+        tuple(sorted(sample.labels.items())): _Shown(float(sample.value), sample.timestamp)
         for sample in samples
-        if sample.name == metric.name and wanted <= sample.labels.items() and math.isfinite(sample.value)
+        if sample.name == metric.name and wanted <= sample.labels.items()
     }
+
+
+def _numbers(series: Mapping[Labels, _Shown]) -> list[float]:
+    """Return what the series show that is a number: an exporter shows NaN for what it does not know."""
+    return [shown.value for shown in series.values() if math.isfinite(shown.value)]
+
+
+def _number(scrape: Scrape, place: int, labels: Labels) -> float | None:
+    shown = scrape[place].get(labels)
+    return shown.value if shown is not None and math.isfinite(shown.value) else None
 
 
 class Prometheus(PolledProfiler[Scrape]):
@@ -276,7 +293,7 @@ class Prometheus(PolledProfiler[Scrape]):
         for place, measure in enumerate(self.measures):
             labels = _all_labels(sampling, place)
             for number, each in enumerate(labels):
-                values = [scrape[place].get(each) for scrape in sampling.readings]
+                values = [_number(scrape, place, each) for scrape in sampling.readings]
                 columns.append(Column(f"{measure.name}_{number}" if len(labels) > 1 else measure.name, values, "%.9g"))
         return columns
 
@@ -293,19 +310,20 @@ class Prometheus(PolledProfiler[Scrape]):
         sampling = sampling.within()
         for place, metric in enumerate(self.metrics):
             labels = _all_labels(sampling, place)
-            falls = [fall_count(_series(sampling, place, each).values) for each in labels]
-            if metric.counts and any(falls):
+            series = [_series(sampling, place, each) for each in labels]
+            if metric.counts and any(fall_count(each.values) for each in series):
                 yield f"{metric.selector} was set back, as by a restart: what it counted shortly before that is lost"
-            partial = sum(len(_series(sampling, place, each)) < len(sampling.readings) for each in labels)
-            renewals = [every for each in labels if (every := _renewed_every(_series(sampling, place, each)))]
+            renewals = [every for each in labels if (every := _renewed_every(sampling, place, each))]
             share = max(renewals, default=0.0) / (sampling.window.duration or 1.0)
             is_seldom = share > (_SELDOM_COUNTED if metric.counts else _SELDOM_GAUGED)
             if is_seldom and max(renewals) >= _SELDOM_SCRAPES / sampling.rate:
                 off = f"its increase may be off by up to {100 * share:.0f} %"
-                few = f"its mean is that of {round(1 / share)} values or so"
+                few = f"its mean is that of {max(1, round(1 / share))} values or so"
                 yield f"{metric.selector} is renewed every {max(renewals):.0f} s only: {off if metric.counts else few}"
-            if partial:
+            if partial := sum(0 < len(each) < len(sampling.readings) for each in series):
                 yield f"{partial} of {len(labels)} series of {metric.selector} were there for a part of the time only"
+            if silent := sum(not len(each) for each in series):
+                yield f"{silent} of {len(labels)} series of {metric.selector} showed no number, but NaN or infinity"
 
     def details(self) -> Mapping[str, Any]:
         """Return what was scraped, and the labels of the series."""
@@ -318,14 +336,15 @@ class Prometheus(PolledProfiler[Scrape]):
         rises = []
         for labels in _all_labels(sampling, place):
             last = 0.0  # one that comes late counts from 0, as one that was set back; one that is gone counts no more
-            counts = [last := scrape[place].get(labels, last) for scrape in sampling.readings]
+            numbers = (_number(scrape, place, labels) for scrape in sampling.readings)
+            counts = [last := last if number is None else number for number in numbers]
             rises.append(growth(Series(sampling.times, unwrapped(counts)), sampling.window))
         known = [rise for rise in rises if rise is not None]
         return self.metrics[place].combined(known) if known else None
 
     def _mean(self, sampling: Sampling[Scrape], place: int) -> float | None:
         metric = self.metrics[place]
-        series = known_series(sampling, lambda scrape: metric.combined(list(scrape[place].values())))
+        series = known_series(sampling, lambda scrape: metric.combined(_numbers(scrape[place])))
         return mean(cut(series, sampling.window, reach=5 / self.rate_hz))
 
 
@@ -334,14 +353,18 @@ def _all_labels(sampling: Sampling[Scrape], place: int) -> list[Labels]:
 
 
 def _series(sampling: Sampling[Scrape], place: int, labels: Labels) -> Series:
-    return known_series(sampling, lambda scrape: scrape[place].get(labels))
+    return known_series(sampling, lambda scrape: _number(scrape, place, labels))
 
 
-def _renewed_every(series: Series) -> float | None:
+def _renewed_every(sampling: Sampling[Scrape], place: int, labels: Labels) -> float | None:
     """Return how often an exporter renews a series, s, where it does so seldom; None for what counts events one by one.
 
-    Exporters such as DCGM's show what they collected last, by default up to 30 s ago.
+    Exporters such as DCGM's show what they collected last, by default up to 30 s ago; cAdvisor's says when that was.
     """
+    shown = [each for scrape in sampling.readings if (each := scrape[place].get(labels))]
+    if stamps := sorted({each.stamp for each in shown if each.stamp is not None}):
+        return max((later - sooner for sooner, later in pairwise(stamps)), default=sampling.window.duration)
+    series = _series(sampling, place, labels)
     steps = {later - sooner for sooner, later in pairwise(series.values) if later != sooner}
     return None if steps == {1} else renewed_every(series)
 
@@ -355,10 +378,18 @@ def _metric_findings(where: str, metric: ScrapedMetric, families: Sequence[Any])
         yield Finding.error(where, problem, did_you_mean(metric.name, names))
         return
     labels = [sample.labels for sample in samples if sample.name == metric.name]
-    chosen = list(_chosen(metric, samples))
+    chosen = _chosen(metric, samples)
+    buckets = {dict(each).get("le") for each in chosen} if metric.name.endswith(_BUCKETS) else set()
     listed = ", ".join("{" + ",".join(f'{key}="{value}"' for key, value in each.items()) + "}" for each in labels[:8])
     if not chosen:
         yield Finding.error(where, f"no series of {metric.name} fits {metric.selector}", f"There are: {listed}.")
+    elif not _numbers(chosen):
+        fix = "Have the exporter see some of it first, or leave the metric out."
+        yield Finding.error(where, f"{metric.selector} shows no number now, but {min(chosen.values()).value}", fix)
+    elif len(buckets) > 1:
+        fix = f"Choose one by its label `le`, or take {metric.name.removesuffix(_BUCKETS)}_count. There are: {listed}."
+        problem = f"{metric.selector} has {len(buckets)} buckets, each of which counts the smaller ones as well"
+        yield Finding.error(where, problem, fix)
     elif len(chosen) > 1 and not metric.counts and metric.combine is None:
         fix = f"Choose one by its labels, or combine them: ScrapedMetric(..., combine='sum'). There are: {listed}."
         yield Finding.error(where, f"{metric.selector} has {len(chosen)} series", fix)

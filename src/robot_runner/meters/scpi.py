@@ -26,6 +26,8 @@ _PREFIXES = {"m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
 #: What stands for an overload and for no number. Source: SCPI-99, volume 1, section 7.2.1.4: 9.9E37 and 9.91E37.
 _NO_NUMBER = 9.9e37
 _LONGEST_QUEUE = 50
+#: So many letters of an answer are shown.
+_SHOWN = 40
 #: How long to look for what was not asked for, ms; the least that VISA waits.
 _AT_ONCE = 1
 #: What stands in the way where an instrument cannot be opened, by a word of what PyVISA says.
@@ -55,7 +57,7 @@ class SurplusError(ValueError):
     """Something came that was not asked for: from then on, each answer would be that to the query before."""
 
     def __init__(self, surplus: str) -> None:
-        super().__init__(f"the instrument sends what it was not asked for, such as {surplus.strip()[:40]!r}")
+        super().__init__(f"the instrument sends what it was not asked for, such as {surplus.strip()[:_SHOWN]!r}")
 
 
 def parse_number(answer: str) -> float:
@@ -70,10 +72,10 @@ def parse_number(answer: str) -> float:
     """
     match = _NUMBER.match(answer)
     if match is None:
-        raise ValueError(f"the instrument answered {answer.strip()[:40]!r}, which is no number")
+        raise ValueError(f"the instrument answered {answer.strip()[:_SHOWN]!r}, which is no number")
     number = float(match[1])
     if not math.isfinite(number) or abs(number) >= _NO_NUMBER:
-        raise OverloadError(f"the instrument answered {answer.strip()[:40]!r}: an overload, or no value")
+        raise OverloadError(f"the instrument answered {answer.strip()[:_SHOWN]!r}: an overload, or no value")
     return number * _PREFIXES.get((match[2] or "").lower(), 1.0)
 
 
@@ -167,15 +169,17 @@ class _Instrument:
         if resource.resource_class != "SOCKET" and resource.interface_type != visa.constants.InterfaceType.asrl:
             return  # other interfaces tell one answer from the next
         patience, resource.timeout = resource.timeout, _AT_ONCE
+        surplus, end = b"", (self._plugin.terminator or "\n").encode()
         try:
-            surplus = resource.read()
+            while end not in surplus and len(surplus) < _SHOWN:
+                surplus += resource.read_bytes(1)  # not a line: of what arrives right now, a part would be passed over
         except visa.VisaIOError as error:
             if error.error_code != visa.constants.StatusCode.error_timeout:
                 raise
-        else:
-            raise SurplusError(surplus)
         finally:
             resource.timeout = patience
+        if surplus.strip() or end in surplus:  # blanks alone are how some end their answers
+            raise SurplusError(surplus.decode("ascii", "replace"))
 
     def _open(self) -> None:
         plugin, milliseconds = self._plugin, round(self._plugin.timeout_s * 1000)

@@ -14,9 +14,11 @@ from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.plugin import Circumstances, Profiler
 from robot_runner.measuring.devices import open_serial_line
 from robot_runner.measuring.evaluation import publish_measures
+from robot_runner.measuring.periodic import Sampling
 from robot_runner.measuring.quality import Column, SampleQuality, quality_of, report_quality, write_samples
 from robot_runner.measuring.serial_line import SerialLine, port_problem
 from robot_runner.measuring.series import Series, mean_of_intervals
+from robot_runner.meters.electrical import ElectricalReading, Readings, doubts_about_readings
 
 #: Source of what is said and answered: Electronic Educational Devices, Watts up? PRO communications protocol (2009):
 #: `#L,W,3,E,<reserved>,<interval in s>;` begins to log to the line, `#L,R,0;` ends it. A record is
@@ -107,6 +109,11 @@ class Recording:
     def series(self, quantity: str) -> Series:
         """Return one quantity of the samples over time."""
         return Series([each.time for each in self.samples], [getattr(each, quantity) for each in self.samples])
+
+    def sampling(self, window: Window) -> Sampling[Readings]:
+        """Return the samples as readings of one channel, to be evaluated over a window."""
+        readings = [(ElectricalReading(each.watts, each.volts, each.amperes),) for each in self.samples]
+        return Sampling([each.time for each in self.samples], readings, window, _RATE)
 
     def quality(self, window: Window) -> SampleQuality:
         """Return how good the samples are over a window."""
@@ -214,6 +221,8 @@ class WattsUpPro(Profiler):
             context.doubt("nothing was measured: the measurement was never started", fix=_FIX)
         else:
             report_quality(context, recording.quality(window), window, sampled=self._sampled, fix=_FIX)
+            for problem in doubts_about_readings(recording.sampling(window)):
+                context.doubt(problem.format(of=""), fix=_FIX)
         is_simulated = recording is not None and recording.line.is_simulated
         origin = Origin.SIMULATED if is_simulated else Origin.MEASURED
         publish_measures(context, self.measures, self._evaluated, origin=origin)

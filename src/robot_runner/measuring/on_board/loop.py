@@ -38,6 +38,7 @@ import time
 TICK = os.sysconf("SC_CLK_TCK")
 PAGE = os.sysconf("SC_PAGE_SIZE")
 CORES = os.sysconf("SC_NPROCESSORS_ONLN")
+SINCE_BOOT = 7  # CLOCK_BOOTTIME of Linux, for which Python has a name from 3.7 on
 OPTIONS_WITH_VALUE = ("-X", "-W")  # of Python
 INTERPRETERS = ("python", "perl", "ruby", "node", "sh", "bash", "dash")
 SCAN = 0.04  # seconds, at the least, between two looks for new processes and at young ones: they cost more than samples
@@ -168,7 +169,7 @@ def fields_of(pid: str) -> "list[bytes]":
 def age_of(pid: str) -> float:
     """Return for how long a process has been there, s."""
     fields = fields_of(pid)
-    return time.clock_gettime(time.CLOCK_BOOTTIME) - int(fields[19]) / TICK if fields else 0.0
+    return time.clock_gettime(SINCE_BOOT) - int(fields[19]) / TICK if fields else 0.0
 
 
 def names_of(words: "list[str]", known: str) -> "set[str]":

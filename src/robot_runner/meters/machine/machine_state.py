@@ -30,7 +30,7 @@ PROCESSOR_COOLERS = ("Processor", "cpufreq", "thermal-cpufreq", "cpuidle", "ther
 #: The firmware of a Raspberry Pi (raspberrypi/linux, pull request 2397), in hexadecimal: bit 0 is under-voltage; bits
 #: 1 to 3 are a capped frequency, throttling and the soft temperature limit; 16 bits higher the same since the start.
 FIRMWARE = "/sys/devices/platform/soc/soc:firmware/get_throttled"
-UNDER_VOLTAGE, HELD_BACK, _EVER = 0b0001, 0b1110, 16
+UNDER_VOLTAGE, HELD_BACK, EVER = 0b0001, 0b1110, 16
 _CPU = "/sys/devices/system/cpu"
 #: 1 switches turbo off in the first (Intel), and on in the second (the others): Linux, admin-guide/pm.
 _NO_TURBO, _BOOST = f"{_CPU}/intel_pstate/no_turbo", f"{_CPU}/cpufreq/boost"
@@ -278,7 +278,7 @@ class MachineFiles:
             throttle_counts=tuple(map(int, counts)) if counts and len(counts) == len(self._counters) else None,
             is_held_back=any(coolers) or bool(now & HELD_BACK) if tells else None,
             is_under_voltage=None if flags is None else bool(now & UNDER_VOLTAGE),
-            firmware_flags=(now | now >> _EVER) & (UNDER_VOLTAGE | HELD_BACK),
+            firmware_flags=(now | now >> EVER) & (UNDER_VOLTAGE | HELD_BACK),
         )
 
 
