@@ -14,6 +14,7 @@ from robot_runner import Factor, Range, RunTableModel
 from robot_runner.adaptive import Optimise, optimise
 from robot_runner.adaptive.explored import SearchedSpace
 from robot_runner.adaptive.optimise import _Search
+from robot_runner.adaptive.optuna_program import candidates
 from robot_runner.core.design.asking import Decision, Told
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import DesignError
@@ -95,6 +96,24 @@ def test_a_small_space_is_searched_to_its_end_and_nothing_is_asked_without_a_val
     assert only.findings[0][0] == "no combination has a value of Energy"
     _, (odd,) = searched(model, lambda _: {"Energy": "high"})  # type: ignore[dict-item]
     assert odd.findings[0][0] == "r_1 has 'high', which is no number of Energy"
+
+
+def test_a_factor_of_one_treatment_stands_beside_those_that_are_searched() -> None:
+    factors = [Factor("Speed", range(1, 13)), Factor("Robot", ["waffle"])]
+    assert list(Optimise("Energy", runs=9).findings(factors)) == []
+
+
+@pytest.mark.long
+def test_what_optuna_offers_for_several_runs_at_a_time_comes_once() -> None:
+    tried = [[place, 0] for place in range(5)]
+    points = [(places, [float(places[0])]) for places in tried]
+    question = {"levels": [8, 3], "are_numbers": [True, False], "directions": ["minimize"], "points": points}
+    offered = [
+        tuple(places)
+        for each in candidates({**question, "tried": tried, "start": 4, "count": 3, "seed": 1})
+        for places in each
+    ]
+    assert len(offered) == len({*offered, *map(tuple, tried)}) - len(tried) > 0
 
 
 def test_start_points_reach_the_ends_and_are_spread() -> None:

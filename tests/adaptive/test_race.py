@@ -117,6 +117,21 @@ def test_what_cannot_be_is_said(treatments: Any, how: dict[str, Any], repetition
     assert any(problem in each.problem and each.fix for each in raised.value.findings)
 
 
+@pytest.mark.parametrize(
+    ("repetitions", "confirm", "is_confirmed", "may_add"),
+    [(5, 0, False, True), (6, 0, False, False), (6, 2, False, True), (6, 2, True, False)],
+)
+def test_runs_may_follow_until_the_last_repetition_and_until_the_outcome_is_confirmed(
+    repetitions: int, confirm: int, is_confirmed: bool, may_add: bool
+) -> None:
+    factor = Factor("Gait", ["trot", "crawl"])
+    design = Race("Energy", at_most=6, confirm=confirm)
+    model = RunTableModel([factor], repetitions=repetitions, data_columns=["Energy"])
+    runs = model.plan()
+    confirming = [run._replace(batch=2) for run in runs[:4]] if is_confirmed else []
+    assert design.asking([factor], model.allowed, 5).may_add([*runs, *confirming]) is may_add
+
+
 def test_a_race_is_by_one_measure() -> None:
     with pytest.raises(DesignError, match="Name a measure"):
         Race({"Energy": "minimise"}, at_most=8)  # type: ignore[arg-type]

@@ -48,6 +48,19 @@ def test_each_published_balanced_design_is_found(
     assert facts["efficiency_bound"] == pytest.approx(facts["efficiency"], abs=1e-6)
 
 
+def test_of_two_kinds_of_blocks_each_says_how_often_its_pairs_are_together() -> None:
+    factors = [Factor("Day", range(3)), Factor("Robot", range(2)), Factor("Planner", range(4))]
+    model = RunTableModel(factors, repetitions=3, seed=1, design=Blocks("Day", "Robot"))
+    for kind in ("Day", "Robot"):
+        held: dict[int, Counter[int]] = {}
+        for run in model.plan():
+            held.setdefault(run.combination[kind], Counter())[run.combination["Planner"]] += 1
+        together = [
+            sum(block[one] * block[other] for block in held.values()) for one, other in combinations(range(4), 2)
+        ]
+        assert model.design_facts["balance"][kind]["pairs"] == [min(together), max(together)]
+
+
 @pytest.mark.long
 def test_what_does_not_exist_is_not_found_and_the_best_that_is_says_its_efficiency() -> None:
     for treatments, blocks, _, size, pairs in IMPOSSIBLE:

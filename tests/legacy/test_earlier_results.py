@@ -11,7 +11,7 @@ from tests.legacy.earlier_configs import ROBOT, RUNNER, planned
 
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.design.columns import RUN_ID
-from robot_runner.core.errors import ExecutionError
+from robot_runner.core.errors import ExecutionError, RobotRunnerError
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.storage.cells import RunStatus
@@ -127,6 +127,19 @@ def test_an_experiment_goes_on_where_it_stopped(config: Callable[..., Path], exe
     second = execute(path, Resumption(accept_changes=True))
     assert {row["__done"] for row in second.table} == {"DONE"}
     assert second.finished.done_count == 8
+
+
+@pytest.mark.parametrize("text", ["{", '{"format": 1}', '{"format": 1, "seed": "drawn"}'])
+def test_a_manifest_from_which_no_seed_can_be_read_is_named(
+    config: Callable[..., Path], execute: Callable[..., Executed], text: str
+) -> None:
+    path = config(MEASURED)
+    folder = ExperimentFolder(path.parent / "experiments" / "sorting", runs_name="")
+    folder.root.mkdir(parents=True)
+    folder.manifest.write_text(text)
+    with pytest.raises(RobotRunnerError) as refused:
+        execute(path)
+    assert str(folder.manifest) in str(refused.value)
 
 
 def test_a_changed_treatment_is_told_cell_by_cell(

@@ -9,6 +9,7 @@ import pytest
 from tests.legacy.earlier_configs import RUNNER, planned
 
 from robot_runner.core.config.preparation import prepare
+from robot_runner.legacy.run_tables import shown_treatments
 from robot_runner.legacy.stand_ins import modules as stand_in_modules
 
 if TYPE_CHECKING:
@@ -96,6 +97,14 @@ def test_arguments_may_stand_in_the_order_of_any_version(config: Callable[..., P
         preparation = prepare(config(table=table))
         assert len(planned(preparation)) == count
         assert preparation.experiment.model.data_columns == ("x",)
+
+
+def test_treatments_without_a_text_of_their_own_are_numbered() -> None:
+    noted: list[str] = []
+    shown = shown_treatments([print, lambda: 1, lambda: 2, lambda: 3], lambda _, text: noted.append(text))
+    name = test_treatments_without_a_text_of_their_own_are_numbered.__name__
+    assert noted == [f"{name}.<locals>.<lambda>{number}" for number in ("", "_2", "_3")]
+    assert len({str(treatment) for _, treatment in shown}) == 4
 
 
 @pytest.mark.long

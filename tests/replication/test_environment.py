@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import zipfile
+from types import SimpleNamespace
 
 import pytest
 from tests.replication.small_index import tiny_wheel
@@ -13,7 +15,14 @@ from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.manifest import describe_host, describe_software
 from robot_runner.replication import virtual_environments
 from robot_runner.replication.differences import differing_environment, differing_packages, remaining_differences
-from robot_runner.replication.distributions import closure, installed_distributions, wheel_name, wheel_of, write_wheel
+from robot_runner.replication.distributions import (
+    InstalledDistribution,
+    closure,
+    installed_distributions,
+    wheel_name,
+    wheel_of,
+    write_wheel,
+)
 from robot_runner.replication.environment import record_environment
 from robot_runner.replication.virtual_environments import make_environment
 from robot_runner.ros.ros_environment import describe_ros
@@ -22,6 +31,22 @@ from robot_runner.ros.ros_environment import describe_ros
 @pytest.fixture
 def manifest():
     return {"software": describe_software(), "host": describe_host(), "robot": "simulated"}
+
+
+@pytest.mark.parametrize(
+    ("info", "sha256"),
+    [
+        ({"hashes": {"sha256": "ab"}}, "ab"),
+        ({"hash": "sha256=ab"}, "ab"),  # as pip wrote it until 22.3
+        ({"hash": "md5=ab"}, None),
+        ({"hashes": {"md5": "ab"}}, None),
+        ({}, None),
+    ],
+)
+def test_of_the_archive_that_a_distribution_was_installed_from_the_sha_256_is_taken_and_no_other_hash(info, sha256):
+    kept = {"url": "https://example.org/a-1-py3-none-any.whl", "archive_info": info}
+    distribution = SimpleNamespace(read_text=lambda _: json.dumps(kept))
+    assert InstalledDistribution("a", "1", distribution).archive_sha256 == sha256
 
 
 @pytest.mark.long

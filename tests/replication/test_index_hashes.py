@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from tests.linked_environment import is_locked_environment
+from tests.loopback_port import claim_port
 from tests.replication.small_experiment import home
 from tests.replication.small_index import SmallIndex, pip_settings, tiny_wheel
 
@@ -94,10 +95,8 @@ def test_the_lock_of_the_project_saves_asking_the_index(experiment):
 
 @pytest.mark.long
 def test_nobody_answers_where_there_is_no_index(set_up_pip):
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        set_up_pip(f"http://127.0.0.1:{free.getsockname()[1]}/")
-        answer = ask_index([f"{name}==1.0" for name in "abcde"], PYTHON)
+    set_up_pip(f"http://127.0.0.1:{claim_port()}/")
+    answer = ask_index([f"{name}==1.0" for name in "abcde"], PYTHON)
     assert answer.hashes == {}
     assert set(answer.lacking.values()) == {"no package index answers, or it has none of them"}
 
@@ -193,3 +192,10 @@ def _pinned(packed):
     with zipfile.ZipFile(packed.path) as archive:
         lines = archive.read("environment/requirements.txt").decode().splitlines()
     return [line for line in lines if not line.startswith("#")]
+
+
+@pytest.mark.parametrize("info", [{}, {"hashes": {"md5": "ab"}}])
+def test_a_file_of_which_an_index_tells_no_sha_256_is_of_no_use_to_others(info):
+    file = index_hashes._File.of_download({"url": "https://example.org/a-1-py3-none-any.whl", "archive_info": info})
+    assert file.sha256 == ""
+    assert "SHA-256" in file.fault

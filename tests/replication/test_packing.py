@@ -23,6 +23,7 @@ from robot_runner.core.config.authors import Author
 from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.lock import ExperimentLock
 from robot_runner.replication.contents import choose_contents, fault_of_name
+from robot_runner.replication.opening import open_package
 from robot_runner.replication.packing import pack
 from robot_runner.replication.sealing import Packing
 
@@ -51,6 +52,17 @@ def _names(path):
 def _text(path, name):
     with zipfile.ZipFile(path) as archive:
         return archive.read(name).decode()
+
+
+@pytest.mark.long
+def test_a_line_that_was_printed_two_million_times_is_taken_for_no_bomb_by_who_receives_it(copied, ada, tmp_path):
+    run = next((copied / "runs").iterdir())
+    (run / "printed.log").write_bytes(b"no transform from map to base_link\n" * (2 << 20))
+    with home(ada):
+        packed = _pack(copied, tmp_path / "small.zip")
+    with open_package(packed.path) as package:
+        assert package.sizes[f"runs/{run.name}/printed.log"] == 70 << 20
+        assert not package.faults
 
 
 @pytest.mark.long

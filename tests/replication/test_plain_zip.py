@@ -10,7 +10,7 @@ import pytest
 from robot_runner.core.errors import PackageError, StorageError
 from robot_runner.replication import plain_zip
 from robot_runner.replication.packing import pack
-from robot_runner.replication.plain_zip import written_beside
+from robot_runner.replication.plain_zip import looks_like_a_bomb, written_beside
 
 
 def test_the_form_for_large_files_reads_as_any(tmp_path, monkeypatch):
@@ -25,6 +25,17 @@ def test_the_form_for_large_files_reads_as_any(tmp_path, monkeypatch):
         assert {entry.date_time for entry in opened.infolist()} == {(1980, 1, 1, 0, 0, 0)}
     extra = (tmp_path / "a.zip").read_bytes()[30 + len("runs/a.csv") :]  # behind the fields of the local header
     assert extra[:2] == b"\x01\x00"  # the field of ZIP64; the version needed was left at 2.0 before Python 3.11.4
+
+
+def test_a_file_that_shrinks_to_a_hundredth_looks_like_a_bomb_and_no_other_one(tmp_path):
+    path = tmp_path / "file"
+    for content, looks in [
+        (b"the same line\n" * 20_000, True),
+        (b"the same line\n" * 2_000, False),  # too small to be one
+        ("".join(f"{number}: the same line\n" for number in range(20_000)).encode(), False),
+    ]:
+        path.write_bytes(content)
+        assert looks_like_a_bomb(path, len(content)) is looks
 
 
 def test_what_breaks_off_leaves_nothing_behind(tmp_path):

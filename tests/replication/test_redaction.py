@@ -45,6 +45,12 @@ def test_a_secret_is_replaced(text, cleaned):
 
 
 @pytest.mark.filterwarnings("error")
+def test_a_secret_is_found_in_code_that_is_no_utf_8():
+    code = "# Größe\npassword = 'hunter2'\n".encode("latin-1")
+    found = Redactor.knowing((), home=None).find(code, Grammar.CODE, is_file=True)
+    assert [code[each.start : each.end] for each in found] == [b"hunter2"]
+
+
 def test_a_secret_is_found_in_code_that_python_warns_of():
     assert secrets_in_code("pattern = '\\d+'\npassword = 'tr0ub4dor'\n") == {"tr0ub4dor"}
 
@@ -121,6 +127,11 @@ tokenizer = 'not-this'
     assert secrets_in_code("this is (no code") == set()
 
 
+def test_what_stands_in_the_place_of_a_missing_setting_is_one_and_what_is_said_of_a_setting_is_none():
+    assert secrets_in_code('a = os.environ.get("DB_PASSWORD", "hunter2"); rospy.get_param(b)') == {"hunter2"}
+    assert secrets_in_code('ask("password", "hunter2")') == set()
+
+
 def cleaned_file(path, hits):
     with path.open("rb") as file:
         return b"".join(Redactor.knowing((), home=None).cleaned(chunks_of(file), hits, grammar_of(path)))
@@ -142,6 +153,34 @@ def test_a_key_across_two_blocks_is_found(tmp_path):
     begin, end = "-----BEGIN RSA PRIVATE KEY-----\n", "-----END RSA PRIVATE KEY-----\n"
     path.write_text("x" * 99 + "\n" + ("y" * 99 + "\n") * 10484 + begin + "MIIE\n" * 30 + end, encoding="utf-8")
     assert b"MIIE" not in cleaned_file(path, Hits())
+
+
+def cleaned_table(text, tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(text, encoding="utf-8")
+    redactor = Redactor.knowing((), home=None, replaces_doubtful=True)
+    with path.open("rb") as file:
+        return b"".join(redactor.cleaned(chunks_of(file), Hits(), grammar_of(path))).decode()
+
+
+@pytest.mark.parametrize(
+    "row", ['1,"it fell,\nand stood up",X', "1,ok; restarted,X", '1,"5"" pipe",X', '1,"5"x,X', '1,"5,X']
+)
+def test_a_secret_is_found_in_its_column_whatever_stands_in_the_others(row, tmp_path):
+    table = f"run,note,password\n{row}\n2,ok,X\n"
+    assert cleaned_table(table.replace("X", "hunter2"), tmp_path) == table.replace("X", "REDACTED")
+
+
+@pytest.mark.parametrize(
+    "table", ["run;energy;password\n1;1,5;X\n", 'run,"note, by whom",password\r\n1,ok,X\r\n', 'run\t"password"\n1;2\tX']
+)
+def test_the_heading_says_what_separates_the_columns(table, tmp_path):
+    assert cleaned_table(table.replace("X", "hunter2"), tmp_path) == table.replace("X", "REDACTED")
+
+
+def test_a_table_that_is_longer_than_a_block_keeps_its_secret_columns(tmp_path):
+    table = "password,run\n" + f"X,{'7' * 1000}\n" * 4500  # a block is 4 MiB
+    assert "hunter2" not in cleaned_table(table.replace("X", "hunter2"), tmp_path)
 
 
 def test_bytes_that_are_no_text_are_told_from_text(tmp_path):

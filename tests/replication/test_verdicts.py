@@ -276,6 +276,18 @@ def test_the_verdict_tells_the_largest_difference_as_the_comparison_does(tmp_pat
     assert verdict.measures[0].sentence.startswith("CPU is " if unit == "1" else f"CPU ({unit}) is ")
 
 
+def test_a_comparison_in_an_environment_of_an_earlier_version_lacks_the_largest_difference_and_is_judged(tmp_path):
+    folders = []
+    for name, shift in (("original", 0), ("again", 40)):
+        rows = [(task, 80.0 + shift + each) for task in ("Video", "Network") for each in range(4)]
+        folders.append(Folder(tmp_path / name, {"Task": ["Video", "Network"]}, rows, {"CPU": "%"}).write())
+    comparison = json.loads(json_of_comparison(compare(*folders, bound="5%")))
+    del comparison["measures"][0]["largest"]
+    margins = margins_of({"CPU": "%"}, {}, [])
+    verdict = reached_verdict([_measure("CPU", unit="%")], {}, identical_values(*folders), margins, comparison)
+    assert verdict.conclusion is Conclusion.DIFFERENT
+
+
 def test_no_run_in_common_is_undecided():
     margins = margins_of({"Energy": "J"}, {}, [])
     for same in ({}, {"Energy": Sameness(0, 0)}):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import os
 import re
 import stat
 import struct
@@ -301,3 +302,16 @@ def test_so_is_that_of_a_folder_that_nobody_sealed(tmp_path):
     folder = two_tasks(tmp_path / "made", (1.0,), (3.0,), manifest={"ros": {"distro": "jazzy"}}).root
     with pytest.raises(PackageError, match=re.escape("ros.version is missing")):
         find_source(folder, lambda _, __: None)
+
+
+def test_a_folder_that_is_no_package_is_said_to_be_none_though_files_of_it_go_meanwhile(tmp_path, monkeypatch):
+    (tmp_path / "run_table.csv").write_text("run_id\n")
+
+    def walk(root):
+        yield str(root), [], ["run_table.csv", ".run_table.csv.1.tmp"]  # which was renamed since it was listed
+
+    monkeypatch.setattr(os, "walk", walk)
+    with open_package(tmp_path) as package:
+        assert list(package.sizes) == ["run_table.csv"]
+        with pytest.raises(PackageError, match="this is no package"):
+            verify_package(package)

@@ -122,7 +122,7 @@ class FractionalFactorial:
             possible = sorted({min(max(below, least), 1 << factors), min(max(above, 2 * least), 1 << factors)})
             fix = f"Give {' or '.join(map(str, possible))}."
             yield Finding.error("design", f"runs={runs} is no power of two", fix)
-        elif runs < least and _best_words(factors, runs.bit_length() - 1) is None:
+        elif runs < least:
             problem = f"runs={runs} cannot tell the main effects of {factors} factors apart"
             yield Finding.error("design", problem, f"Give {least} or more.")
         elif runs > 1 << factors:

@@ -264,5 +264,5 @@ def _recorded_seed(folder: ExperimentFolder) -> int:
     """Return the seed with which an experiment began, so that it goes on in its order; a new one where it did not."""
     try:
         return int(read_manifest(folder.manifest)["seed"]) if folder.manifest.exists() else randbits(32)
-    except (StorageError, KeyError, TypeError, ValueError):  # reading the folder again to execute it says what is wrong
+    except (StorageError, KeyError):  # reading the folder again to execute it says what is wrong
         return randbits(32)

@@ -129,7 +129,7 @@ def _in_tool(text: str) -> Numbering | None:
     if found is None:
         return None
     counted = Numbering.COUNTED_FROM_1 if found["from_1"] else Numbering.COUNTED_FROM_0
-    return _KINDS.get(found["kind"] or "", counted)
+    return _KINDS.get(found["kind"], counted)
 
 
 def _in_text(recognised: Recognised, arguments: Collection[str]) -> Numbering:

@@ -75,7 +75,8 @@ class InstalledDistribution:
     def archive_sha256(self) -> str | None:
         """The hash of the file that it was installed from, where the installer kept it: not for those of an index."""
         info = self.direct_url.get("archive_info", {})
-        return info.get("hashes", {}).get("sha256") or str(info.get("hash", "")).removeprefix("sha256=") or None
+        algorithm, _, digest = str(info.get("hash", "")).partition("=")  # as it was before there was `hashes`
+        return info.get("hashes", {}).get("sha256") or (digest if algorithm == "sha256" else "") or None
 
     @property
     def fingerprint(self) -> str | None:

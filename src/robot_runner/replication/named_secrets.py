@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from enum import Enum
 from functools import lru_cache
+from itertools import islice
 
 from robot_runner.core.secret_names import is_placeholder, is_secret_name
 from robot_runner.replication.secret_kinds import Found
@@ -111,32 +112,41 @@ def _secret_name(written: bytes) -> str:
     return name if len(name) <= _LONGEST_NAME and is_secret_name(name) else ""
 
 
-_CELL = re.compile(rb"\"(?:[^\"]|\"\")*\"|[^,;\t\r\n]*")
+#: By what separates them: cells of a table. One in quotes goes on for lines; a quote that nothing closes is a letter.
+_CELLS = {
+    mark: re.compile(
+        rb"(?P<cell>\"(?:[^\"]|\"\")*+\"(?=[MARK\r\n]|\Z)|[^MARK\r\n]*)(?P<end>MARK|\r?\n|\r|\Z)".replace(b"MARK", mark)
+    )
+    for mark in (b",", b";", b"\t")
+}
 
 
-def secret_columns(heading: bytes) -> frozenset[int]:
-    """Return the places, from 0, of those columns of a table whose headings say that they hold secrets."""
-    names = re.split(rb"[,;\t]", heading.strip())
-    return frozenset(place for place, each in enumerate(names) if is_secret_name(each.decode("utf-8", "replace")))
+def _rows(block: bytes, separator: bytes) -> Iterator[list[re.Match[bytes]]]:
+    row: list[re.Match[bytes]] = []
+    for cell in _CELLS[separator].finditer(block):
+        row.append(cell)
+        if cell["end"] != separator:
+            yield row
+            row = []
 
 
-def secrets_in_columns(block: bytes, columns: frozenset[int], *, has_heading: bool) -> Iterator[Found]:
+def secret_columns(heading: bytes) -> tuple[bytes, frozenset[int]]:
+    """Return what separates the columns of a table, and the places, from 0, of those that are headed as secrets."""
+    separator = max(_CELLS, key=heading.count)
+    names = [each["cell"].strip(b'"').decode("utf-8", "replace") for each in next(_rows(heading, separator), [])]
+    return separator, frozenset(place for place, name in enumerate(names) if is_secret_name(name))
+
+
+def secrets_in_columns(
+    block: bytes, separator: bytes, columns: frozenset[int], *, has_heading: bool
+) -> Iterator[Found]:
     """Yield the cells of these columns that are neither empty nor numbers: somebody has to judge."""
-    start = block.find(b"\n") + 1 if has_heading else 0
-    while start < len(block):
-        end = block.find(b"\n", start)
-        end = len(block) if end < 0 else end
-        place = start
-        for number in range(max(columns) + 1):
-            cell = _CELL.match(block, place, end)
-            if cell is None:
-                break
-            if number in columns and not is_placeholder(cell[0].decode("utf-8", "replace")) and not _is_number(cell[0]):
-                yield Found(*cell.span(), f"what may be a {_WHAT} in a column", cell.start(), is_sure=False)
-            place = cell.end() + 1
-            if place > end:
-                break
-        start = end + 1
+    for row in islice(_rows(block, separator), int(has_heading), None):
+        for place in columns.intersection(range(len(row))):
+            cell = row[place]["cell"]
+            if not is_placeholder(cell.decode("utf-8", "replace")) and not _is_number(cell):
+                begin, end = row[place].span("cell")
+                yield Found(begin, end, f"what may be a {_WHAT} in a column", begin, is_sure=False)
 
 
 def _is_number(cell: bytes) -> bool:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import hashlib
 import os
 import zipfile
+import zlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, TypeAlias
 
+from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.system_refusals import fsync_file, fsync_folder, storage_error
 
 #: Called with the number of bytes that are done, and with that of all.
@@ -19,6 +21,9 @@ Progress: TypeAlias = "Callable[[int, int], None]"
 _STAMP = (1980, 1, 1, 0, 0, 0)
 _LEVEL = 6
 _LARGE = 1 << 30
+_BLOCK = 1 << 16
+#: Half of what is taken for a zip bomb: a file whose secrets are replaced may shrink more.
+_MOST_TIMES_SMALLER = 100
 #: Compressed already.
 _COMPRESSED = (".bz2", ".gz", ".npz", ".parquet", ".pdf", ".png", ".whl", ".woff2", ".xz", ".zip", ".zst")
 
@@ -42,20 +47,21 @@ class PlainZip:
         self._archive = zipfile.ZipFile(target, "x", allowZip64=True)
         self.stored: dict[str, StoredFile] = {}
 
-    def add(self, name: str, blocks: Iterable[bytes], *, size: int = 0) -> StoredFile:
+    def add(self, name: str, blocks: Iterable[bytes], *, size: int = 0, is_stored: bool = False) -> StoredFile:
         """Write a file block by block.
 
         Args:
             name: in the zip file.
             blocks: its contents.
             size: about how large it will be: above 1 GiB it is written in the form for large files.
+            is_stored: whether it is written as it is, and not deflated.
 
         Raises:
             OSError: it cannot be read or written.
         """
         entry = _entry(name, 0o100644)
-        is_compressed = name.casefold().endswith(_COMPRESSED)
-        entry.compress_type = zipfile.ZIP_STORED if is_compressed else zipfile.ZIP_DEFLATED
+        is_stored = is_stored or name.casefold().endswith(_COMPRESSED)
+        entry.compress_type = zipfile.ZIP_STORED if is_stored else zipfile.ZIP_DEFLATED
         entry._compresslevel = _LEVEL  # type: ignore[attr-defined] # noqa: SLF001 - public from Python 3.13 only
         digest, written = hashlib.sha256(), 0
         with self._archive.open(entry, "w", force_zip64=size > _LARGE) as file:
@@ -80,6 +86,24 @@ class PlainZip:
     def close(self) -> None:
         """Write the directory of the zip file, and close it."""
         self._archive.close()
+
+
+def looks_like_a_bomb(path: Path, size: int) -> bool:
+    """Whether a file would shrink so much that who receives it takes it for a zip bomb: one line again and again.
+
+    Raises:
+        StorageError: it cannot be read.
+    """
+    if size <= _BLOCK:
+        return False
+    deflated, packed = zlib.compressobj(_LEVEL), 0
+    try:
+        with open_to_read(path) as file:
+            while packed * _MOST_TIMES_SMALLER < size and (block := file.read(_BLOCK)):
+                packed += len(deflated.compress(block))
+    except OSError as error:
+        raise storage_error(path, "read", error) from error
+    return packed * _MOST_TIMES_SMALLER < size
 
 
 def _entry(name: str, mode: int) -> zipfile.ZipInfo:

@@ -156,16 +156,17 @@ class Redactor:
 
     def cleaned(self, chunks: Iterable[bytes], hits: Hits, grammar: Grammar) -> Iterator[bytes]:
         """Yield a text that comes in chunks of UTF-8 in blocks of another size, secrets replaced."""
-        kept, line, is_whole, columns = b"", 1, True, frozenset[int]()
+        kept, line, is_whole, separator, columns = b"", 1, True, b",", frozenset[int]()
         for chunk, is_last in _with_last(chunks):
             kept += chunk
             if not is_last and is_whole and len(kept) < _WHOLE:
                 continue
             found = self.find(kept, grammar, is_file=is_whole and is_last)
             if is_whole and grammar is Grammar.TABLE and self.has_general:
-                columns = secret_columns(kept[: kept.find(b"\n", 0, _LONGEST_HEADING) + 1])
+                separator, columns = secret_columns(kept[: kept.find(b"\n", 0, _LONGEST_HEADING) + 1])
             if columns:
-                found = _without_overlap([*found, *secrets_in_columns(kept, columns, has_heading=is_whole)])
+                in_columns = secrets_in_columns(kept, separator, columns, has_heading=is_whole)
+                found = _without_overlap([*found, *in_columns])
             cut = len(kept) if is_last else _cut_of(kept, found)
             yield self._replaced(kept[:cut], [each for each in found if each.end <= cut], hits, line)
             line += kept.count(b"\n", 0, cut)

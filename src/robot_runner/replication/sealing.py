@@ -38,7 +38,7 @@ from robot_runner.replication.distributions import (
 )
 from robot_runner.replication.environment import RecordedEnvironment
 from robot_runner.replication.named_secrets import Grammar
-from robot_runner.replication.plain_zip import PlainZip, Progress
+from robot_runner.replication.plain_zip import PlainZip, Progress, looks_like_a_bomb
 from robot_runner.replication.redaction import Redactor, chunks_of
 
 
@@ -119,7 +119,8 @@ class Sealing:
         for file in self.chosen.files:
             end = self._done + file.size
             if (blocks := self.cleaning.blocks_of(file)) is not None:
-                self.archive.add(file.name, self._blocks(file, blocks), size=file.size)
+                is_stored = looks_like_a_bomb(file.path, file.size)
+                self.archive.add(file.name, self._blocks(file, blocks), size=file.size, is_stored=is_stored)
             self._advance(end - self._done)  # what was replaced may be longer than what stood there
         for distribution in self.environment.local if self.asked.with_wheels else ():
             self._add_wheel(distribution)

@@ -124,6 +124,12 @@ def test_a_family_of_hypotheses_takes_hypotheses():
         AnalysisPlan("Energy", family=Family.HYPOTHESES)
 
 
+@pytest.mark.parametrize("what", ["measures", "secondary", "covariates"])
+def test_names_are_texts(what):
+    with pytest.raises(DesignError, match=f"{what} has 3, of type int"):
+        AnalysisPlan(**{"measures": "Energy", what: ["CPU", 3]})
+
+
 def test_blocks_and_secondary_measures_are_those_of_the_design():
     plan = AnalysisPlan("Energy", secondary="CUP", blocks="Tsk")
     problems = [finding.problem for finding in plan.findings(["Task"], ["Energy", "CPU"])]

@@ -102,6 +102,12 @@ def test_what_a_predicate_raised_is_the_cause() -> None:
     assert isinstance(caught.value.__cause__, KeyError)
 
 
+def test_what_several_predicates_raised_is_said_at_once() -> None:
+    findings = findings_of([lambda run: run["Sped"], {"Tsk": 1}, lambda run: 1 / (run["Task"] == "none")])
+    wrong = {finding.partition(":")[0] for finding in findings}
+    assert wrong == {f"exclude_combinations[{number}]" for number in range(3)}
+
+
 def test_all_exclusions_are_looked_at() -> None:
     findings = findings_of([{"Tsk": 1, "Task": ["x", "Video", "y"]}, {}, {"Speed": 9}])
     assert [finding.partition(":")[0] for finding in findings] == [

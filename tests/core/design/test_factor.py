@@ -11,7 +11,17 @@ from pathlib import Path
 import pytest
 
 from robot_runner.core.design.factor import Combination, Factor
+from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import DesignError
+
+
+def test_revisions_are_the_same_by_repository_name_and_build_alone() -> None:
+    one = Revision("/robot", "main", build="make")
+    same, others = Revision("/robot", "main", build="make"), [Revision("/robot", "dev", build="make"), "main", None]
+    same.prepare(commit="0" * 40, path="/tree")
+    assert one == same
+    assert hash(one) == hash(same)
+    assert [one == other for other in others] == [False] * 3
 
 
 class Speed:

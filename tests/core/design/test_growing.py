@@ -233,6 +233,12 @@ def test_a_plain_treatment_outlives_its_config() -> None:
     assert shown(left) == shown(grown)
 
 
+def test_a_plan_says_the_seed_that_it_is_given_and_else_that_of_the_first_batch() -> None:
+    grown = extended(RunTableModel([TASK, SPEED], shuffle=True, seed=7), Additions(2), seed=8)
+    assert [grown.plan(seed).order.seed for seed in (None, 9)] == [7, 9]
+    assert list(grown.plan(9)) == list(grown.plan())
+
+
 def test_ids_go_on_as_they_began() -> None:
     listed = ListedRunTableModel(
         [TASK], [ListedRun("run_7", {"Task": "Video"}), ListedRun("run_9", {"Task": "Network"})]
@@ -253,6 +259,13 @@ def test_runs_of_a_table_without_repetitions_are_counted() -> None:
         ("r_3", "Task='Network'", 1, 1),
         ("r_4", "Task='Network'", 2, 2),
     ]
+
+
+def test_a_warm_up_run_between_others_is_counted_as_no_repetition() -> None:
+    first = RunTableModel([TASK]).plan()[0]
+    runs = [first, first._replace(run_id="w_2", repetition=0), first._replace(run_id="r_3")]
+    there = begun(RunTableModel([TASK]), runs=runs, has_repetition=False)
+    assert [run.repetition for run in there.counted_runs] == [1, 0, 2]
 
 
 def test_everything_that_cannot_be_added_is_said_at_once() -> None:

@@ -281,6 +281,14 @@ def test_before_run_with_the_row_gets_the_context(
     assert len(measures_of(new, ["task"])) == 4
 
 
+def test_what_is_put_before_a_decorated_function_stands_before_its_decorators(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    body = "def before_run(self, run_variation):\n    @staticmethod\n    def told(): print(run_variation['task'])\n"
+    new = converted(config(body, head=ROBOT)).read_text()
+    assert "run_variation = context.combination\n        @staticmethod\n        def told()" in new
+
+
 @pytest.mark.parametrize(
     "model",
     [

@@ -319,7 +319,17 @@ def test_nvidia_without_its_package_says_what_to_install(monkeypatch: pytest.Mon
 
 
 def test_the_current_logger_writes_its_channels(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    settings = []
+
     class Library:
+        def PLCM3SetChannel(self, handle: Any, channel: Any, setting: Any) -> int:  # noqa: N802 - the library's name
+            settings.append((channel.value, setting.value))
+            return 0
+
+        def PLCM3SetMains(self, handle: Any, is_of_60_hertz: Any) -> int:  # noqa: N802 - the library's name
+            settings.append(("60 Hz", is_of_60_hertz.value))
+            return 0
+
         def PLCM3Enumerate(self, details: Any, length: Any, kind: Any) -> int:  # noqa: N802 - the library's name
             details.value = b"CM3 01"
             return 0
@@ -339,6 +349,7 @@ def test_the_current_logger_writes_its_channels(monkeypatch: pytest.MonkeyPatch,
     meter.log(logfile=tmp_path / "cm3.log", finished_fn=lambda: next(readings))
     assert meter.parse_log(tmp_path / "cm3.log")["channel_1"] == [2.5]
     meter.close_device()
+    assert settings == [(1, 1), (2, 0), (3, 0), ("60 Hz", 0)], "as in the earlier tool: one channel, at 50 Hz"
 
 
 def test_a_current_that_the_logger_has_not_measured_yet_is_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
