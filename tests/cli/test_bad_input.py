@@ -95,6 +95,24 @@ def test_a_file_that_does_not_exist_is_refused(robot_runner: Callable, tmp_path:
     assert_refused(robot_runner, tmp_path, [command, "experimnt.py"], "Did you mean experiment.py?")
 
 
+@pytest.mark.parametrize("command", ["status", "report", "compare"])
+def test_what_is_no_experiment_is_not_proposed_in_place_of_one(
+    robot_runner: Callable, tmp_path: Path, command: str
+) -> None:
+    for name in ("plots", "notes", "lab/hall", "study"):
+        (tmp_path / name).mkdir(parents=True)
+    for name in ("lab/hall", "study"):
+        (tmp_path / name / "manifest.json").write_text("{}")
+    (tmp_path / "out.txt").write_text("")
+    words = [command, "plts", *(["nots"] if command == "compare" else [])]
+    told = robot_runner(*words).err
+    assert told.count("fix: Choose one of: 'lab', 'study'.") == len(words) - 1
+    assert "Did you mean 'study'?" in robot_runner(command, *["stduy"] * (len(words) - 1)).err
+    for name in ("lab/hall", "study"):
+        (tmp_path / name / "manifest.json").unlink()
+    assert "fix: Name the folder of an experiment, or its config file." in robot_runner(*words).err
+
+
 @pytest.mark.parametrize("command", ["check", "run", "plan"])
 def test_setting_what_is_not_there_is_refused(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path, command: str

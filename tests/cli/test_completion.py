@@ -99,12 +99,13 @@ def test_all_commands_are_offered_and_a_tab_costs_hardly_more_than_the_help(tmp_
         action()
         return time.perf_counter() - begun
 
-    tab = min(seconds(lambda: offered("robot-runner ch", tmp_path)) for _ in range(7))
-    help_ = min(
-        seconds(lambda: subprocess.run([f"{BIN}/robot-runner", "check", "--help"], check=True, capture_output=True))
-        for _ in range(7)
-    )
-    assert tab < 2 * help_
+    tabs, helps = [], []
+    for _ in range(7):  # by turns, so that the machine is as busy with both
+        tabs.append(seconds(lambda: offered("robot-runner ch", tmp_path)))
+        helps.append(
+            seconds(lambda: subprocess.run([f"{BIN}/robot-runner", "check", "--help"], check=True, capture_output=True))
+        )
+    assert min(tabs) < 2 * min(helps)
 
 
 def test_without_the_library_the_command_names_the_extra(

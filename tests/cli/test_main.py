@@ -109,6 +109,7 @@ def test_the_version_is_that_of_the_package(robot_runner: Callable) -> None:
         (["--versoin"], "robot-runner: there is no option '--versoin'", "Did you mean '--version'?"),
         (["check", "c.py", "--jsn"], "robot-runner check: there is no option '--jsn'", "Did you mean '--json'?"),
         (["run", "c.py", "--sett=robot=simulated"], "there is no option '--sett'", "Did you mean '--set'?"),
+        (["run", "--", "c.py", "--only"], "'--only' stands behind '--', where nothing is an option", "Leave '--' out"),
         (["run"], "robot-runner run: CONFIG is missing", "See `robot-runner run --help`."),
         (["plan", "a.py", "b.py"], "'b.py' is one word too many", "See `robot-runner plan --help`."),
         (["check", "c.py", "--set"], "argument --set: expected one argument", "See `robot-runner check --help`."),

@@ -23,7 +23,8 @@ operator_steps = [
 ]
 
 def launch_mission(self, context):
-    context.clock.sleep(0.4)
+    while not Path("go").exists():
+        context.clock.sleep(0.02)
 
 def populate_run_data(self, context):
     return {"Energy": 2.5}
@@ -60,6 +61,7 @@ def test_steps_are_shown_and_answers_typed_without_disturbing_the_live_screen(
     shown.wait_for("Press ENTER when it is done")
     shown.child.sendline("")
     shown.wait_for(r"launch_mission")
+    (tmp_path / "go").touch()
     shown.wait_for("Next is r_2, run 2 of 2: Task=Network")
     shown.wait_for("1 run, (about|at least) ")
     shown.wait_for("Press ENTER when it is done")
@@ -77,6 +79,7 @@ def test_on_plain_lines_and_from_another_terminal(
     write_config: Callable[..., Path], tmp_path: Path, program: str, robot_runner: Callable
 ) -> None:
     write_config(STEPS, table=TWO_RUNS)
+    (tmp_path / "go").touch()
     with subprocess.Popen(
         [program, "run", "config.py"], cwd=tmp_path, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True
     ) as running:

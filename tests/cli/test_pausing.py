@@ -93,6 +93,29 @@ def test_a_pause_ends_with_its_session(
 
 
 @pytest.mark.long
+def test_an_answer_to_a_step_is_taken_though_a_pause_was_asked_for_which_begins_then(
+    terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, robot_runner: Callable
+) -> None:
+    step = 'OperatorStep("swap the battery", first=True, ask=[Question("voltage", float)])'
+    write_config(f"operator_steps = [{step}]", table=TABLE)
+    shown = terminal("run", "config.py")
+    shown.wait_for("swap the battery")
+    assert robot_runner("pause", "config.py").code == 0
+    told = " ".join(robot_runner("status", "config.py").out.split())
+    assert "continue results/trial --answer voltage=...; pauses then, which robot-runner continue" in told
+    assert robot_runner("continue", "config.py", "--answer", "voltage=11.8").out == (
+        "trial goes on: 'swap the battery' is done.\n"
+    )
+    shown.wait_for("Paused before run 1 of 2")
+    refused = robot_runner("continue", "config.py", "--answer", "voltage=11.9")
+    assert (refused.code, "the experiment does not wait" in refused.err) == (2, True)
+    assert robot_runner("continue", "config.py").out == "trial goes on.\n"
+    assert shown.finish() == 0
+    (answered,) = read_journal(tmp_path / "results" / "trial" / "journal.jsonl", kinds={"operator_step"})
+    assert answered["answers"] == {"voltage": 11.8}
+
+
+@pytest.mark.long
 def test_enter_ends_a_pause_in_its_own_terminal(
     terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, robot_runner: Callable
 ) -> None:

@@ -155,13 +155,17 @@ def test_ctrl_c_ends_the_waiting_too(terminal: Callable, write_config: Callable[
 
 
 @pytest.mark.long
-def test_an_enter_that_came_too_early_starts_nothing(terminal: Callable, write_config: Callable[..., Path]) -> None:
-    write_config(f"{SEMI}\ndef launch_mission(self, context): context.clock.sleep(0.5)\n", table=TWO_RUNS)
+def test_an_enter_that_came_too_early_starts_nothing(
+    terminal: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    mission = "while not Path('go').exists(): context.clock.sleep(0.02)"
+    write_config(f"{SEMI}\ndef launch_mission(self, context):\n    {mission}\n", table=TWO_RUNS)
     shown = terminal("run", "config.py")
     shown.wait_for("start run 1")
     shown.child.sendline("")
     shown.wait_for("launch_mission")
     shown.child.sendline("")
+    (tmp_path / "go").touch()
     shown.wait_for("start run 2")
     with pytest.raises(shown.timeout):
         shown.child.expect("r_2 is ready", timeout=0.5)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.cluster.conftest import BIN, LEASE, PATIENCE, Cluster, Proxy, Watched, journal_of, table_of, until
 
-from robot_runner.core.execution.standby import goes_on
+from robot_runner.core.execution.left_systems import goes_on
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

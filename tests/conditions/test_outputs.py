@@ -6,16 +6,16 @@ import os
 import re
 import subprocess
 import sys
-import threading
-import time
 from contextlib import ExitStack
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import pytest
 
 from robot_runner import Condition, ConditionError, file_complete, text_in
+from robot_runner.conditions import outputs
 from robot_runner.core.events.context import SystemClock
-from robot_runner.testing import make_context
+from robot_runner.testing import FakeClock, make_context
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -131,21 +131,23 @@ def test_nobody_waits_for_who_might_write_to_a_pipe(
         assert look.seen == "pipe is no file"
 
 
-def test_a_file_is_complete_when_its_size_is_steady(tmp_path: Path) -> None:
-    context = make_context(tmp_path, clock=SystemClock(), robot=None)
-    context.run_folder.joinpath("map.pgm").write_bytes(b"")
-
-    def write() -> None:
-        for _ in range(6):
-            time.sleep(0.1)
-            with (context.run_path / "map.pgm").open("ab") as file:
-                file.write(b"0" * 1000)
-
-    writer = threading.Thread(target=write)
-    writer.start()
-    look = file_complete("map.pgm", steady_s=0.4).wait(context, timeout_s=20.0)
-    writer.join()
-    assert look.value == 6000
+def test_a_file_is_complete_when_its_size_is_steady(
+    watching: Callable[..., Callable[[], Look]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock, path = FakeClock(), tmp_path / "map.pgm"
+    monkeypatch.setattr(outputs, "time", SimpleNamespace(monotonic=clock.now))
+    look = watching(file_complete(path, steady_s=0.4))
+    path.write_bytes(b"")
+    for _ in range(6):
+        assert not look().holds
+        clock.sleep(0.3)
+        with path.open("ab") as file:
+            file.write(b"0" * 1000)
+    assert not look().holds
+    clock.sleep(0.3)
+    assert not look().holds
+    clock.sleep(0.2)
+    assert (look().holds, look().value) == (True, 6000)
 
 
 def test_a_file_is_complete_once_it_ends_as_it_should(

@@ -48,6 +48,7 @@ _FILES = (
     ".alive",
     ".outliving",
     ".standing_by",
+    ".to_make_safe",
     "current_log.txt",
     "config/small.py",
     "runs/r_1/log.txt",

@@ -27,7 +27,8 @@ STEP = """\
             "swap the battery",
             every=2,
             ask=[Question("voltage", float, unit="V", low=9, high=13), Question("dock", choices=["A", "B"])],
-        )
+        ),
+        OperatorStep("lift the robot", after=True),
     ]
 """
 
@@ -118,6 +119,8 @@ def test_a_person_with_a_phone_follows_pauses_answers_and_continues_the_demo(
                 assert browser.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
                 assert re.search("(?:about|at least) (?!0 s)[0-9]+ .*left", left_an_hour_later(browser))
             browser.press("[data-action=end-pause]")
+            browser.wait_for(seen("#ask", f"lift the robot[^]*This is about {run}: Task"))
+            browser.press("#ask-form [type=submit]")
         assert experiment.wait(timeout=60) == 0
         browser.wait_for(seen("#word", "nobody executes it") + " && " + seen("#means-table", "Computation"))
         wait_for_whole_samples(browser, "r_3")
@@ -128,7 +131,11 @@ def test_a_person_with_a_phone_follows_pauses_answers_and_continues_the_demo(
             "document.querySelectorAll('#plots canvas').length >= 2 && document.querySelector('#map .way')"
         )
     steps = list(read_journal(root / "journal.jsonl", kinds={"operator_step"}))
-    assert [each["answers"] for each in steps] == [{"voltage": 11.8, "dock": "A"}, {"voltage": 11.2, "dock": "B"}]
+    assert [each["answers"] for each in steps if not each.get("is_after")] == [
+        {"voltage": 11.8, "dock": "A"},
+        {"voltage": 11.2, "dock": "B"},
+    ]
+    assert [each["run"] for each in steps if each.get("is_after")] == ["r_1", "r_2", "r_3"]
     assert {"paused", "continued"} <= {each["kind"] for each in read_journal(root / "journal.jsonl")}
     refused = [event for event in browser.complaints if "422" not in str(event)]
     assert refused == []

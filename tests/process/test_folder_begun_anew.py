@@ -53,3 +53,39 @@ def test_an_execution_whose_folder_is_removed_while_it_waits_says_so(start: Star
     shutil.rmtree(experiment.folder)
     assert experiment.end() == 2
     assert "the experiment's folder was removed while it was executed" in experiment.output
+
+
+KEEPS_RAW_DATA = """
+claims = []
+def launch_mission(self, context):
+    here = Path(__file__).parent
+    (here / f"{context.run_id}.moves").touch()
+    import time
+    while context.run_id != "r_1" and not (here / "gone").exists(): time.sleep(0.01)
+def populate_run_data(self, context):
+    context.run_folder.mkdir(parents=True, exist_ok=True)
+    (context.run_folder / "raw.csv").write_text(context.run_id)
+    return {"Energy": 1.5}
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_folder_that_is_removed_and_that_runs_in_flight_make_anew_ends_the_execution(
+    start: Start, workers: int
+) -> None:
+    first = start(KEEPS_RAW_DATA, "--workers", str(workers))
+    for number in range(2, 2 + workers):  # r_1 is done, and r_2 is in flight; with two workers r_3, too
+        first.wait_for(f"r_{number}.moves")
+    first.send(signal.SIGSTOP)  # so that it writes nothing there meanwhile
+    shutil.rmtree(first.folder)
+    (first.config.parent / "gone").touch()
+    first.send(signal.SIGCONT)
+    assert first.end() == 1, first.output
+    assert "the experiment's folder was removed while it was executed" in first.output
+    assert first.nobody_is_left()
+    again = start(config=first.config)
+    assert again.end() == 0, again.output
+    assert again.statuses == ["Done"] * 4
+    assert records(again).count("attempt_finished") == 4
+    assert {each.parent.name for each in again.folder.glob("runs/*/raw.csv")} == {"r_1", "r_2", "r_3", "r_4"}

@@ -50,6 +50,8 @@ def note(self, what):
     with self.flag("story").open("a") as file: print(what, file=file, flush=True)
 def flag(self, name): return Path(__file__).parent / name
 """
+#: What stands between this and the hang cannot be ended either.
+DEAF = "import signal; signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())"
 HANG = "import ctypes; m = ctypes.create_string_buffer(64); [ctypes.CDLL(None).pthread_mutex_lock(m) for _ in 'ab']"
 
 
@@ -117,7 +119,8 @@ def test_a_restart_waits_for_a_run_that_is_still_closing_and_says_so(start: Star
 
 @pytest.mark.long
 def test_a_restart_ends_a_run_that_hangs_in_c_and_says_so(start: Start) -> None:
-    first = moving(start, move=HANG, grace=1.0)
+    first = moving(start, move=f"{DEAF}; self.flag('hangs').touch(); {HANG}", grace=1.0)
+    first.wait_for("hangs")
     kill(first, "orchestrator", "keeper")
     run = number(first, "run")
     assert is_alive(run)
@@ -247,11 +250,12 @@ class Hanging(Condition):
     def watch(self, context, opened):
         def look():
             if not (flag := Path(__file__).with_name("hangs")).exists():
+                DEAF
                 flag.touch()
                 HANG
             return Look(True, "it does not")
         return look
-""".replace("HANG", HANG)
+""".replace("HANG", HANG).replace("DEAF", DEAF)
 
 
 @pytest.mark.long

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from robot_runner.cli import queueing
 from robot_runner.cli.queued_experiments import ExperimentQueue
 from robot_runner.core.storage.outliving import process_stat
 
@@ -229,6 +230,29 @@ def test_two_runners_that_are_killed_at_random_execute_everything_once_and_lose_
         assert list(done_runs(tmp_path / "results" / name).values()) == [1, 1, 1]
     assert not (tmp_path / "overlapped").exists()
     request.node.user_properties.append(("faults", kills))
+
+
+@pytest.mark.long
+def test_an_experiment_whose_process_is_killed_twice_is_begun_again_after_a_rest_and_a_longer_one(
+    robot_runner: Callable[..., Any], config: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(queueing, "_REST", 0.01)
+    assert robot_runner("queue", "add", config("first", seconds=0)).code == 0
+    begun, python = tmp_path / "begun", tmp_path / "python"
+    python.write_text(
+        f'#!/bin/sh\necho begun >>{begun}\n[ $(wc -l <{begun}) -gt 2 ] || kill -KILL $$\nexec {sys.executable} "$@"\n'
+    )
+    python.chmod(0o700)
+    queue = ExperimentQueue()
+    (added,), _ = queue.read()
+    queue.write(replace(added, python=str(python)))
+    answer = robot_runner("queue", "run")
+    told = [line for line in answer.out.splitlines() if line.startswith("the process of")]
+    assert told == [
+        f"the process of 1 (first) was killed by signal 9; it is begun again in {rest} s" for rest in ("0.01", "0.02")
+    ]
+    assert answer.code == 0
+    assert list(done_runs(tmp_path / "results" / "first").values()) == [1, 1, 1]
 
 
 @pytest.mark.long

@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
+import sys
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,10 +16,14 @@ from tests.process.conftest import kill_together, wait_until
 from tests.ros.real_graph import over
 from tests.ros.ros1_master import RUDE
 
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links import commanded_topics
+from robot_runner.core.links.commanded_topics import keep_commanding_zero
 from robot_runner.core.links.connect import open_robot
+from robot_runner.testing.rosbridge_server import RosbridgeServer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from tests.process.conftest import Experiment
 
@@ -66,9 +73,9 @@ SUPERVISOR, HALTING = b"subjects/supervisor.py", b"robot_runner.subjects.halting
 class Robot:
     """Hears what it is commanded, and carries out the last of it for ever."""
 
-    def __init__(self, link: RobotLink) -> None:
+    def __init__(self, link: RobotLink, topic: str = "/cmd_vel") -> None:
         self._heard: list[float] = []
-        link.subscribe("/cmd_vel", "geometry_msgs/Twist", lambda twist: self._heard.append(twist["linear"]["x"]))
+        link.subscribe(topic, "geometry_msgs/Twist", lambda twist: self._heard.append(twist["linear"]["x"]))
 
     def moves(self) -> bool:
         """Whether the last that it was commanded, since the last call and before, is to drive."""
@@ -141,3 +148,112 @@ def test_a_robot_that_a_program_of_all_runs_drives_stands_still_between_two_runs
             experiment.nobody_is_left()
         told = sorted((experiment.folder / "subjects" / "Planner").glob("*/commanded.jsonl"))
         assert not robot.moves(), [each.read_text() for each in told]
+
+
+#: Two robots at once, driven by the config alone; no later execution commands anything.
+TWO_ROBOTS = """
+from pathlib import Path
+from robot_runner import ExperimentConfig, Factor, Robots, RunTableModel
+from robot_runner.plugins import connect_robot
+
+HERE = Path(__file__).parent
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = HERE / "results"
+    robot = Robots(alice={alice!r}, bob={bob!r})
+    claims = []
+
+    def before_experiment(self):
+        (HERE / "begun").touch()
+
+    def launch_mission(self, context):
+        while not (HERE / "killed").exists():
+            connect_robot(context).publish("cmd_vel", "geometry_msgs/Twist", {{"linear": {{"x": 0.2}}}})
+            context.clock.sleep(0.05)
+
+    def create_run_table(self):
+        return RunTableModel([Factor("Map", ["hall", "kitchen"])])
+"""
+
+
+@contextmanager
+def two_robots(graph: str) -> Iterator[dict[str, tuple[str, Robot]]]:
+    """Yield two robots by name, each with how it is reached; each stands behind a rosbridge of its own, if any."""
+    with ExitStack() as opened:
+        if graph == "rosbridge":
+            links = {name: opened.enter_context(closing(RosbridgeServer())).url for name in ("alice", "bob")}
+        else:
+            first = f"{graph}," if ":" in graph else f"{graph}:"
+            links = {name: f"{first}namespace={name}" for name in ("alice", "bob")}
+        yield {
+            name: (link, Robot(opened.enter_context(open_robot(link))[0], "cmd_vel")) for name, link in links.items()
+        }
+
+
+@over("dds", "ros1", "ros2", "rosbridge")
+@pytest.mark.long
+def test_robots_that_nobody_was_left_to_stop_are_stopped_by_the_next_execution_before_anything_else(
+    graph: str, start: Callable[..., Experiment], tmp_path: Path
+) -> None:
+    config = tmp_path / "config.py"
+    with two_robots(graph) as both:
+        config.write_text(TWO_ROBOTS.format(**{name: link for name, (link, _) in both.items()}))
+        robots = [robot for _, robot in both.values()]
+        experiment = start(config=config)
+        wait_until(lambda: all(robot.moves() for robot in robots), "both of them drive")
+        kill_together(experiment.processes())  # both runs, their keepers and who stands by, and the orchestrator
+        experiment.end()
+        (tmp_path / "killed").touch()
+        (tmp_path / "begun").unlink()
+        assert [robot.stood_still() for robot in robots] == [False, False], "nobody has stopped them"
+        again = start("", "--only", "r_1", config=config)
+        again.wait_for("begun")
+        assert not any(robot.moves() for robot in robots), "both stand still before the experiment begins"
+        assert again.end() == 0, again.output
+        told = " ".join(again.output.split())
+        for run, name in (("r_1", "alice"), ("r_2", "bob")):
+            link, robot = both[name]
+            said = f"an earlier execution was killed in {run} ({link}), and nobody was left to make its systems safe"
+            assert f"{said}; that was done now" in told
+            assert not robot.moves()
+        again.nobody_is_left()
+
+
+#: A robot that hears its commands, in a process of its own.
+SUBSCRIBER = """
+import sys, time
+from robot_runner.core.links.connect import open_robot
+
+with open_robot(sys.argv[1]) as (link, _):
+    link.subscribe("/cmd_vel", "geometry_msgs/Twist", lambda twist: print(twist["linear"]["x"], flush=True))
+    print("ready", flush=True)
+    time.sleep(3600)
+"""
+
+
+@over("dds", "ros2")  # a connection of ROS 1 takes what the system of the other process keeps for it
+@pytest.mark.long
+def test_a_robot_that_takes_no_command_any_more_is_not_said_to_have_been_told_to_stand_still(
+    graph: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = ("/cmd_vel", "geometry_msgs/Twist")
+    robot = subprocess.Popen([sys.executable, "-c", SUBSCRIBER, graph], stdout=subprocess.PIPE, text=True)
+    try:
+        assert robot.stdout is not None
+        assert robot.stdout.readline() == "ready\n"
+        with open_robot(graph) as (link, _):
+            link.publish(*command, {"linear": {"x": 0.2}})
+            keep_commanding_zero(link, [command])
+            assert "0.0\n" in iter(robot.stdout.readline, ""), "it hears, as long as it is well"
+            robot.send_signal(signal.SIGSTOP)  # as where its network is cut
+            monkeypatch.setattr(commanded_topics, "_TELLING", 1.0)
+            monkeypatch.setattr(commanded_topics, "_REACHING", 2.0)  # before it counts as gone
+            try:
+                with pytest.raises(LinkError, match="the robot's subscription is not reached"):
+                    keep_commanding_zero(link, [command])
+            finally:
+                robot.send_signal(signal.SIGCONT)
+    finally:
+        robot.kill()
+        robot.communicate()

@@ -9,6 +9,7 @@ import pytest
 from tests.conftest import HEAD
 from tests.process.conftest import kill_together, wait_until
 
+from robot_runner.cli.main import main
 from robot_runner.core.storage.lock import holder_of
 
 if TYPE_CHECKING:
@@ -101,6 +102,69 @@ def test_where_the_standby_is_killed_with_the_run_the_orchestrator_has_the_syste
     assert experiment.end() == 1
     assert not is_on(experiment)
     assert len(calls(experiment)) == 1
+
+
+@pytest.mark.parametrize("process", ["FORK", pytest.param("SPAWN", marks=pytest.mark.long)])
+def test_where_everybody_was_killed_the_next_execution_makes_the_systems_safe_before_anything_else(
+    lamp: Callable[..., Any], start: Start, process: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    more = f"    run_process = RunProcess.{process}\n" + LOOKED_AT_FIRST
+    experiment = lamp(tasks='"Video", "Network"', mission=f"(HERE / 'killed').exists() or {LONG}", more=more)
+    kill(experiment.standby(), experiment.run_process(), experiment.keeper(), experiment.process.pid)
+    (experiment.config.parent / "killed").touch()
+    experiment.end()
+    assert experiment.nobody_is_left()
+    assert is_on(experiment)
+    assert main(["status", str(experiment.config)]) == 0
+    assert f"THE ROBOT MAY BE MOVING: {LEFT}" in " ".join(capsys.readouterr().out.split())
+    again = start("", "--only", "r_2", config=experiment.config)  # the run that was killed is not executed now
+    assert again.end() == 0, again.output
+    assert again.text_of("at_first") == "off"
+    assert [call[1:] for call in calls(again)] == [["r_1", "Video"]]
+    assert f"{LEFT}; that was done now" in " ".join(again.output.split())
+    assert main(["status", str(experiment.config)]) == 0
+    assert "MAY BE MOVING" not in capsys.readouterr().out
+
+
+#: What comes before any run, and even before the experiment.
+LOOKED_AT_FIRST = """
+    def before_experiment(self):
+        (HERE / "at_first").write_text("on" if (HERE / "on").exists() else "off")
+"""
+LEFT = "an earlier execution was killed in r_1, and nobody was left to make its systems safe"
+
+
+@pytest.mark.long
+def test_what_the_next_execution_cannot_make_safe_either_is_told_once_and_no_run_begins(
+    lamp: Callable[..., Any], start: Start
+) -> None:
+    torn = "if (HERE / 'killed').exists(): raise OSError('the cable is torn')"
+    experiment = lamp(mission=f"(HERE / 'killed').exists() or {LONG}", make_safe=torn)
+    kill(experiment.standby(), experiment.run_process(), experiment.keeper(), experiment.process.pid)
+    (experiment.config.parent / "killed").touch()
+    experiment.end()
+    again = start(config=experiment.config)
+    assert again.end() == 2
+    told = " ".join(again.output.split())
+    assert f"THE ROBOT MAY BE MOVING: {LEFT}; it cannot be done now either: OSError: the cable is torn" in told
+    assert (again.folder / "journal.jsonl").read_text().count('"attempt_started"') == 1, "that of the killed execution"
+    stopped_by_hand = start(config=experiment.config)
+    assert stopped_by_hand.end() == 0, stopped_by_hand.output
+
+
+@pytest.mark.long
+def test_of_a_run_that_was_made_safe_after_the_death_of_its_execution_the_next_one_says_nothing(
+    lamp: Callable[..., Any], start: Start
+) -> None:
+    experiment = lamp(mission=f"(HERE / 'killed').exists() or {LONG}")
+    (experiment.config.parent / "killed").touch()
+    kill(experiment.run_process(), experiment.keeper(), experiment.process.pid)
+    experiment.end()
+    assert experiment.nobody_is_left()
+    again = start(config=experiment.config)
+    assert again.end() == 0, again.output
+    assert "make its systems safe" not in again.output
+    assert len(calls(again)) == 1
 
 
 SLOW_TO_STAND_BY = """

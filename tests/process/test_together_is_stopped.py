@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import time
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -32,7 +31,12 @@ class Mover(System):
 
 class Guard(System):
     def start_run(self, context):
-        threading.Timer(1.0, lambda: getattr(context, how)("the door is open")).start()
+        def end():
+            while not all((HERE / f"{name}_moves").exists() for name in ("alice", "bob")):
+                time.sleep(0.01)
+            (HERE / "ends").write_text(str(time.time()))
+            getattr(context, how)("the door is open")
+        threading.Thread(target=end, daemon=True).start()
 
 how = "HOW"
 """
@@ -55,7 +59,7 @@ def test_whatever_ends_the_run_ends_all_missions_at_once(
     experiment = start(config=write_config(body, head=HEAD.replace("import *\n", f"import *\n{systems}", 1), table=""))
     for name in ("alice", "bob"):
         experiment.wait_for(f"{name}_moves")
-    began = experiment.send(signal.Signals[how]) if is_signal else time.time() + 1.0
+    began = experiment.send(signal.Signals[how]) if is_signal else float(experiment.text_of("ends"))
     ended = [float(experiment.text_of(f"{name}_ended")) for name in ("alice", "bob")]
     assert experiment.end() == code, experiment.output
     assert max(ended) - began < 3.0

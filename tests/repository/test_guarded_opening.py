@@ -55,6 +55,9 @@ OTHERS: dict[str, str] = {
             "replication/distributions.py: _path_entries",
             "replication/environment.py: _reached",
         ),
+        "a folder of the system that all users share, from which nothing is believed": tuple(
+            f"core/storage/shared_claims.py: {function}" for function in ("_hold", "_holder", "_let_go", "_locker")
+        ),
         "the robot's own computer, by the loop that is sent there": tuple(
             f"measuring/on_board/loop.py: {function}"
             for function in ("__init__", "first_bytes", "first_line", "main", "opened", "send")

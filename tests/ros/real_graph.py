@@ -11,7 +11,7 @@ from tests.ros.ros1_master import needs_ros1
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_MARKS = {"ros1": [needs_ros1], "dds": [], "ros2": [pytest.mark.ros2]}
+_MARKS = {"ros1": [needs_ros1], "dds": [], "ros2": [pytest.mark.ros2], "rosbridge": []}
 
 
 def over(*links: str, soak: Sequence[str] = ()) -> pytest.MarkDecorator:
@@ -27,7 +27,9 @@ def over(*links: str, soak: Sequence[str] = ()) -> pytest.MarkDecorator:
 
 @pytest.fixture
 def graph(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """How a robot on a graph of this test run is reached; `over` says on which."""
+    """How a robot on a graph of this test run is reached; `over` says on which. A rosbridge is the test's own."""
+    if request.param == "rosbridge":
+        return "rosbridge"
     if request.param == "ros1":
         request.getfixturevalue("master_uri")
         return "ros1"

@@ -216,8 +216,8 @@ def test_a_goal_that_comes_while_its_server_of_ros1_begins_is_executed() -> None
 
     server = GoalServer("/count", types, execute, None, faults.append)
     served = Ros1Actions(graph).serve("/count", COUNT, server)  # type: ignore[arg-type]
-    assert executed.wait(5.0)
-    wait_until(lambda: [topic for topic, _ in graph.published if topic == "/count/result"], seconds=5.0)
+    assert executed.wait(PATIENCE)
+    wait_until(lambda: [topic for topic, _ in graph.published if topic == "/count/result"])
     served.close()
     assert faults == []
     assert graph.open == []

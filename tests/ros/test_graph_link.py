@@ -7,6 +7,7 @@ import threading
 from types import SimpleNamespace
 
 import pytest
+from tests.waiting import PATIENCE
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding, Qos, RawMessage, RobotLink
@@ -266,7 +267,7 @@ def test_what_is_on_its_way_to_the_graph_when_the_link_is_closed_comes_to_nothin
     def slowly(opening):
         def open_it(*given, **named):
             is_opening.set()
-            is_closed.wait(5)
+            is_closed.wait(PATIENCE)
             return opening(*given, **named)
 
         return open_it
@@ -284,7 +285,7 @@ def test_what_is_on_its_way_to_the_graph_when_the_link_is_closed_comes_to_nothin
 
     using = threading.Thread(target=use)
     using.start()
-    is_opening.wait(5)
+    assert is_opening.wait(PATIENCE)
     link.close()
     is_closed.set()
     using.join()

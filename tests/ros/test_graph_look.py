@@ -92,6 +92,14 @@ def test_a_robot_that_offers_an_action_and_nothing_else_is_on_the_graph():
     assert list(graph_look._findings(link, needs)) == []
 
 
+@pytest.mark.parametrize("needs", [{}, {"plugin": [GraphNeed.published("/scan", "sensor_msgs/LaserScan")]}])
+def test_a_robot_is_given_the_time_to_be_discovered_also_where_plugins_need_nothing_of_it(needs):
+    link = FakeRobotLink(FakeClock())
+    seen = iter([{}, {"/rosout": "rcl_interfaces/Log"}])
+    link.topics = lambda: next(seen, {"/scan": "sensor_msgs/LaserScan"})
+    assert graph_look._patiently(link, needs, 60.0) == []
+
+
 class GraphLook:
     @pytest.fixture
     def robot(self):

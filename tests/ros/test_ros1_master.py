@@ -42,6 +42,10 @@ def test_where_nobody_listens_there_is_no_master():
     assert "roscore" in caught.value.fix
 
 
+def test_a_node_of_which_nobody_can_tell_serves_no_other_one():
+    assert Master(f"http://127.0.0.1:{claim_port()}").is_serving("/planner", "/cmd_vel", "/robot") is False
+
+
 def test_an_unknown_host_is_named(monkeypatch):
     def unknown(*_, **__):
         raise socket.gaierror(-2, "Name or service not known")

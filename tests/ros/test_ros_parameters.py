@@ -101,6 +101,22 @@ def test_a_run_has_its_parameters_and_the_node_its_own_again(tmp_path, state):
     assert run.findings == []
 
 
+def test_an_array_that_differs_in_a_value_alone_is_put_back(tmp_path):
+    run = Run(tmp_path, RosParameters({"planner": {"gains": [0.5, 1.0, 2.0]}}))
+    planner = ParameterNode(run.link, "/planner", {"gains": [0.5, 1.5, 2.0]})
+    run.execute()
+    assert planner.changes == [("gains", [0.5, 1.0, 2.0]), ("gains", [0.5, 1.5, 2.0])]
+
+
+def test_an_array_of_which_somebody_else_sets_a_value_makes_the_run_doubtful(tmp_path):
+    run = Run(tmp_path, RosParameters({"planner": {"gains": [0.5, 1.0]}}))
+    planner = ParameterNode(run.link, "/planner", {"gains": [0.5, 1.5]})
+    run.execute(lambda: planner.values.update(gains=[0.5, 9.0]))
+    assert "gains of /planner was set to [0.5, 1.0], and is [0.5, 9.0] after the mission" in str(
+        run.context.broker.records
+    )
+
+
 def test_a_value_is_bound_to_a_factor(tmp_path):
     clock = FakeClock()
     link = FakeRobotLink(clock)

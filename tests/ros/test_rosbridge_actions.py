@@ -116,7 +116,7 @@ def test_goals_of_two_clients_at_once_are_an_error_and_none_goes_on(server, robo
         else:  # who comes later is somebody else for certain
             time.sleep(0.5)
             own.cancel(timeout=20)
-            assert own.result(timeout=5).status is GoalStatus.CANCELED
+            assert own.result(timeout=20).status is GoalStatus.CANCELED
         other.cancel(timeout=20)
         wait_until(lambda: ended == [1, 2])
 

@@ -17,6 +17,7 @@ from tests.processor_wait import ProcessorWait
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links import commanded_topics
 from robot_runner.core.links.commanded_topics import command_for_certain
 from robot_runner.core.links.robot import Encoding, Qos
 from robot_runner.core.links.robot_name import RobotName
@@ -26,7 +27,7 @@ from robot_runner.ros.rosbridge_link import findings, open_rosbridge_link
 from robot_runner.ros.shapes import completed
 from robot_runner.ros.turtlebot3.motion import Wheels
 from robot_runner.ros.type_catalogue import TypeCatalogue
-from robot_runner.testing import RosbridgeServer
+from robot_runner.testing import FakeClock, RosbridgeServer
 
 STRING = "std_msgs/String"
 TRIGGER = "std_srvs/Trigger"
@@ -208,13 +209,13 @@ def test_an_address_that_says_the_other_generation_is_refused_at_once(generation
 
 @pytest.mark.parametrize("generation", [1, 2])
 def test_a_robot_is_stopped_and_reached_anew_while_rosapi_hangs(generation, monkeypatch):
-    monkeypatch.setattr(rosbridge_types, "ANSWER", 0.3)
     with closing(RosbridgeServer(generation=generation)) as server, closing(linked(server)) as robot:
         heard = []
         robot.subscribe("cmd_vel", "geometry_msgs/Twist", lambda message: heard.append(message["linear"]["x"]))
         link = linked(server)
         link.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
         until(lambda: heard == [0.2])
+        monkeypatch.setattr(rosbridge_types, "ANSWER", 0.3)
         server._rosapi.hangs = True
         with pytest.raises(LinkError, match="rosapi does not answer: the service does not answer within"):
             link.publishers("odom")
@@ -354,7 +355,9 @@ def test_a_service_type_that_only_the_robot_knows_is_asked_of_it(tmp_path):
 
 @pytest.mark.parametrize("generation", [1, 2])
 def test_what_nobody_repeats_is_said_again_until_a_server_s_new_publisher_is_connected(generation, monkeypatch):
-    monkeypatch.setattr(rosbridge_transport, "_CONNECTING", 0.3)
+    clock = FakeClock()  # on a busy machine, a moment may be longer than that
+    for module in (rosbridge_transport, commanded_topics):
+        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=clock.now, sleep=clock.sleep))
     with (
         closing(RosbridgeServer(generation=generation)) as server,
         closing(linked(server)) as robot,
@@ -363,6 +366,7 @@ def test_what_nobody_repeats_is_said_again_until_a_server_s_new_publisher_is_con
         heard = []
         robot.subscribe("land", STRING, heard.append)
         command_for_certain(link, "land", STRING, {"data": "now"})
+        assert clock.now() >= rosbridge_transport._CONNECTING
         until(lambda: len(heard) > 1)
 
 
@@ -414,6 +418,19 @@ def test_a_byte_of_a_type_that_only_the_robot_knows_has_a_sign_in_ros_1_and_none
     assert completed(shape, level, where="level") == level
     protocol = rosbridge_frames.to_protocol(shape, level)
     assert rosbridge_frames.from_protocol(shape, protocol, where="level") == level
+
+
+def test_a_time_of_ros_1_is_one_though_rosapi_describes_it_as_a_message_of_secs_and_nsecs():
+    described = {"fieldtypes": ["int32", "int32"], "fieldarraylen": [-1, -1], "fieldnames": ["secs", "nsecs"]}
+    lap = {"fieldnames": ["start", "rests"], "fieldtypes": ["time", "duration"], "fieldarraylen": [-1, 0]}
+    told = {"my_robot/Lap": lap, "time": described, "duration": described}
+    details = lambda *_: [{"type": name, **each} for name, each in told.items()]  # noqa: E731
+    rosapi = SimpleNamespace(details=details, raw_definitions=dict, version=lambda _: (1, None))
+    shape = rosbridge_types.RobotTypes(rosapi, RosbridgeAddress.parse("rosbridge://robot?ros=1")).shape("my_robot/Lap")
+    message = {"start": {"sec": 7, "nanosec": 5}, "rests": [{"sec": 1, "nanosec": 0}]}
+    protocol = {"start": {"secs": 7, "nsecs": 5}, "rests": [{"secs": 1, "nsecs": 0}]}
+    assert rosbridge_frames.to_protocol(shape, completed(shape, message, where="lap")) == protocol
+    assert rosbridge_frames.from_protocol(shape, protocol, where="lap") == message
 
 
 def test_who_subscribes_later_gets_the_fixed_frames_of_all_nodes_and_the_last_of_all_else(server):

@@ -60,7 +60,7 @@ def test_a_kept_message_that_comes_before_its_subscription_is_confirmed_is_recei
         return confirms(*given)
 
     monkeypatch.setattr(link._transport._rosapi, "confirm_subscription", confirm_late)
-    assert link.wait_for("map", STRING, timeout=2.0) == {"data": "kept"}
+    assert link.wait_for("map", STRING, timeout=PATIENCE) == {"data": "kept"}
 
 
 def test_a_subscription_that_the_server_refuses_leaves_nobody_who_receives(server, opened, monkeypatch):
@@ -162,9 +162,8 @@ def test_whether_a_goal_is_taken_may_be_asked_of_the_robot(server_of_ros2, opene
     robot.offer_action(
         "count", FIBONACCI, lambda _: {"sequence": [1]}, accept=lambda _: robot.call("lamp", TRIGGER)["success"]
     )
-    begun = time.monotonic()
-    assert link.send_goal("count", FIBONACCI, {"order": 1}, timeout=20.0).result(timeout=20.0).has_succeeded
-    assert time.monotonic() - begun < 4.0
+    goal = link.send_goal("count", FIBONACCI, {"order": 1}, timeout=PATIENCE)
+    assert goal.result(timeout=PATIENCE).has_succeeded
 
 
 def test_a_goal_that_is_cancelled_before_it_was_taken_is_cancelled_once_it_is(server_of_ros2, opened):
@@ -177,7 +176,7 @@ def test_a_goal_that_is_cancelled_before_it_was_taken_is_cancelled_once_it_is(se
 
     def execute(execution):
         with suppress(AssertionError):
-            wait_until(lambda: execution.is_cancel_requested, seconds=5.0)
+            wait_until(lambda: execution.is_cancel_requested)
         states.append(execution.status)
         return {"sequence": []}
 

@@ -58,6 +58,9 @@ def test_a_robot_of_which_nothing_is_heard_any_more_is_told_to_stand_still_as_it
         closing(open_rosbridge_link(server.url, SystemClock())) as robot,
         ExitStack() as leaving,
     ):
+        answered = threading.Event()
+        answered.set()
+        monkeypatch.setattr(robot._transport._session._connection, "ping", lambda: answered)  # it is not impatient
         robot.subscribe("cmd_vel", "geometry_msgs/Twist", lambda message: heard.append(message["linear"]["x"]))
         link = open_rosbridge_link(url, SystemClock())
         leaving.push(lambda *_: True)  # that the robot could not be told to stand still

@@ -80,12 +80,15 @@ class TestProgram(SystemContract):
     is_repeatable = False  # real time
     goes_on_without_its_process = False  # who outlives a run ends its processes: tests/process
 
+    #: Others that execute these tests on this machine have programs of their own.
+    seconds = f"1000.{os.getpid()}"
+
     def make_plugin(self) -> Program:
-        return Program(["sleep", "1000"])
+        return Program(["sleep", self.seconds])
 
     def robot_stands_still(self, context: RobotRunnerContext) -> bool:
         del context
-        return not alive("sleep\x001000")
+        return not alive(f"sleep\0{self.seconds}\0")
 
 
 @pytest.mark.long
@@ -185,6 +188,16 @@ def test_a_subject_of_the_experiment_is_started_once_and_told_of_in_each_run(
     assert alive(token) == []
 
 
+def startup_and_all_before_the_mission(
+    context: RobotRunnerContext, program: Program, begin: Callable[[], None] = lambda: None
+) -> tuple[float, float]:
+    """Return the startup time, and what went by from `begin` until the mission: other parts of it are no startup."""
+    begun, launched = time.monotonic(), list[float]()
+    begin()
+    measures = rehearse(context, program, mission=lambda: launched.append(time.monotonic()))
+    return measures["StartupTime"], launched[0] - begun
+
+
 def test_what_its_supervisor_needs_is_no_part_of_the_startup_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -194,7 +207,8 @@ def test_what_its_supervisor_needs_is_no_part_of_the_startup_time(
     monkeypatch.setattr("robot_runner.subjects.supervised_program.sys", SimpleNamespace(executable=str(slow)))
     program = Program(["sh", "-c", "sleep 0.2; echo ready; exec sleep 100"], ready="ready")
     context = make_context(tmp_path, program, clock=SystemClock())
-    assert 0.2 <= rehearse(context, program)["StartupTime"] < 1.5
+    startup_time, until_mission = startup_and_all_before_the_mission(context, program)
+    assert 0.2 <= startup_time <= until_mission - 1.5
 
 
 def test_the_wait_for_the_end_of_an_earlier_start_is_no_part_of_the_startup_time(
@@ -205,10 +219,16 @@ def test_the_wait_for_the_end_of_an_earlier_start_is_no_part_of_the_startup_time
     monkeypatch.setattr(Program, "_lock", lambda *_: tmp_path / "lock")
     program = Program(["sleep", "100"])
     context = make_context(tmp_path, program, clock=SystemClock())
-    Timer(2.0, held.close).start()
-    begun = time.monotonic()
-    startup_time = rehearse(context, program)["StartupTime"]
-    assert startup_time < time.monotonic() - begun - 2.0
+    opening = Timer(2.0, held.close)
+    startup_time, until_mission = startup_and_all_before_the_mission(context, program, opening.start)
+    assert startup_time <= until_mission - 2.0
+
+
+def test_what_kills_all_of_a_runs_session_leaves_the_supervisor_that_ends_its_program(tmp_path: Path) -> None:
+    program = SupervisedProgram(tmp_path, Task(command=("sleep", "1000"), environment={}), name="Planner")
+    supervisor = program._supervisor.pid
+    assert os.getsid(supervisor) == os.getpgid(supervisor) == supervisor
+    program.stop()
 
 
 def test_what_a_program_has_started_is_ended_where_its_supervisor_was_killed(tmp_path: Path, token: str) -> None:
@@ -300,6 +320,29 @@ def test_what_a_program_did_not_await_is_told_to_be_missing_from_its_cpu_time(tm
     told = [finding.problem for finding in context.broker.findings if "did not await" in finding.problem]
     assert len(told) == (leaves != "BURN"), told
     assert all("which CPUTime lacks" in problem for problem in told)
+
+
+@pytest.mark.parametrize("handling", ["SIG_IGN", "SIG_DFL"])
+def test_a_program_whose_children_the_kernel_does_not_count_is_told(tmp_path: Path, handling: str) -> None:
+    program = f"""
+import os, signal
+signal.signal(signal.SIGCHLD, signal.{handling})
+if os.fork() == 0:
+    sum(range(1_000_000))
+    os._exit(0)
+try:
+    os.wait()
+except ChildProcessError:
+    pass
+"""
+    solver = Program([sys.executable, "-c", program], name="Solver", exit_codes=[0], per="mission")
+    context = make_context(tmp_path, solver, clock=SystemClock())
+    rehearse(context, solver, mission=lambda: solver.wait(context, timeout_s=20))
+    assert [finding.problem for finding in context.broker.findings] == (
+        ["Solver ignores SIGCHLD, so that the kernel counts no CPU time of its children, which CPUTime lacks"]
+        if handling == "SIG_IGN"
+        else []
+    )
 
 
 @pytest.mark.long

@@ -16,6 +16,8 @@ from tests.subjects.conftest import gone
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import PluginError
 from robot_runner.plugins.systems import RosLaunch
+from robot_runner.subjects.subject import Subject
+from robot_runner.testing import FakeLinks, make_context
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -149,6 +151,49 @@ def test_ros2_launch_gets_the_treatments_and_is_interrupted(
     (refused,) = problems(body_of("'no_package', 'nav.launch.py'", path, 2))
     assert refused.startswith("ros2 refuses no_package/nav.launch.py: Package 'no_package' not found")
     assert problems(body_of("'nav', 'nav.launch.py'", {"PATH": "/nowhere"}, 2)) == ["the program 'ros2' is not there"]
+
+
+@pytest.mark.long
+def test_a_launch_file_is_told_the_namespace_of_the_run_s_robot_of_several(
+    execute: Callable[..., Executed], tmp_path: Path, token: str
+) -> None:
+    program = tmp_path / "ros2"
+    program.write_text(ROS2.replace("TOKEN", token).replace("'rviz'", "'namespace'"))
+    program.chmod(0o755)
+    parameters = "'nav', 'nav.launch.py', arguments={'namespace': '{namespace}', 'planner': treatment('Planner')}"
+    body = body_of(parameters, {"PATH": f"{tmp_path}:/usr/bin:/bin"}, 2)
+    done = execute(f"robot = Robots('simulated://alice', 'simulated://bob')\n{body}")
+    assert (done.finished.failures, done.finished.done_count) == ((), 2)
+    for row, planner in zip(done.table, ("dwa", "teb"), strict=True):
+        output = (done.folder / "runs" / row["run_id"] / "Nav" / "stdout.txt").read_text()
+        assert f"plans with launch nav nav.launch.py namespace:={row['Robot']} planner:={planner}\n" in output
+    assert {row["Robot"] for row in done.table} == {"alice", "bob"}
+
+
+@pytest.mark.parametrize(
+    ("robot", "value", "told"),
+    [
+        ("ros2://alice", "{namespace}", ("namespace:=alice",)),
+        ("ros2:domain=7,namespace=/fleet/alice", "/{namespace}/nav", ("namespace:=/fleet/alice/nav",)),
+        ("ros2", "{namespace}", ()),
+        (None, "{namespace}", ()),
+        ("ros2", "{name}", ("namespace:={name}",)),
+    ],
+)
+def test_an_argument_may_hold_the_namespace_of_the_run_s_robot_and_is_left_out_where_there_is_none(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, robot: str | None, value: str, told: tuple[str, ...]
+) -> None:
+    started = []
+    monkeypatch.setattr(Subject, "_begin", lambda launch, *_: started.append(launch.words()))
+    launch = RosLaunch("nav", "nav.launch", arguments={"namespace": value}, ros=2)
+    launch._begin(make_context(tmp_path, launch, robot=robot, links=FakeLinks()), tmp_path)
+    assert started == [("ros2", "launch", "nav", "nav.launch", *told)]
+
+
+def test_what_is_launched_for_all_runs_has_no_robot_of_its_own() -> None:
+    with pytest.raises(PluginError, match="all runs") as refused:
+        RosLaunch("nav", "nav.launch", arguments={"namespace": "{namespace}"}, ros=2, per="experiment")
+    assert refused.value.fix == "Start it in each run (per='run'), or write the namespace out."
 
 
 @pytest.mark.parametrize("wrong", [{"ros": 3}, {"host": "pi@robot"}, {"setup": "install/setup.bash"}])

@@ -6,8 +6,10 @@ import json
 import os
 import subprocess
 import sys
+import time
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 from xml.dom import minidom
 
@@ -22,7 +24,8 @@ from tests.subjects.test_ros_launch import needs_roslaunch
 
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import PluginError
-from robot_runner.plugins.systems import RosNode
+from robot_runner.core.links.connect import graph_variables
+from robot_runner.plugins.systems import Program, RosNode
 from robot_runner.subjects.subject import Subject
 from robot_runner.testing import FakeLinks, make_context
 
@@ -261,3 +264,49 @@ def test_a_node_is_started_within_the_namespace_of_the_run_s_robot(monkeypatch, 
         shared = RosNode("nav", "planner", namespace=namespace, ros=ros, per="experiment")
         shared._begin(make_context(tmp_path / f"all {ros}", shared, robot=robot, links=FakeLinks()), tmp_path)
         assert started[-1] == shared.words() == RosNode("nav", "planner", namespace=namespace, ros=ros).words()
+
+
+@pytest.mark.parametrize(
+    ("robot", "environment", "told"),
+    [
+        ("dds:domain=7", {}, "7 http://here:11311"),
+        ("ros2:domain=9,namespace=/alice", {}, "9 http://here:11311"),
+        ("ros2://alice", {}, "3 http://here:11311"),
+        ("ros1:master=http://bob:11311", {}, "3 http://bob:11311"),
+        ("dds:domain=7", {"ROS_DOMAIN_ID": 8}, "8 http://here:11311"),
+        (None, {}, "3 http://here:11311"),
+    ],
+)
+@pytest.mark.parametrize("per", ["run", "experiment"])
+def test_a_program_is_started_on_the_graph_of_its_robot_unless_it_is_told_another(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, robot: str | None, environment: dict, told: str, per: str
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "3")
+    monkeypatch.setenv("ROS_MASTER_URI", "http://here:11311")
+    asks = ["sh", "-c", "echo $ROS_DOMAIN_ID $ROS_MASTER_URI"]
+    program = Program(asks, environment=environment, per=per, exit_codes=[0])
+    begun = program._begin(make_context(tmp_path, program, robot=robot, links=FakeLinks()), tmp_path / "started")
+    while begun.ended() is None:
+        time.sleep(0.01)
+    assert (tmp_path / "started" / "stdout.txt").read_text().strip() == told
+    begun.stop()
+
+
+def test_on_another_computer_the_master_has_an_address_of_its_own_and_the_domain_is_the_same() -> None:
+    assert graph_variables("dds:domain=7", is_here=False) == {"ROS_DOMAIN_ID": "7"}
+    assert graph_variables("ros1:master=http://127.0.0.1:11311", is_here=False) == {}
+
+
+@pytest.mark.parametrize(
+    ("options", "folder"),
+    [
+        ({}, {"ROS_LOG_DIR": "/results/Nav/ros_log"}),
+        ({"environment": {"ROS_LOG_DIR": "/logs"}}, {}),
+        ({"host": "pi@robot"}, {}),  # where this computer's folders are not
+    ],
+)
+def test_nodes_of_this_computer_write_their_logs_beside_their_output_unless_they_are_told_another_folder(
+    options: dict, folder: dict[str, str]
+) -> None:
+    node = RosNode("nav", "planner", ros=2, **options)
+    assert node.variables(SimpleNamespace(folder=Path("/results/Nav"))) == folder

@@ -78,6 +78,9 @@ class Parser(argparse.ArgumentParser):
             return arguments
         if unknown[0].startswith("-"):
             options = [name for action in self.documented for name in action.option_strings if name.startswith("--")]
+            if "--" in words and unknown[0].partition("=")[0] in options:
+                problem = f"{unknown[0]!r} stands behind '--', where nothing is an option"
+                raise UsageError(problem, where=self.prog, fix="Leave '--' out, or put it behind all options.")
             raise unknown_option(unknown[0], options, where=self.prog)
         raise UsageError(f"{unknown[0]!r} is one word too many", where=self.prog, fix=self._help_fix)
 

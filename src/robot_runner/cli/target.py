@@ -37,8 +37,9 @@ def folder_of_target(target: str, assignments: Sequence[str], *, takes_older: bo
             raise UsageError("--set is for config files", where=target, fix="Leave it out, or name the config file.")
         return _in_folder(path, takes_older=takes_older)
     if not os.path.exists(path) and path.suffix != ".py":  # noqa: PTH110 - as above
-        names = _names_in(path.parent) if os.path.isdir(path.parent) else []  # noqa: PTH112 - as above
-        fix = did_you_mean(path.name, names) if len(names) < _MOST_NAMES else "Name a folder that is there."
+        names = sorted(_named_experiments(path.parent)) if os.path.isdir(path.parent) else []  # noqa: PTH112 - as above
+        otherwise = None if 0 < len(names) < _MOST_NAMES else "Name the folder of an experiment, or its config file."
+        fix = did_you_mean(path.name, names, otherwise)
         raise StorageError("there is no such file or folder", where=target, fix=fix)
     if path.suffix.casefold() == ".zip":
         words = shlex.join(["unzip", "-q", target, "-d", path.stem])
@@ -75,6 +76,13 @@ def _names_in(folder: Path) -> list[str]:
     except OSError as error:
         problem = f"the folder cannot be read: {error.strerror}"
         raise StorageError(problem, where=str(folder), fix="Mend its permissions, or name another one.") from error
+
+
+def _named_experiments(folder: Path) -> Iterator[str]:
+    """Yield what in a folder names an experiment: its folder, one that holds some, or a file that may be a config."""
+    for name in _names_in(folder):
+        if next(_experiments(folder / name, 1), None) or (name.endswith(".py") and os.path.isfile(folder / name)):  # noqa: PTH113 - as above
+            yield name
 
 
 def holds_experiment(folder: Path) -> bool:

@@ -34,10 +34,10 @@ from robot_runner.core.errors import ExecutionError, RobotRunnerError
 from robot_runner.core.execution.executor import begin_run, load_before_forks
 from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.keeper import reap_keepers
+from robot_runner.core.execution.left_systems import goes_on
 from robot_runner.core.execution.places import RunInFlight, Watch
 from robot_runner.core.execution.processes import use_no_streams
 from robot_runner.core.execution.run_records import RecordReader, RecordWriter
-from robot_runner.core.execution.standby import goes_on
 from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 from robot_runner.core.execution.worker import task_of
 from robot_runner.core.storage.claim_locks import HeldClaims

@@ -316,6 +316,7 @@ class FollowedExperiment:
             "run": waiting["next_run"],
             "place": waiting["place"],
             "step": waiting["step"],
+            "is_after": waiting["is_after"],
             "treatments": self.table.combination(waiting["next_run"]),
             "questions": asked,
         }

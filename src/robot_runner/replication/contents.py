@@ -184,7 +184,7 @@ ALL, NONE = "all", "none"
 _RUN_FILES = frozenset({"log.txt", "refused.jsonl"})
 #: Of an execution: what is there while it lasts, and what is half written. Other people's files have other names.
 _TRANSIENT = re.compile(
-    r"\.(?:lock|control|pause|stop|outliving|(?:alive|standing_by)(?:_\d+)?|probe(?:-[0-9a-f]{16}){1,2})"
+    r"\.(?:lock|control|pause|stop|outliving|(?:alive|standing_by|to_make_safe)(?:_\d+)?|probe(?:-[0-9a-f]{16}){1,2})"
     r"|current_log(?:_\d+)?\.txt|\..*\.tmp"
 )
 #: What file managers leave in folders that somebody has looked at.

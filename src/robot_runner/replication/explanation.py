@@ -136,7 +136,7 @@ class _Explaining:
             yield "Warm-up", "the run was executed and kept, and is not analysed"
         yield "Executed", self._executed()
         yield from self._attempt_facts()
-        yield from (("Done before", step) for step in history.steps)
+        yield from history.steps
         if history.stopped:
             yield "Mission", history.stopped
         yield from history.waits

@@ -163,7 +163,10 @@ def _unpacked(root: Path) -> OpenPackage:
     faults: list[Finding] = []
     try:
         for path in sorted(Path(top, name) for top, folders, files in os.walk(root) for name in (*folders, *files)):
-            name, status = path.relative_to(root).as_posix(), path.lstat()
+            try:
+                name, status = path.relative_to(root).as_posix(), path.lstat()
+            except FileNotFoundError:  # it was renamed or removed since it was listed, as in what is executed
+                continue
             if stat.S_ISREG(status.st_mode) and path.name in DESKTOP_FILES:
                 continue
             if stat.S_ISREG(status.st_mode):

@@ -63,7 +63,7 @@ class RunHistory:
     gate_of: int = 0
     commit: str = ""
     subjects: list[str] = field(default_factory=list)
-    steps: list[str] = field(default_factory=list)
+    steps: list[tuple[str, str]] = field(default_factory=list)
     programs: list[tuple[str, str]] = field(default_factory=list)
 
     @classmethod
@@ -110,7 +110,8 @@ class RunHistory:
 
     def _take_step(self, record: dict[str, Any]) -> None:
         notes = "; ".join(f"{name}: {said}" for name, said in record["notes"].items() if said is not None)
-        self.steps.append(f"{record['step']}{f' ({notes})' if notes else ''}")
+        when = "Done after" if record.get("is_after") else "Done before"
+        self.steps.append((when, f"{record['step']}{f' ({notes})' if notes else ''}"))
 
     def _take_subject(self, record: dict[str, Any]) -> None:
         if "command" in record:

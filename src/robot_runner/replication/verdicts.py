@@ -270,7 +270,8 @@ def _by_statistics(judged: _Judged, found: Mapping[str, Any]) -> tuple[Conclusio
     verdicts = [Conclusion(each["verdict"]) for each in differences]
     conclusion = _of_all(verdicts)
     within = f"{judged.bound} ({judged.margin.source})"
-    largest = f"; the largest difference is {found['largest']}" if found["largest"] else ""
+    # It is not known to an environment for the comparison that an earlier version has made.
+    largest = f"; the largest difference is {found['largest']}" if found.get("largest") else ""
     if conclusion in {Conclusion.EQUIVALENT, Conclusion.IDENTICAL}:  # of all values that are there; some run lacks one
         return Conclusion.EQUIVALENT, f"is equivalent within {within}{largest}."
     pairs = zip(differences, verdicts, strict=True)

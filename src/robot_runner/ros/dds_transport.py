@@ -188,7 +188,9 @@ class _Publisher:
     def reach(self) -> bool:
         graph, offered = self._session.graph, policies_of(self._offered)
         reachable = sum(policies_of(each.qos).shortfall(offered) is None for each in graph.readers(self._wire))
-        return graph.wait_for(lambda: len(matched_subscriptions(self._writer)) >= reachable, _MATCHING_SECONDS)
+        is_matched = graph.wait_for(lambda: len(matched_subscriptions(self._writer)) >= reachable, _MATCHING_SECONDS)
+        # One that is cut off stays matched for seconds, and takes nothing of what was published.
+        return is_matched and self._is_acknowledged(_MATCHING_SECONDS)
 
     def flush(self, seconds: float) -> None:
         # A process of Fast DDS may be matched here seconds before it knows of us, and takes what was sent meanwhile.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -20,8 +21,8 @@ from robot_runner.ros.rosbridge_security import SECURITY_OPTIONS, RosbridgeSecur
 from robot_runner.ros.type_store import ROS1_DISTROS, ROS2_DISTROS
 
 _WHERE = "robot"
-#: Other names of this computer.
-_LOCAL = MappingProxyType({"127.0.0.1": "localhost", "::1": "localhost"})
+#: Addresses of this computer; Debian gives the second one to its name.
+_LOCAL = ("127.0.0.1", "127.0.1.1", "::1")
 _DDS_OPTIONS = ("domain", "distro", "types")
 #: Domains above this have UDP ports past 65535 (RTPS 2.2, 9.6.1.1: 7400 + 250 · domain + …).
 _MAX_DOMAIN = 232
@@ -80,11 +81,17 @@ def graph_of(robot: str) -> str:
             return f"domain {domain_id(name.options, os.environ)}"
         if name.link == "ros1":
             host, port = master_address(Master(name.options.get("master")).uri)
-            return f"master {_LOCAL.get(host, host)}:{port}"
+            return f"master {_known(host)}:{port}"
         if name.address is not None:
             address = RosbridgeAddress.parse(name.address)
-            return f"rosbridge {_LOCAL.get(address.host, address.host)}:{address.port}{address.path}"
+            return f"rosbridge {_known(address.host)}:{address.port}{address.path}"
     return robot
+
+
+def _known(host: str) -> str:
+    """Return the one name of this computer for each that it has, without asking the network, and any other as it is."""
+    own = socket.gethostname().lower()
+    return "localhost" if host in {*_LOCAL, own, own.partition(".")[0]} else host
 
 
 def is_of_environment(robot: str, encoding: Encoding) -> bool:

@@ -41,6 +41,11 @@ def check_installed(packages: Iterable[str], *, way: str, extra: str) -> None:
         raise LinkError(problem, where="robot", fix=f"Install it: pip install 'robot-runner[{extra}]'.")
 
 
+_DOMAIN = "ROS_DOMAIN_ID"
+#: Which option of a link names its graph, and by which variable programs of ROS join it.
+_JOINED_BY = MappingProxyType(
+    {"ros1": ("master", "ROS_MASTER_URI"), "ros2": ("domain", _DOMAIN), "dds": ("domain", _DOMAIN)}
+)
 _CLOCK = "clock"
 _SYSTEM = "system"
 _GRAPH = "graph"
@@ -90,6 +95,12 @@ class GraphLinkKind:
         """Return what tells the graph of a robot from any other: its domain, its master, or its rosbridge."""
         graph: str = import_module("robot_runner.ros.graph_addresses").graph_of(name.graph)
         return graph
+
+    def program_variables(self, name: RobotName, *, is_here: bool) -> Mapping[str, str]:
+        """Return the domain, or the master where it is not another computer that may have another address for it."""
+        option, variable = _JOINED_BY.get(name.link, ("", ""))
+        is_known = option in name.options and (is_here or variable == _DOMAIN)
+        return {variable: name.options[option]} if is_known else {}
 
     def input_files(self, name: RobotName) -> Iterable[InputFile]:
         """Return the definitions of messages that its options name."""

@@ -131,7 +131,8 @@ def _patiently(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]], sec
     deadline = time.monotonic() + seconds
     while True:
         found = list(_findings(link, needs))
-        if not any(each.is_error for each in found) or time.monotonic() > deadline:
+        # That there is no robot at all is no error where nothing of it is needed, and may be mended by waiting as well.
+        if not any(each.is_error or each.where == _ROBOT for each in found) or time.monotonic() > deadline:
             return found
         time.sleep(_PERIOD)
 

@@ -145,20 +145,27 @@ class _Publisher:
     def reach(self) -> bool:
         asked = [policies_of(each.qos_profile) for each in self._graph.subscriptions(self._topic)]
         reachable = sum(each.shortfall(self._offered) is None for each in asked)
-        return self._node.until(lambda: self._publisher.get_subscription_count() >= reachable, _MATCHING)
+        is_matched = self._node.until(lambda: self._publisher.get_subscription_count() >= reachable, _MATCHING)
+        # One that is cut off stays matched for seconds, and takes nothing of what was published.
+        return is_matched and self._is_taken(_MATCHING) is not False
 
     def flush(self, seconds: float) -> None:
         # A process of Fast DDS may be matched here seconds before it knows of us, and takes what was sent meanwhile.
         seconds = max(seconds, LONGEST_DISCOVERY)
+        match self._is_taken(seconds):
+            case None:
+                time.sleep(min(seconds, _UNTOLD))
+            case False:
+                fix = "Look whether the robot is on and in this network."
+                raise LinkError(f"a subscriber does not take it within {seconds:g} s", where=self._topic, fix=fix)
+
+    def _is_taken(self, seconds: float) -> bool | None:
+        """Whether all that was published is taken within that time; None where the middleware does not tell."""
         try:
-            is_taken = self._publisher.wait_for_all_acked(Duration(seconds=seconds))
+            return bool(self._publisher.wait_for_all_acked(Duration(seconds=seconds)))
         except Exception as error:  # noqa: BLE001 - not every middleware can tell: what was published may well arrive
             _logger.info("%s: it is not known whether it was taken: %s", self._topic, error)
-            time.sleep(min(seconds, _UNTOLD))
-            return
-        if is_taken is False:
-            fix = "Look whether the robot is on and in this network."
-            raise LinkError(f"a subscriber does not take it within {seconds:g} s", where=self._topic, fix=fix)
+            return None
 
     def close(self) -> None:
         self._node.node.destroy_publisher(self._publisher)

@@ -148,13 +148,16 @@ class Program(Subject):
             if self.per == "mission":
                 context.publish("CPUTime", None if code is None or ended is None else ended.cpu, origin=Origin.MEASURED)
                 if ended is not None and ended.cpu is not None:
-                    self._doubt_what_went_astray(context, ended.cpu, ended.astray)
+                    self._doubt_what_went_astray(context, ended.cpu, ended)
 
-    def _doubt_what_went_astray(self, context: RobotRunnerContext, used: float, astray: float) -> None:
-        if astray > max(_ASTRAY, _UNMEASURED * (used + astray)):
+    def _doubt_what_went_astray(self, context: RobotRunnerContext, used: float, ended: Ended) -> None:
+        fix = f"Measure all of them: PsUtil(host='localhost', processes=['subject:{self.name}'])."
+        if ended.astray > max(_ASTRAY, _UNMEASURED * (used + ended.astray)):
             problem = (
-                f"processes that {self.name} started and did not await used {astray:.3g} s of CPU time, "
+                f"processes that {self.name} started and did not await used {ended.astray:.3g} s of CPU time, "
                 f"which CPUTime lacks"
             )
-            fix = f"Measure all of them: PsUtil(host='localhost', processes=['subject:{self.name}'])."
             context.doubt(problem, fix=fix, measures=["CPUTime"])
+        if ended.uncounted:
+            whose = "the kernel counts no CPU time of its children, which CPUTime lacks"
+            context.doubt(f"{self.name} ignores SIGCHLD, so that {whose}", fix=fix, measures=["CPUTime"])

@@ -4,17 +4,26 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import Finding, did_you_mean
+from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
+from robot_runner.core.links.connect import resolved_robot, robot_namespace
 from robot_runner.core.storage.input_files import InputFile, kept_copy
 from robot_runner.measuring.own_scripts import is_file, is_installed
 from robot_runner.subjects.read_files import with_what_it_names
 from robot_runner.subjects.ros_subject import RosSubject
 from robot_runner.subjects.surroundings import holds_revision, word
 
+if TYPE_CHECKING:
+    from robot_runner.core.events.context import ExperimentContext
+    from robot_runner.core.plugin import Circumstances
+    from robot_runner.subjects.supervised_program import SupervisedProgram
+
+#: What the namespace of the run's robot takes the place of, in an argument.
+_NAMESPACE = "{namespace}"
 #: How both tell of an argument that a launch file takes: `  speed: ...` (ROS 1), and `    'speed':` (ROS 2).
 _ARGUMENTS = {1: re.compile(r"^  (\w+)(?: \(.*\))?:", re.MULTILINE), 2: re.compile(r"^\s+'([^']+)':", re.MULTILINE)}
 
@@ -28,7 +37,9 @@ class RosLaunch(RosSubject):
         package: the package that has the launch file, the path of the launch file itself, or a folder (a `Path`, or a
             treatment of `Factor.revisions`).
         file: the launch file's name in the package or folder.
-        arguments: of the launch file, by name; `treatment(...)` may stand for any value.
+        arguments: of the launch file, by name; `treatment(...)` may stand for any value, and `{namespace}` in one for
+            the namespace of the run's robot: `alice` for `robot = "ros2://alice"`. Where the robot has none, a value
+            that is nothing else leaves the argument out.
         **options: `ros` and `rmw`, as of every `RosSubject`, and those of every `Subject`.
 
     Raises:
@@ -52,6 +63,11 @@ class RosLaunch(RosSubject):
         words = [word(self.name, each) for each in given]
         self.launch_file = (os.path.join(*words),) if isinstance(package, os.PathLike) else tuple(words)  # noqa: PTH118
         self.arguments = {name: word(self.name, value) for name, value in (arguments or {}).items()}
+        if not self._is_of_run and any(_NAMESPACE in value for value in self.arguments.values()):
+            problem = f"it is launched once for all runs, and {_NAMESPACE} is the namespace of the run's robot"
+            fix = "Start it in each run (per='run'), or write the namespace out."
+            raise PluginError(problem, where=self.name, fix=fix)
+        self._namespace = ""
         named = [] if holds_revision(given) or len(self.launch_file) > 1 else [*self.launch_file]
         named += [self.arguments[name] for name, value in (arguments or {}).items() if not holds_revision(value)]
         self._files = tuple(named)
@@ -60,7 +76,23 @@ class RosLaunch(RosSubject):
     def words(self) -> tuple[str, ...]:
         """Return the command."""
         launch = ("roslaunch",) if self.ros == 1 else ("ros2", "launch")
-        return (*launch, *self.launch_file, *(f"{name}:={value}" for name, value in self.arguments.items()))
+        given = {name: value.replace(_NAMESPACE, self._namespace) for name, value in self.arguments.items()}
+        # Both programs refuse `name:=` or take it for the name's default.
+        told = (f"{name}:={value}" for name, value in given.items() if value or not self.arguments[name])
+        return (*launch, *self.launch_file, *told)
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Yield what stands in the way, with this robot."""
+        with suppress(LinkError):  # which is told of the robot itself
+            robot = circumstances.robot
+            self._namespace = "" if robot is None else resolved_robot(robot)[1].namespace.strip("/")
+        yield from super().check(circumstances)
+
+    def _begin(
+        self, context: ExperimentContext, folder: Path, begun: Callable[[int], object] = lambda _: None
+    ) -> SupervisedProgram:
+        self._namespace = robot_namespace(context).strip("/") if self._is_of_run else ""
+        return super()._begin(context, folder, begun)
 
     def files_read(self) -> Iterable[InputFile]:
         """Yield the launch file that is named by its path, files that its arguments name, and what those name."""

@@ -18,7 +18,7 @@ from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.condition import Condition
 from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin
-from robot_runner.core.links.connect import is_simulated
+from robot_runner.core.links.connect import graph_variables, is_simulated
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.plugin import Circumstances, System
 from robot_runner.core.storage.input_files import InputFile
@@ -316,7 +316,13 @@ class Subject(System):
         around = self.surroundings
         task = supervised_program.Task(
             command=around.wrapped(self.words()),
-            environment={**self.variables(start), **around.variables, SUBJECT_VARIABLE: self.name},
+            # Programs of ROS find their graph by it: with several robots, each may be on a graph of its own.
+            environment={
+                **graph_variables(context.robot, is_here=around.host is None),
+                **self.variables(start),
+                **around.variables,
+                SUBJECT_VARIABLE: self.name,
+            },
             folder=around.path,
             stop_signal=self.stop_signal,
             grace_s=self.grace_s,

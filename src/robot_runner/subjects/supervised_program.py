@@ -101,6 +101,7 @@ class Ended:
         was_killed: whether it took SIGKILL.
         cpu: the CPU time of the program and of the children that it awaited, s; None where nobody knows it.
         astray: the CPU time until then of what else it had started, s.
+        uncounted: whether nobody counts the CPU time of its children, as it ignores their ends.
     """
 
     code: int | None
@@ -109,6 +110,7 @@ class Ended:
     was_killed: bool = False
     cpu: float | None = None
     astray: float = 0.0
+    uncounted: bool = False
 
 
 class Start:
@@ -145,7 +147,7 @@ class Start:
         told = self._told("ended")
         if told:
             code = told["ended"]
-            used = (told.get("cpu"), told.get("astray", 0.0))
+            used = (told.get("cpu"), told.get("astray", 0.0), told.get("uncounted", False))
             return Ended(code, _how(code), bool(told["asked"]), bool(told["killed"]), *used)
         lost = self._told("lost")
         if lost:

@@ -97,6 +97,16 @@ def used_by(pid: int) -> float:
     return sum(map(int, times)) / os.sysconf("SC_CLK_TCK")
 
 
+def leaves_children_uncounted(pid: int) -> bool:
+    """Whether a process ignores the ends of its children, so that Linux reaps them and counts their time for nobody."""
+    try:
+        with open(f"/proc/{pid}/status", "rb") as file:
+            ignored = next((line for line in file if line.startswith(b"SigIgn:")), b"SigIgn: 0")
+    except OSError:
+        return False
+    return bool(int(ignored.split()[1], 16) >> (signal.SIGCHLD - 1) & 1)
+
+
 class Supervisor:
     """Starts the program of a task, and is there until all of it has ended."""
 
@@ -106,6 +116,7 @@ class Supervisor:
         self.code = None  # type: int | None
         self.cpu = None  # type: float | None
         self.astray = 0.0  # what orphans used that we reaped, s
+        self.uncounted = False
         self.pipes = {}  # type: dict[int, str]
         self.wakes, wake = os.pipe()
         for end in (self.wakes, wake):
@@ -135,7 +146,8 @@ class Supervisor:
         asked = self.code is None
         killed = asked and not self.end_program()
         astray = self.astray + sum(map(used_by, descendants(os.getpid())))
-        self.say(ended=self.code, asked=asked, killed=killed, cpu=self.cpu, astray=astray, at=time.time())
+        times = {"cpu": self.cpu, "astray": astray, "uncounted": self.uncounted}
+        self.say(ended=self.code, asked=asked, killed=killed, **times, at=time.time())
         left = self.end_rest()
         self.wait(lambda: not self.pipes, 1.0)  # the last of the output
         self.clean_up()
@@ -208,7 +220,16 @@ class Supervisor:
         """Take note of everything that has ended; we are the parent of whatever lost its own."""
         try:
             while True:
-                pid, status, used = os.wait4(-1, os.WNOHANG)
+                which = -1
+                if LINUX:
+                    # What has ended still tells what it ignored until it is reaped.
+                    ended = os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+                    if ended is None:
+                        return
+                    which = ended.si_pid
+                    if which == self.pid:
+                        self.uncounted = leaves_children_uncounted(which)
+                pid, status, used = os.wait4(which, os.WNOHANG)
                 if pid == 0:
                     return
                 if pid == self.pid:

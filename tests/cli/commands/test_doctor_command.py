@@ -15,8 +15,11 @@ from tests.linked_environment import make_linked_environment
 import robot_runner as robot_runner_package
 from robot_runner.cli.commands import doctor
 from robot_runner.cli.commands.doctor import ABSENT, BROKEN, READY, Question, asked, device_questions
+from robot_runner.core.execution.systems_state import SystemsFile
 from robot_runner.core.links.kinds import installed_links
 from robot_runner.core.plugin import installed_plugins
+from robot_runner.core.storage.claim_locks import HeldClaims
+from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -161,3 +164,20 @@ def test_a_program_that_hangs_holds_nothing_up(tmp_path: Path, program: str) -> 
     assert time.monotonic() - began < 90.0
     assert told.returncode in {0, 1}
     assert "Devices" in told.stdout
+
+
+def test_a_robot_that_a_killed_experiment_may_have_left_moving_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    (question,) = (each for each in doctor.questions() if each.area == "Robots")
+    assert question.ask()[0] == READY
+    folder = ExperimentFolder(tmp_path / "hall")
+    folder.root.mkdir()
+    with HeldClaims(["robot:dds://alice", "host:localhost"], "hall", folder.root):
+        SystemsFile(folder).begin("dds://alice", {"run_id": "r_7"})
+    state, detail, fix = question.ask()
+    assert (state, detail.count("MAY BE MOVING")) == (BROKEN, 1)
+    assert "killed in r_7 (dds://alice)" in detail
+    assert str(folder.root) in detail
+    assert "Start the experiment again" in fix

@@ -4,6 +4,7 @@ import tempfile
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.legacy.earlier_configs import RUNNER, RUNNER_TABLE
 
 from robot_runner.cli.smoke_test import covering_runs
 from robot_runner.core.design.factor import Factor
@@ -123,6 +124,20 @@ def test_the_folder_of_a_study_that_has_begun_stays_as_it_is(
     before = {path: path.read_bytes() for path in (tmp_path / "results").rglob("*") if path.is_file()}
     assert robot_runner("smoke", "config.py", *settings).code == 0
     assert {path: path.read_bytes() for path in (tmp_path / "results").rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.long
+def test_a_config_of_an_earlier_tool_is_tried_beside_its_folder_too(
+    robot_runner: Callable, tmp_path: Path, scratch: Path
+) -> None:
+    (tmp_path / "config.py").write_text(RUNNER + RUNNER_TABLE)
+    assert robot_runner("run", "config.py", "--only", "run_1_repetition_0").code == 0
+    own = tmp_path / "experiments"
+    before = {path: path.read_bytes() for path in own.rglob("*") if path.is_file()}
+    answer = robot_runner("smoke", "config.py", "--keep")
+    assert "2 of 2 runs done, which have each treatment." in answer.out
+    assert [path.name for path in scratch.glob("*/sorting/run_table.csv")] == ["run_table.csv"]
+    assert {path: path.read_bytes() for path in own.rglob("*") if path.is_file()} == before
 
 
 @pytest.mark.long

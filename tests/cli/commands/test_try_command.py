@@ -6,6 +6,7 @@ import time
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.event_deadline import enforce_deadline_in
 
 from robot_runner.cli import trial
 
@@ -242,6 +243,7 @@ def test_a_profiler_that_hangs_is_ended(
 ) -> None:
     monkeypatch.setattr(trial, "_PATIENCE", 0.5)
     monkeypatch.setattr(trial, "_GRACE", 0.5)
+    enforce_deadline_in("start_measurement", monkeypatch)
     path = plugin(broken("def start_measurement(self):\n    while True:\n        pass"))
     answer = robot_runner("try", path, "--seconds", "0.1")
     assert answer.code == 1

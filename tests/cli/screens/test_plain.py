@@ -87,6 +87,15 @@ def test_nobody_at_the_keyboard_is_told_of_the_other_way_to_go_on(said: Any) -> 
     assert lines == ["Waiting before run 2 of 4. To go on: robot-runner continue 'my results/trial'"]
 
 
+def test_which_run_a_step_comes_after_is_said(said: Any) -> None:
+    lines = said(WaitingForUser(Path.cwd() / "trial", 2, 4, "r_2", {"Task": "Video"}, step="lift it", is_after=True))
+    assert lines == [
+        "This is about r_2, run 2 of 4: Task=Video, Repetition=1",
+        "To do: lift it",
+        "Waiting after run 2 of 4. To go on: robot-runner continue trial",
+    ]
+
+
 def test_how_long_it_takes_is_told_at_the_beginning_where_somebody_would_wait_for_it(notices: Any) -> None:
     assert opening(notices.started(left=TimeLeft(0.0, 5940.0, is_least=True)))[1] == "at least 1 h 39 min left"
     assert len(opening(notices.started(left=TimeLeft(0.0, 12.0)))) == 1

@@ -8,7 +8,8 @@ import pytest
 from robot_runner.cli.screens.progress import Progress
 from robot_runner.core.events.measure import Origin
 from robot_runner.core.execution.durations import TimeLeft
-from robot_runner.core.execution.notices import RunRecord, WaitingForUser
+from robot_runner.core.execution.notices import AttemptFinished, RunRecord, WaitingForUser
+from robot_runner.core.execution.task import AttemptStatus, RunOutcome
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -110,6 +111,15 @@ def test_it_is_known_where_values_come_from(progress: Progress, notices: Any) ->
         "simulated": ["Energy"],
         "measured": ["Energy"],
     }
+
+
+def test_a_value_that_a_person_is_asked_for_is_missing_only_where_it_was_answered_so(
+    progress: Progress, notices: Any
+) -> None:
+    progress.take(notices.started(columns={"Energy": "J", "Mood": ""}, asked_for=["Energy"]))
+    progress.take(notices.done(1, value=None))
+    progress.take(AttemptFinished(notices.task(2), RunOutcome(AttemptStatus.DONE, measures={}), is_last=True))
+    assert progress.bad_values == {"Energy": {"missing": ["r_1"]}, "Mood": {"missing": ["r_1", "r_2"]}}
 
 
 def test_waiting_ends_with_the_next_run(progress: Progress, notices: Any) -> None:

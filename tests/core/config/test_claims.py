@@ -92,6 +92,7 @@ def test_one_robot_is_claimed_alike_over_any_link_and_whatever_else_of_ros_is_so
     write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plugins = "probe = False\nplugins = [BasicTurtlebot3(task='Video', task_factor=None)]"
+    monkeypatch.setattr("socket.gethostname", lambda: "lab-pc.example.org")
     for robot, environment, expected in (
         ("dds:domain=7,namespace=alice", {}, "robot:domain 7/alice"),
         ("dds:domain=7,namespace=alice", {"ROS_DOMAIN_ID": "3", "ROS_MASTER_URI": "http://a"}, "robot:domain 7/alice"),
@@ -102,6 +103,9 @@ def test_one_robot_is_claimed_alike_over_any_link_and_whatever_else_of_ros_is_so
         ("rosbridge://localhost", {}, "robot:rosbridge localhost:9090"),
         ("ros1", {"ROS_MASTER_URI": "http://a:11311", "ROS_DOMAIN_ID": "7"}, "robot:master a:11311"),
         ("ros1:master=http://a:11311", {}, "robot:master a:11311"),
+        ("ros1", {"ROS_MASTER_URI": "http://Lab-PC:11311"}, "robot:master localhost:11311"),
+        ("ros1:master=http://lab-pc.example.org:11311", {}, "robot:master localhost:11311"),
+        ("rosbridge://127.0.1.1:9090", {}, "robot:rosbridge localhost:9090"),
     ):
         with monkeypatch.context() as patch:
             for variable in ("ROS_DOMAIN_ID", "ROS_MASTER_URI", "ROS_DISTRO"):
@@ -124,6 +128,7 @@ def test_one_robot_is_claimed_alike_however_its_namespace_is_named(
     pair = "plugins = [Together(*(Waypoints([(1, 0)], name=a[-3:], namespace=a) for a in ('lab/alice', 'bob')))]"
     bound = "plugins = [Waypoints([(1, 0)], namespace=treatment('Task'))]"
     lidar = "plugins = [BasicTurtlebot3(task='Video', task_factor=None), RosTopics(['scan'], namespace='lidar')]"
+    by_callbacks = "plugins = [RosTopics(['scan'], namespace='lidar')]\ndef launch_mission(self, context): pass"
     alice, bob = "robot:domain 7/lab/alice", "robot:domain 7/bob"
     for robot, body, expected in (
         ("dds:domain=7,namespace=/lab/alice", lone, {alice}),
@@ -134,6 +139,7 @@ def test_one_robot_is_claimed_alike_however_its_namespace_is_named(
         ("dds:domain=7", bound, {"robot:domain 7/Video", "robot:domain 7/Network"}),
         ("dds:domain=7", lidar, {"robot:domain 7", "robot:domain 7/lidar"}),
         ("dds:domain=7,namespace=lab/alice", lidar, {alice, f"{alice}/lidar"}),
+        ("dds:domain=7,namespace=lab/alice", by_callbacks, {alice, f"{alice}/lidar"}),
     ):
         assert claims(f'robot = "{robot}"\nprobe = False\n{body}')[1] == expected, (robot, body)
     assert claims(f'robot = "dds://alice"\n{lone}')[1] == {"robot:domain 0/alice"}

@@ -25,6 +25,9 @@ operator_steps = [
     OperatorStep("c", ask=[3]),
     OperatorStep("d", ask=[Question("Task"), Question("run_id"), Question("v", float, low=3, high=2)]),
     OperatorStep("e", ask=[Question("v", list), Question("w", low=3), Question("x", int, choices=[1, "2"])]),
+    OperatorStep("f", after={"Task": "Vidoe"}),
+    OperatorStep("g", after=3),
+    OperatorStep("h", after=True, every=2, before={"Task": "Video"}),
 ]
 """
 
@@ -51,6 +54,9 @@ def test_everything_that_is_wrong_with_steps_and_questions_is_said_at_once(write
         "steps[8], question 'v': the type is <class 'list'>",
         "steps[8], question 'w': low and high are limits of numbers, and there are answers of type str",
         "steps[8], question 'x': choice '2' is of type str, and answers of type int",
+        "steps[9]: after: 'Vidoe' is no treatment of 'Task'",
+        "steps[10]: after is 3",
+        "steps[11]: every, before and after are given",
         ": the run table has a column of that name already",
     }
 

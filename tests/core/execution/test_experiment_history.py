@@ -16,7 +16,8 @@ def test_a_person_is_waited_for_however_many_runs_end_elsewhere_meanwhile() -> N
     history = ExperimentHistory()
     history.take({"kind": "waiting", "next_run": "r_2", "step": "lay the floor", "questions": ()})
     history.take(ended("r_1"))
-    assert history.waiting_for == {"next_run": "r_2", "place": "", "step": "lay the floor", "questions": ()}
+    asked = {"next_run": "r_2", "place": "", "step": "lay the floor", "is_after": False, "questions": ()}
+    assert history.waiting_for == asked
     history.take(ended("r_2"))
     assert history.waiting_for is None
 
@@ -34,7 +35,7 @@ def test_who_waits_for_a_person_goes_on_waiting_whatever_goes_on_elsewhere() -> 
         waits.append(history.waiting_for["next_run"])
         history.take(record)
     assert waits == ["r_1", "r_2", "r_2"]
-    assert history.waiting_for == {"next_run": "r_3", "place": "", "step": "", "questions": ()}
+    assert history.waiting_for == {"next_run": "r_3", "place": "", "step": "", "is_after": False, "questions": ()}
     history.take({"kind": "paused", "next_run": "r_4"})
     history.take({"kind": "continued"})
     assert (history.waiting_for, history.is_paused) == (None, True)

@@ -107,6 +107,9 @@ def test_somebody_is_told_of_failures_progress_and_the_end_and_the_address_stays
         "trial: 3 of 4 runs done, 1 failed",
         "trial: r_2 failed",
     ]
+    told = {each["title"]: each["message"] for each in server.messages}
+    assert told["trial: 1 of 4 runs done, 1 failed"] == "It goes on."
+    assert told["trial: 3 of 4 runs done, 1 failed"] == "That was the last one that is planned."
     failure = next(each for each in server.messages if each["title"] == "trial: r_2 failed")
     assert failure["message"] == "launch_mission of config: AssertionError: the lamp is off"
     assert failure["type"] == "warning"

@@ -6,6 +6,7 @@ import os
 import signal
 import threading
 from contextlib import closing
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -14,9 +15,11 @@ from tests.conftest import written_config
 from tests.core.execution.conftest import Executed, RecordingObserver
 from tests.long_cases import long_but
 
+from robot_runner.cli.excluding import exclude_runs
 from robot_runner.core.config.operator_steps import OperatorStep
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError, StorageError
+from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.notices import (
     AnswersRefused,
     AttemptFinished,
@@ -504,3 +507,181 @@ def test_a_record_of_a_step_that_somebody_has_damaged_is_named(tmp_path: Path) -
     later = resumed(at)
     with pytest.raises(StorageError, match="ahead"):
         next(later.prepare(2))
+
+
+# Steps after runs.
+
+TRUST = 'OperatorStep("fill in the questionnaire", after=True, ask=[Question("trust", int, low=1, high=5)])'
+ENERGY = "def populate_run_data(self, context): return {'Energy': 1.5}\n"
+
+
+@pytest.mark.parametrize(
+    ("rule", "runs"),
+    [
+        ("True", "r_1 r_2 r_3 r_4"),
+        ('{"Task": "Network"}', "r_2 r_4"),
+        ("lambda run: run['Task'] == 'Video'", "r_1 r_3"),
+    ],
+)
+def test_a_step_after_runs_is_asked_for_once_each_is_done_and_before_the_next(
+    execute: Callable, rule: str, runs: str
+) -> None:
+    executed, person = execute(ENERGY + steps(TRUST.replace("True", rule)), "4\n")
+    assert person.asked == [("fill in the questionnaire", run) for run in runs.split()]
+    assert [row["trust"] for row in executed.table] == [
+        "4" if row["run_id"] in runs.split() else "" for row in executed.table
+    ]
+    assert {row["Energy"] for row in executed.table} == {"1.5"}
+    told = [
+        (type(each), each.run_id if isinstance(each, WaitingForUser) else each.task.run_id)
+        for each in person.notices
+        if isinstance(each, AttemptStarted | AttemptFinished | WaitingForUser)
+    ]
+    for run in runs.split():
+        asked = told.index((WaitingForUser, run))
+        assert told[asked - 1] == (AttemptFinished, run)
+        assert told[asked + 1 :][:1] in ([], [(AttemptStarted, f"r_{int(run[2:]) + 1}")])
+    assert not any("trust has no value" in str(finding) for finding in executed.finished.findings)
+
+
+def test_an_answer_after_a_run_is_a_measure_of_it_entered_by_hand_and_a_note_stays_in_the_journal(
+    execute: Callable,
+) -> None:
+    remark = 'Question("remark", note=True, optional=True)'
+    body = steps(TRUST.replace("ask=[", f"ask=[{remark}, "), 'OperatorStep("lift the robot", after={"Task": "Video"})')
+    executed, _ = execute(
+        ENERGY + body, lambda waiting: {"trust": "3", "remark": "it hummed"} if waiting.questions else "\n"
+    )
+    end = executed.journal("attempt_finished")[1]
+    assert end["is_amended"]
+    assert end["measures"]["trust"] == {"value": 3, "owner": "operator", "origin": "entered by hand"}
+    assert end["measures"]["Energy"]["value"] == 1.5
+    first = executed.journal("operator_step")[0]
+    assert (first["is_after"], first["answers"], first["notes"]) == (True, {"trust": 3}, {"remark": "it hummed"})
+    facts = explain_run(executed.folder, "r_1").facts
+    assert ("Done after", "fill in the questionnaire (remark: it hummed)") in facts
+    assert ("Done after", "lift the robot") in facts
+
+
+def test_what_a_session_did_not_come_to_ask_after_a_run_is_asked_by_the_next(execute: Callable) -> None:
+    body = ENERGY + steps(TRUST, 'OperatorStep("lift the robot", after=True)')
+
+    def leave(waiting: WaitingForUser) -> str | None:
+        if waiting.run_id == "r_2" and waiting.step == "lift the robot":
+            return os.kill(os.getpid(), signal.SIGINT)
+        return "5\n" if waiting.questions else "\n"
+
+    interrupted, _ = execute(body, leave)
+    assert interrupted.finished.interrupted
+    assert [row["status"] for row in interrupted.table] == ["Done", "Done", "-", "-"]
+    assert [row["trust"] for row in interrupted.table] == ["5", "5", "", ""]
+    (left,) = [each for each in read_status(interrupted.folder).findings if each.where == "r_2"]
+    assert left.problem == "still to be done after it: lift the robot"
+    assert left in interrupted.finished.findings
+    executed, person = execute(body, "2\n")
+    questionnaire, lift = "fill in the questionnaire", "lift the robot"
+    assert person.asked == [(lift, "r_2"), *((step, run) for run in ("r_3", "r_4") for step in (questionnaire, lift))]
+    assert [row["trust"] for row in executed.table] == ["5", "5", "2", "2"]
+    _, third = execute(body, "2\n")
+    assert third.asked == []
+    assert not any("still to be done" in each.problem for each in read_status(executed.folder).findings)
+
+
+def cut_off_after_first_end(executed: Executed) -> None:
+    """Have the journal and the table be as a kill leaves them right after the end of the first run."""
+    journal, lines = executed.folder / "journal.jsonl", []
+    for line in journal.read_text().splitlines(keepends=True):
+        lines.append(line)
+        if line.startswith('{"kind":"attempt_finished"'):
+            break
+    journal.write_text("".join(lines))
+    (executed.folder / "run_table.csv").unlink()
+
+
+@pytest.mark.parametrize("places", ["", "workers = 2\nclaims = []\n"])
+def test_a_kill_between_the_end_of_a_run_and_the_question_loses_no_question(execute: Callable, places: str) -> None:
+    executed, _ = execute(places + ENERGY + steps(TRUST), "5\n", Resumption(only=("r_1",)))
+    cut_off_after_first_end(executed)
+    assert [each.where for each in read_status(executed.folder).findings if "questionnaire" in each.problem] == ["r_1"]
+    again, person = execute(places + ENERGY + steps(TRUST), "3\n")
+    assert sorted(run for _, run in person.asked) == ["r_1", "r_2", "r_3", "r_4"]
+    assert person.asked[0][1] == "r_1"
+    assert [row["trust"] for row in again.table] == ["3"] * 4
+    assert {row["Energy"] for row in again.table} == {"1.5"}, "what the run had measured is still there"
+    assert len(again.journal("attempt_started")) == 4
+
+
+@pytest.mark.parametrize("becomes", ["executed again", "excluded", "of a step that is no more"])
+def test_what_no_longer_matters_is_not_asked_after_a_run(execute: Callable, becomes: str) -> None:
+    executed, _ = execute(ENERGY + steps(TRUST), lambda _: os.kill(os.getpid(), signal.SIGINT))
+    assert [row["status"] for row in executed.table] == ["Done", "-", "-", "-"]
+    resumption = Resumption(only=("r_1", "r_2"), redo=("r_1",) if becomes == "executed again" else ())
+    if becomes == "excluded":
+        exclude_runs(ExperimentFolder(executed.folder), ["r_1"], "the robot fell")
+        resumption = Resumption(only=("r_2",))
+    body = ENERGY + (TRUST_ELSE if becomes == "of a step that is no more" else steps(TRUST))
+    again, person = execute(body, "3\n", replace(resumption, accept_changes=True))
+    runs = [run for _, run in person.asked]
+    assert runs == (["r_1", "r_2"] if becomes == "executed again" else ["r_2"])
+    assert again.table[0]["trust"] == ("3" if becomes == "executed again" else "")
+
+
+TRUST_ELSE = steps(TRUST.replace("fill in the questionnaire", "ask them"))
+
+
+@pytest.mark.long
+def test_answers_after_runs_of_several_robots_are_of_the_right_runs_and_a_robot_waits_for_its_own(
+    execute: Callable,
+) -> None:
+    body = "robot = Robots('simulated://alice', 'simulated://bob')\n" + ENERGY + steps(TRUST)
+    executed, person = execute(body, lambda waiting: f"{waiting.run_id[2:]}\n")
+    assert [row["trust"] for row in executed.table] == ["1", "2", "3", "4"]
+    robots = {row["run_id"]: row["Robot"] for row in executed.table}
+    asked = [each for each in person.notices if isinstance(each, WaitingForUser)]
+    assert {each.run_id: each.place for each in asked} == robots
+    for robot in ("alice", "bob"):
+        told = [
+            type(each)
+            for each in person.notices
+            if (isinstance(each, AttemptStarted | AttemptFinished) and each.task.place == robot)
+            or (isinstance(each, WaitingForUser) and each.place == robot)
+        ]
+        assert told == [AttemptStarted, AttemptFinished, WaitingForUser] * 2
+
+
+def test_a_run_that_failed_is_not_asked_about_and_one_that_is_tried_again_once(execute: Callable) -> None:
+    body = """
+attempts = 2
+def launch_mission(self, context):
+    if context.attempt == 1 or context.run_id == "r_2": raise RuntimeError("it fell")
+"""
+    executed, person = execute(body + ENERGY + steps(TRUST), "4\n")
+    assert executed.finished.failed == ("r_2",)
+    assert [run for _, run in person.asked] == ["r_1", "r_3", "r_4"]
+
+
+def test_a_function_that_says_after_which_runs_and_raises_does_so_before_the_run(execute: Callable) -> None:
+    body = """
+looks = []
+def asks(run, looks=looks):
+    looks.append(run)
+    if len(looks) > 5: raise ValueError("not now")
+    return True
+"""
+    with pytest.raises(ExecutionError, match="after raised ValueError: not now") as caught:
+        execute(body + ENERGY + steps(TRUST.replace("after=True", "after=asks")), "4\n")
+    assert caught.value.where == "operator step 'fill in the questionnaire', r_2"
+
+
+def test_who_goes_on_knows_the_answer_after_the_run_and_adds_to_it(execute: Callable) -> None:
+    body = """
+operation_type = OperationType.SEMI
+def continue_experiment(self, context):
+    context.publish("Energy", 10.0 * context.measures["trust"])
+    return True
+def before_experiment(self, context): return True
+"""
+    executed, person = execute(body + steps(TRUST), "4\n")
+    assert [run for _, run in person.asked] == ["r_1", "r_2", "r_3", "r_4"]
+    assert [row["trust"] for row in executed.table] == ["4"] * 4
+    assert [row["Energy"] for row in executed.table] == ["40.0"] * 3 + [""]

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.event_deadline import enforce_deadline_in
 
 from robot_runner.core.execution import probe
 
@@ -215,6 +216,31 @@ def test_a_probe_comes_before_everything_else_and_calls_profilers_alone(
     assert not list(experiment.glob(".aside-*"))
 
 
+@pytest.mark.parametrize(
+    ("robot", "seconds"), [('"ros2://alice"', "500 ms"), ('Robots("ros2://alice", "ros2://bob")', "1.0 s")]
+)
+def test_a_plan_tells_how_long_the_probe_takes_beside_one_robot_after_another(
+    robot_runner: Program, here: Path, robot: str, seconds: str
+) -> None:
+    (here / "study.py").write_text(f"""\
+from robot_runner import ExperimentConfig, Factor, Robots, RunTableModel
+from robot_runner.plugins.profilers import Ina219
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "metered"
+    robot = {robot}
+    plugins = [Ina219()]
+
+    def duration_s(self, combination):
+        return 60.0
+
+    def create_run_table(self):
+        return RunTableModel([Factor("Speed", [1, 2])], data_columns=["Energy"])
+""")
+    assert f"the probe of the profilers, {seconds}" in " ".join(robot_runner("plan", "study.py").out.split())
+
+
 def test_what_a_probe_saw_is_in_the_journal_and_its_doubts_are_shown(
     robot_runner: Program, study: Callable[..., Path], here: Path
 ) -> None:
@@ -255,6 +281,7 @@ def test_a_profiler_that_hangs_is_ended(
     robot_runner: Program, study: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(probe, "_PATIENCE", 0.2)
+    enforce_deadline_in("start_measurement", monkeypatch)
     study("Hanging('A'), Meter('B', None)", "grace_in_s = 1.0")
     answer = robot_runner("study.py")
     assert answer.code == 2

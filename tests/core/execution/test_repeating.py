@@ -246,6 +246,19 @@ def test_a_doubtful_value_that_the_plan_leaves_out_is_no_failure_and_its_run_cou
     assert [told[run].is_doubtful for run in ("r_1", "r_2", "r_3")] == [False, True, False]
 
 
+def test_what_is_left_is_told_as_the_least_for_as_long_as_repetitions_may_follow(tmp_path: Path) -> None:
+    failing = "    if context.run_id == 'r_2': raise RuntimeError('no battery')\n    mean ="
+    config = written_config(tmp_path, noisy(30.0, at_most=4).replace("    mean =", failing), table=TABLE)
+    resume(config, only=("r_1", "r_3"))
+    status = read_status(tmp_path / "results" / "trial")
+    assert (status.todo, status.left_is_least) == (4, True)
+    resume(config)
+    status = read_status(tmp_path / "results" / "trial")
+    assert (status.run_count, status.failed) == (8, 1)
+    assert status.seconds_left is not None, "of the run that failed"
+    assert not status.left_is_least, "no repetition follows on the fourth"
+
+
 def test_a_part_of_the_runs_is_not_repeated_and_a_redone_run_is_judged_anew(execute: Execute, tmp_path: Path) -> None:
     config = written_config(tmp_path, noisy(), table=TABLE)
     resume(config, only=("Task=Video",))

@@ -157,6 +157,17 @@ def test_the_time_left_is_that_of_one_robot_where_all_runs_claim_the_same(
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("left_is_of_runs")
+def test_the_time_left_remains_that_of_one_robot_where_another_one_is_set_aside(execute: Callable[..., Any]) -> None:
+    head = HEAD.replace('"simulated://bob")', '"simulated://bob", "simulated://carol")').replace("0.3 if", "0.01 if")
+    executed = execute("claims = ['device:the only lift']", head=head, table=TABLE, broken="bob")
+    records = executed.journal("set_aside", "attempt_started")
+    place = next(place for place, record in enumerate(records) if record["kind"] == "set_aside")
+    left = [record["left"]["others"] for record in records[place + 1 :]]
+    assert left == [float(number) for number in reversed(range(len(left)))]
+
+
+@pytest.mark.long
 def test_a_robot_that_fails_in_one_further_repetition_after_another_is_set_aside(execute: Callable[..., Any]) -> None:
     head = HEAD.replace("if context.robot.ends", "if context.repetition > 5 and context.robot.ends")
     head = head.replace('"Energy": context.run_seed', '"Energy": context.run_seed % 97')
@@ -200,11 +211,18 @@ def test_one_robot_is_refused_that_is_named_twice_over_two_links_or_addresses(
     for first, second, robot in (
         ("dds://alice", "dds:domain=7,namespace=/alice", "domain 7/alice"),
         ("rosbridge://localhost:9090", "rosbridge://127.0.0.1", "rosbridge localhost:9090"),
+        ("ros2://alice", "ros2:namespace=/alice", "domain 7/alice"),
+        ("ros2://alice", "ros2://alice/", "domain 7/alice"),
+        ("ros2://alice", "ros2:namespace=alice", "domain 7/alice"),
+        ("ros2://alice", "dds://alice", "domain 7/alice"),
+        ("ros2://alice", "ros2:domain=8,namespace=/alice", ""),
+        ("ros2://alice", "ros2", ""),
     ):
         head = HEAD.replace('"simulated://alice", "simulated://bob"', f'a="{first}", b="{second}", c="dds://carol"')
         findings = prepare(write_config(head=head, table=TABLE), looks_at_graph=False).findings
         told = [each.problem for each in findings if each.is_error and "one robot" in each.problem]
-        assert told == [f"a and b are one robot ({robot}), which two runs would drive at the same time"]
+        problem = f"a and b are one robot ({robot}), which two runs would drive at the same time"
+        assert told == ([problem] if robot else [])
 
 
 @pytest.mark.parametrize(("warm_up", "told"), [("1", 1), ("2", 0), ('WarmUp(1, per="Speed")', 1)])

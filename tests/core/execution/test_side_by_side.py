@@ -32,6 +32,29 @@ def launch_mission(self, context):
     time.sleep(0.3)
 def populate_run_data(self, context): return {"Energy": context.run_seed + context.combination["Speed"]}
 """
+#: Has a mission last until something is so, in the process of its run.
+UNTIL = """
+def until(is_so):
+    import time
+    deadline = time.monotonic() + 60
+    while not is_so():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+"""
+#: The first missions of a kind last until as many have begun, as a busy machine begins one long after another.
+TOGETHER = (
+    UNTIL
+    + """
+claims = []
+def launch_mission(self, context):
+    print(f"{context.run_id} waits")
+    kind, most = ("measured", 4) if context.repetition else ("warm-up", 2)
+    folder = Path(__file__).parent
+    (folder / f"{kind} {context.run_id}").touch()
+    RobotRunnerConfig.until(lambda: len(list(folder.glob(f"{kind} *"))) >= most)
+def populate_run_data(self, context): return {"Energy": context.run_seed + context.combination["Speed"]}
+"""
+)
 
 
 def spans(executed: Any) -> dict[tuple[str, int], tuple[float, float]]:
@@ -53,7 +76,7 @@ def overlap(one: tuple[float, float], other: tuple[float, float]) -> bool:
 
 
 def test_as_many_runs_are_in_flight_as_there_are_workers_and_each_says_where(execute: Callable[..., Any]) -> None:
-    executed = execute(WAITING, table=EIGHT, workers=4)
+    executed = execute(TOGETHER, table=EIGHT, workers=4)
     assert [row["status"] for row in executed.table] == ["Done"] * 8
     assert most_in_flight(executed) == 4
     places = [(record["place"], record.get("slot", 1)) for record in executed.journal("attempt_started")]
@@ -104,6 +127,11 @@ class Lamp(System):
     def launch_mission(self, context):
         import time
         context.share(port=self.port)
+        begun, deadline = Path(__file__).with_name(f"begun {self.port}"), time.monotonic() + 60
+        begun.touch()
+        while len(list(begun.parent.glob("begun *"))) < 2:  # until one begins that has another claim
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
         time.sleep(0.2)
 
 class RobotRunnerConfig(ExperimentConfig):
@@ -149,16 +177,17 @@ def test_what_a_failed_run_leads_to_is_the_same_with_several_in_flight(execute: 
 
 
 def test_stop_begins_no_more_runs_and_lets_those_in_flight_end(execute: Callable[..., Any]) -> None:
-    body = """
-    claims = []
-    on_failure = FailurePolicy.STOP
-    def launch_mission(self, context):
-        import time
-        if context.run_id == "r_1":
-            time.sleep(0.3)
-            raise RuntimeError("enough")
-        time.sleep(0.8)
-    """
+    body = f"""{UNTIL}
+claims = []
+on_failure = FailurePolicy.STOP
+def launch_mission(self, context):
+    folder, journal = Path(__file__).parent, context.experiment_folder / "journal.jsonl"
+    (folder / f"begun {{context.run_id}}").touch()
+    if context.run_id == "r_1":
+        RobotRunnerConfig.until(lambda: len(list(folder.glob("begun *"))) == 3)
+        raise RuntimeError("enough")
+    RobotRunnerConfig.until(lambda: "attempt_finished" in journal.read_text())
+"""
     executed = execute(body, table=EIGHT, workers=3)
     assert [row["status"] for row in executed.table] == ["Failed", "Done", "Done", *["-"] * 5]
     assert executed.finished.stopped_by == "on_failure"
@@ -166,7 +195,7 @@ def test_stop_begins_no_more_runs_and_lets_those_in_flight_end(execute: Callable
 
 def test_what_warms_up_is_over_before_anything_is_measured(execute: Callable[..., Any]) -> None:
     table = EIGHT.replace("repetitions=2,", "repetitions=2, warm_up=WarmUp(2),")
-    executed = execute(WAITING, table=table, workers=4)
+    executed = execute(TOGETHER, table=table, workers=4)
     warm = [record["run"] for record in executed.journal("attempt_started") if record["repetition"] == 0]
     moments = {run: span for (run, _), span in spans(executed).items()}
     assert len(warm) == 2

@@ -8,13 +8,17 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.core.links.ssh_server import SshServer
+from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.errors import CommandError, ConfigError, LinkError
+from robot_runner.core.links import host_commands
 from robot_runner.core.links.declared_host import Host, Reboot, are_hosts
 from robot_runner.core.links.host_commands import opened_host
 from robot_runner.core.links.ssh_command import KeptConnection
@@ -59,16 +63,21 @@ def warned(context: RobotRunnerContext) -> str:
     return "\n".join(finding.problem for finding in context.broker.findings)
 
 
+def sleep(number: int) -> str:
+    """Return a command line that takes for ever, and that no other process which executes tests has."""
+    return f"sleep {4710 + number}.{os.getpid()}"
+
+
 def is_alive(command: str) -> bool:
     """Whether a process with this command line is there."""
+    return command.encode() in {b" ".join(words) for words in command_lines()}
+
+
+def command_lines() -> Iterator[list[bytes]]:
+    """Yield the words of each process's command line, which need not be text."""
     for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            line = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode().strip()
-        except OSError:
-            continue
-        if line == command:
-            return True
-    return False
+        with suppress(OSError):
+            yield (folder / "cmdline").read_bytes().rstrip(b"\0").split(b"\0")
 
 
 def test_a_command_tells_what_it_wrote_and_how_it_ended(host: HostCommands, context: RobotRunnerContext) -> None:
@@ -96,13 +105,9 @@ def test_a_command_is_ended_at_its_deadline_with_all_that_it_started(
     host.run("true")
     started = time.monotonic()
     with pytest.raises(CommandError, match=r"did not end within 3 s: begun"):
-        host.run("echo begun; sleep 4711.5 & sleep 4712.5; echo never", timeout_s=3.0)
+        host.run(f"echo begun; {sleep(1)} & {sleep(2)}; echo never", timeout_s=3.0)
     assert time.monotonic() - started < 15
-    deadline = time.monotonic() + 5
-    while time.monotonic() < deadline and (is_alive("sleep 4711.5") or is_alive("sleep 4712.5")):
-        time.sleep(0.05)
-    assert not is_alive("sleep 4711.5")
-    assert not is_alive("sleep 4712.5")
+    wait_until(lambda: not is_alive(sleep(1)) and not is_alive(sleep(2)))
     assert "begun\n[it did not end in time, and was ended" in (context.run_folder / "robot/commands.log").read_text()
     assert host.run("echo again").output == "again\n"
 
@@ -235,12 +240,14 @@ def test_no_more_is_fetched_than_may_be(
 
 
 def test_what_has_not_come_in_time_is_told_and_what_came_is_whole(
-    host: HostCommands, context: RobotRunnerContext, tmp_path: Path
+    host: HostCommands, context: RobotRunnerContext, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "log").write_text("x")
     assert [path.name for path in host.fetch(f"{tmp_path}/log", timeout_s=20)] == ["log"]
     with (tmp_path / "huge").open("wb") as file:
         file.truncate(900_000_000)  # tar reads and sends every byte of it
+    moments = iter([0.0, 0.0, 0.06])  # the fetch begins at once, also on a busy machine
+    monkeypatch.setattr(host_commands, "time", SimpleNamespace(monotonic=moments.__next__))
     assert host.fetch(f"{tmp_path}/huge", f"{tmp_path}/log", timeout_s=0.05) == []
     assert f"{tmp_path}/huge was not fetched whole within" in warned(context)
     assert f"{tmp_path}/log was not fetched: 0.05 s were over" in warned(context)
@@ -271,16 +278,13 @@ def test_a_connection_that_is_lost_fails_the_command_and_is_made_again(
 ) -> None:
     host = opened_host({"robot": Host(address="robot", ssh_config=server.config)}, "robot", context)
     host.run("true")
-    timer = threading.Timer(0.5, server.cut)
-    timer.start()
-    with pytest.raises(LinkError, match=r"the connection was lost while 'sleep 4713.5' was executed"):
-        host.run("sleep 4713.5", timeout_s=20)
-    timer.join()
+    cutting = threading.Thread(target=lambda: wait_until(lambda: is_alive(sleep(3))) and server.cut())
+    cutting.start()
+    with pytest.raises(LinkError, match=rf"the connection was lost while '{sleep(3)}' was executed"):
+        host.run(sleep(3), timeout_s=PATIENCE)
+    cutting.join()
     assert host.run("echo back").output == "back\n"
-    deadline = time.monotonic() + 5
-    while time.monotonic() < deadline and is_alive("sleep 4713.5"):
-        time.sleep(0.05)
-    assert not is_alive("sleep 4713.5")
+    wait_until(lambda: not is_alive(sleep(3)))
 
 
 def test_a_connection_whose_master_is_still_ending_counts_as_lost(server: SshServer) -> None:
@@ -316,12 +320,12 @@ from pathlib import Path
 from robot_runner import Host
 from robot_runner.testing import FakeClock, make_context
 
-address, config = sys.argv[1:]
+address, config, command = sys.argv[1:]
 host = Host(address=address, ssh_config=config or None)
 context = make_context(Path("experiment"), robot=None, clock=FakeClock(), hosts={"robot": host})
 context.host("robot").run("true", timeout_s=30)
 print("ready", flush=True)
-context.host("robot").run("sleep 4714.5 & sleep 4715.5", timeout_s=600)
+context.host("robot").run(command, timeout_s=600)
 """
 
 
@@ -329,38 +333,15 @@ def test_a_run_that_is_killed_leaves_neither_command_nor_connection(
     declare: Callable[..., Host], tmp_path: Path
 ) -> None:
     host = declare()
-    line = [sys.executable, "-c", KILLED, host.address, str(host.ssh_config or "")]
+    line = [sys.executable, "-c", KILLED, host.address, str(host.ssh_config or ""), f"{sleep(4)} & {sleep(5)}"]
     with subprocess.Popen(line, stdout=subprocess.PIPE, cwd=tmp_path) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == b"ready\n"
-        deadline = time.monotonic() + 20
-        while time.monotonic() < deadline and not is_alive("sleep 4715.5"):
-            time.sleep(0.05)
-        assert is_alive("sleep 4715.5")
+        wait_until(lambda: is_alive(sleep(5)))
         process.kill()
-    deadline = time.monotonic() + 20
-    while time.monotonic() < deadline and (
-        left := [each for each in ("4714.5", "4715.5") if is_alive(f"sleep {each}")]
-    ):
-        time.sleep(0.05)
-    assert left == []
-    if host.ssh_config is not None:
-        while time.monotonic() < deadline and (masters := masters_of(host.ssh_config)):
-            time.sleep(0.05)
-        assert masters == []
-
-
-def masters_of(config: Path) -> list[str]:
-    """Return the command lines of ssh clients that use this config."""
-    found = []
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            words = (folder / "cmdline").read_bytes().decode().split("\0")
-        except OSError:
-            continue
-        if words[0] == "ssh" and str(config) in words:
-            found.append(" ".join(words))
-    return found
+    wait_until(lambda: not is_alive(sleep(4)) and not is_alive(sleep(5)))
+    config = str(host.ssh_config).encode()
+    wait_until(lambda: not [words for words in command_lines() if words[0] == b"ssh" and config in words])
 
 
 @pytest.mark.parametrize(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from robot_runner.core.errors import ConfigError, LinkError
+from robot_runner.core.errors import LinkError
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.links.connect import is_simulated, link_findings, open_clock
-from robot_runner.core.links.robot_name import RobotName, Robots
+from robot_runner.core.links.robot_name import RobotName
 
 
 def test_a_plain_name_has_no_options():
@@ -60,11 +60,3 @@ def test_a_namespace_that_cannot_be_one_is_refused_before_anything_is_opened(rob
     assert finding.is_error
     assert f"robot is {robot!r}, which names a robot of a graph by its namespace" in finding.problem
     assert finding.fix == "Say dds://alice, or dds for all of it."
-
-
-def test_one_robot_in_two_spellings_is_named_twice():
-    for same in ("ros2:namespace=/alice", "ros2://alice/", "ros2:namespace=alice"):
-        with pytest.raises(ConfigError, match="is named twice"):
-            Robots(a="ros2://alice", b=same)
-    assert len(Robots(a="ros2://alice", b="ros2:domain=7,namespace=/alice", c="ros2", d="dds://alice").links) == 4
-    assert len(Robots(a="simulated", b="simulated").links) == 2

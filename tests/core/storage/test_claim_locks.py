@@ -148,3 +148,20 @@ def test_a_user_without_a_home_folder_is_told_what_to_set(monkeypatch: pytest.Mo
 
 def _without_home(path: Path) -> Path:
     raise RuntimeError(f"Could not determine home directory of {path}.")
+
+
+def test_a_whole_graph_and_a_robot_on_it_are_not_claimed_at_the_same_time() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLDING], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as first:
+        assert first.stdout is not None
+        assert first.stdout.readline() == "held\n"
+        for claim in ("robot:ros2:/", "robot:ros2://alice/arm"):
+            with (
+                pytest.raises(ExecutionError, match="may be one robot with robot:ros2://alice, which is in use by"),
+                HeldClaims([claim], "second", Path("/results/second")),
+            ):
+                pass
+        with HeldClaims(["robot:ros2://bob", "robot:ros2://alic"], "third", Path("/results/third")):
+            pass
+        first.communicate()

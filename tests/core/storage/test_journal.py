@@ -207,7 +207,7 @@ def test_a_journal_that_is_removed_or_replaced_while_it_is_open_is_put_back_whol
 
 def test_a_journal_that_was_removed_does_not_take_the_place_of_one_that_another_process_writes(tmp_path: Path) -> None:
     path = tmp_path / "journal.jsonl"
-    first = Journal(path, others_execute=lambda: True)
+    first = Journal(path, successor=lambda: "another process has executed the experiment anew since")
     first.append("first")
     path.unlink()
     with Journal(path) as other:
@@ -226,9 +226,25 @@ def test_a_journal_whose_folder_is_removed_while_it_is_open_is_an_error(tmp_path
     path.parent.mkdir()
     journal = Journal(path)
     shutil.rmtree(path.parent)
-    with pytest.raises(StorageError, match="cannot be written"):
+    with pytest.raises(StorageError, match="the experiment's folder was removed while it was executed"):
         journal.close()
     journal.close()
+
+
+def test_what_is_written_beside_a_journal_has_it_put_back_and_is_refused_where_it_was_moved(tmp_path: Path) -> None:
+    path = tmp_path / "journal.jsonl"
+    with Journal(path) as journal:
+        journal.stay_in_place()
+        journal.append("first")
+        path.unlink()
+        journal.stay_in_place()
+        assert [record["kind"] for record in read_journal(path)] == ["first"]
+        path.rename(tmp_path / "moved.jsonl")
+        with pytest.raises(StorageError, match="it was moved while it was written"):
+            journal.stay_in_place()
+        path.write_text("another's")
+        with pytest.raises(StorageError, match="it was moved while it was written"):
+            journal.stay_in_place()
 
 
 def test_a_journal_that_is_moved_while_it_is_open_goes_on_where_it_is(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import errno
 import fcntl
 import os
 import resource
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 
 from robot_runner.core.errors import ExecutionError, StorageError
 from robot_runner.core.storage import lock
-from robot_runner.core.storage.journal import Journal
+from robot_runner.core.storage.journal import Journal, read_journal
 from robot_runner.core.storage.lock import (
     ExperimentLock,
     holder_of,
@@ -125,6 +126,30 @@ def test_an_experiment_that_is_moved_while_it_is_executed_does_not_go_on_in_two_
     assert caught.value.where == str(folder)
     assert f"its journal is {there}" in caught.value.problem or not Path("/proc/self/fd").exists()
     assert '"paused"' in (there / "journal.jsonl" if there.is_dir() else there).read_text(encoding="utf-8")
+
+
+def test_an_experiment_whose_folder_was_removed_and_made_anew_is_refused_and_its_journal_kept_there(
+    tmp_path: Path,
+) -> None:
+    folder = tmp_path / "study"
+    folder.mkdir()
+    (tmp_path / "link").symlink_to(folder)
+    for path in (folder, tmp_path / "link"):
+        with ExperimentLock(path / ".lock") as lock:
+            journal = Journal(path / "journal.jsonl", lock.successor)
+            journal.append("experiment_started", flush=True)
+            assert lock.look_after(journal) == []
+            shutil.rmtree(folder)
+            with pytest.raises(ExecutionError, match="folder was removed while it was executed"):
+                lock.look_after(journal)
+            folder.mkdir()  # as what a run keeps has it made again
+            with pytest.raises(ExecutionError, match="folder was removed while it was executed"):
+                lock.refuse_other_folder(journal)
+            with pytest.raises(StorageError, match="its folder was made anew since"):
+                journal.close()
+        (kept,) = folder.iterdir()
+        assert [each["kind"] for each in read_journal(kept)] == ["experiment_started"]
+        kept.unlink()
 
 
 @pytest.mark.parametrize("number", [errno.ESTALE, errno.EACCES, errno.EIO])

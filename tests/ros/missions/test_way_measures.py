@@ -175,6 +175,24 @@ def test_a_way_by_odometry_that_falls_silent_is_doubted(tmp_path: Path) -> None:
     assert "no odometry arrived for 3" in doubt.problem
 
 
+def test_a_way_by_odometry_that_tells_no_direction_is_measured(tmp_path: Path) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+
+    def tell() -> None:  # as a tracker does that sees one marker
+        place, turned = {"x": 0.5 * clock.now(), "y": 0.0, "z": 0.0}, dict.fromkeys("xyzw", 0.0)
+        stamp = {"sec": int(clock.now()), "nanosec": round(clock.now() % 1 * 1e9)}
+        link.deliver("odom", {"header": {"stamp": stamp}, "pose": {"pose": {"position": place, "orientation": turned}}})
+
+    clock.every(0.05, tell)
+    way = WayMeasures("odom", None, None, where="Go")
+    way.begin(link, context := _context(tmp_path, clock, link), timeout=5.0)
+    way.begin_mission()
+    clock.sleep(4.0)
+    assert way.end_mission(context) == {"PathLength": pytest.approx(2.0, abs=0.06)}
+    assert not context.broker.findings
+
+
 def _flying(tmp_path: Path, *, by_tf: bool, starts_anew: bool) -> tuple[float | None, Sequence[Finding]]:
     """Return the way of a robot that rises by 0.3 m/s and flies ahead by 0.4 m/s for 8 s, and what is doubted."""
     clock = FakeClock()

@@ -35,7 +35,7 @@ def execute(arguments: Namespace) -> int:
     """Tell the experiment to go on, and see that it has taken the request."""
     folder = target_or_only("continue", arguments.target, arguments.set)
     status = read_status(folder.root)
-    if status.is_paused or status.pause_is_requested:
+    if (status.is_paused or status.pause_is_requested) and not arguments.answer:
         forget_requests(folder.pause)
         print(f"{status.experiment_name} {'goes on' if status.is_paused else 'does not pause'}.")
         return 0

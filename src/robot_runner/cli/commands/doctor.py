@@ -33,10 +33,13 @@ from robot_runner.cli.parser import Parser, add_json
 from robot_runner.core.config.claims import usable_cores
 from robot_runner.core.entry_points import EntryPoint
 from robot_runner.core.errors import RobotRunnerError
+from robot_runner.core.execution.left_systems import may_be_moving
 from robot_runner.core.late_annotations import signature_of
 from robot_runner.core.links.connect import link_findings
 from robot_runner.core.links.kinds import installed_links
 from robot_runner.core.plugin import Circumstances, installed_plugins, load_plugin
+from robot_runner.core.storage.claim_locks import last_holders
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import enumerated, one_line
 
 #: It can be used; it is not here, or has to be told something; it is here and cannot be used.
@@ -116,6 +119,7 @@ def questions() -> list[Question]:
         *(Question("Links", link, partial(_link, link)) for link in installed_links() if link not in _LOOKED_FOR),
         *(Question("Meters", each.name, partial(_meter, each)) for each in installed_plugins("profilers")),
         *device_questions(Path("/dev")),
+        Question("Robots", "killed experiments", _left_moving),
     ]
 
 
@@ -257,6 +261,15 @@ def _link(link: str) -> tuple[str, str, str]:
     for finding in link_findings(link):
         return ABSENT, finding.problem, finding.fix
     return READY, "", ""
+
+
+def _left_moving() -> tuple[str, str, str]:
+    """Tell of robots that experiments were killed with, of those that have claimed something last."""
+    holders = [(each.folder, ExperimentFolder.found_at(Path(each.folder))) for each in last_holders()]
+    found = [(where, each) for where, folder in holders for each in may_be_moving(folder)]
+    if not found:
+        return READY, "none has left a robot that may be moving", ""
+    return BROKEN, "; ".join(f"{each.problem} ({where})" for where, each in found), found[0][1].fix
 
 
 def _meter(installed: EntryPoint) -> tuple[str, str, str]:

@@ -101,7 +101,8 @@ def _to_do(status: ExperimentStatus) -> str:
         return ""
     place = f" ({status.waiting_for['place']})" if status.waiting_for["place"] else ""
     run = f"say that {status.waiting_for['next_run']}{place} may start"
-    when = "in" if any(each.run == status.waiting_for["next_run"] for each in status.in_flight) else "before"
+    is_in = any(each.run == status.waiting_for["next_run"] for each in status.in_flight)
+    when = "after" if status.waiting_for["is_after"] else "in" if is_in else "before"
     step = f"{status.waiting_for['step']}, {when} {status.waiting_for['next_run']}{place}"
     asked = ", ".join(question.asked for question in questions_of(status))
     return (step if status.waiting_for["step"] else run) + (f"; then tell {asked}" if asked else "")
@@ -157,9 +158,11 @@ def _state(status: ExperimentStatus) -> str:
             return "not being executed; `robot-runner run` with its config resumes it"
         return "all runs are done"
     who = f"process {status.holder.pid} on {status.holder.host}"
-    if status.is_waiting_for_user:
-        return f"waits for you ({who}): {continue_command(status.folder, questions_of(status))}"
     to_go_on = continue_command(status.folder)
+    if status.is_waiting_for_user:
+        pause = "is paused" if status.is_paused else "pauses then" if status.pause_is_requested else ""
+        beside = f"; {pause}, which {to_go_on} ends first" if pause else ""
+        return f"waits for you ({who}): {continue_command(status.folder, questions_of(status))}{beside}"
     if status.is_paused:
         return f"is paused ({who}): {to_go_on}"
     after = f" and pauses before the next run (to take it back: {to_go_on})" if status.pause_is_requested else ""

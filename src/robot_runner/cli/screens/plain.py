@@ -73,11 +73,11 @@ def closing(run_id: str) -> str:
 
 
 def request(waiting: notices.WaitingForUser, *, by_key: bool) -> str:
-    """Return what the user is asked for before a run."""
+    """Return what the user is asked for before a run, or after it."""
     command = continue_command(waiting.folder, waiting.questions)
     run = f"run {waiting.next_run_number} of {waiting.run_count}"
     if not by_key:
-        return f"Waiting before {run}. To go on: {command}"
+        return f"Waiting {'after' if waiting.is_after else 'before'} {run}. To go on: {command}"
     if waiting.questions:
         return f"Answer when it is done, or in another terminal: {command}"
     wanted = "when it is done" if waiting.step else f"to start {run}"
@@ -91,13 +91,14 @@ def continue_command(folder: Path, questions: Sequence[Question] = ()) -> str:
 
 
 def run_to_come(waiting: notices.WaitingForUser, model: RunTableModel) -> list[str]:
-    """Return what is said of the run that the user is asked about: its treatments, and how much is left."""
+    """Return what is said of the run that the user is asked about: its treatments, and how much is left before it."""
     if not waiting.run_id:
         return []
     treatments = treatments_in_words(waiting, model)
     place = f", {waiting.place}" if waiting.place else ""
     run = f"{waiting.run_id}, run {waiting.next_run_number} of {waiting.run_count}{place}"
-    lines = [f"Next is {run}{f': {treatments}' if treatments else ''}"]
+    which = "This is about" if waiting.is_after else "Next is"
+    lines = [f"{which} {run}{f': {treatments}' if treatments else ''}"]
     if waiting.runs_left is not None:
         about = f", {waiting.left.in_words()}" if waiting.left is not None else " left"
         lines.append(f"{counted(waiting.runs_left, 'run')}{about}")

@@ -143,23 +143,26 @@ class Claims:
         for link in links:
             with suppress(LinkError):  # that there is no such robot is told where it is checked
                 robot = f"robot:{robot_on_graph(link)}"
-                yield from (f"{robot}/{each}".rstrip("/") for each in namespaces or {""})
+                yield from (f"{robot}/{each}".rstrip("/") for each in namespaces)
 
     def _namespaces(self, combinations: Sequence[Mapping[str, Any]]) -> set[str]:
         """Return the namespaces that plugins, and those that they are made of, have in any of these runs.
 
-        None, an empty one, is the robot's own: a system operates it there, and a profiler may be about any other.
+        None, an empty one, is the robot's own: a system operates it there, or else callbacks do; a profiler may be
+        about any other.
         """
-        found = set()
+        found: set[str] = set()
+        is_operated = False
         for plugin in self._plugins:
             apart = {str(values_of(plugin, each)): each for each in combinations}
             for combination in apart.values():
                 with suppress(Exception):  # treatments that it does not take fail their run
                     for part in with_parts([built_with(plugin, combination)]):
-                        own = getattr(part, "namespace", None)
-                        if own or (own is not None and isinstance(part, System)):
+                        own, is_system = getattr(part, "namespace", None), isinstance(part, System)
+                        if own or (own is not None and is_system):
                             found.add(str(own).strip("/"))
-        return found
+                            is_operated = is_operated or is_system
+        return found if is_operated else found | {""}
 
     def _of_plugin(self, plugin: Plugin, combination: Mapping[str, Any], robot: str | None) -> tuple[str, ...]:
         treatments = values_of(plugin, combination) if factors_of(plugin) else {}

@@ -54,6 +54,8 @@ def _step_findings(at: str, step: OperatorStep, names: Mapping[str, int]) -> Ite
     if every is not None and (not is_whole(every) or every < 1):
         yield Finding.error(at, f"every is {every!r}", "Give a whole number of runs, 1 or more.")
     given = [rule for rule in _RULES if getattr(step, rule)]
+    if step.is_after:
+        given += [name for name in ("before", "after") if getattr(step, name) is not None]
     if len(given) > 1:
         yield Finding.error(at, f"{enumerated(given)} are given", "Give one of them, or make two steps.")
 
@@ -67,34 +69,43 @@ def _when_findings(at: str, step: OperatorStep, model: RunTableModel | None) -> 
         for name in filter(None, step.factors):
             if name not in factors:
                 yield Finding.error(at, f"when_changes: there is no factor {name!r}", did_you_mean(name, factors))
-    if isinstance(step.before, Mapping):
-        if factors is not None:
-            yield from _mapping_findings(at, step.before, factors)
-    elif callable(step.before):
+    yield from _condition_findings(at, "before", step, model)
+    yield from _condition_findings(at, "after", step, model)
+
+
+def _condition_findings(at: str, rule: str, step: OperatorStep, model: RunTableModel | None) -> Iterator[Finding]:
+    condition = step.before if rule == "before" else step.after
+    if isinstance(condition, Mapping):
         if model is not None:
-            yield from _tried(at, step, model)
-    elif step.before is not None:
-        fix = 'Give treatments by factor, such as {"Task": "Video"}, or a function of them.'
-        yield Finding.error(at, f"before is {step.before!r}", fix)
+            yield from _mapping_findings(at, rule, condition, {factor.name: factor for factor in model.factors})
+    elif callable(condition):
+        if model is not None:
+            yield from _tried(at, rule, step, model)
+    elif condition is not None and not (rule == "after" and isinstance(condition, bool)):
+        for_each = "True for each run, or " if rule == "after" else ""
+        fix = f'Give {for_each}treatments by factor, such as {{"Task": "Video"}}, or a function of them.'
+        yield Finding.error(at, f"{rule} is {condition!r}", fix)
 
 
-def _mapping_findings(at: str, before: Mapping[Any, Any], factors: Mapping[str, Factor]) -> Iterator[Finding]:
-    for name, wanted in before.items():
+def _mapping_findings(
+    at: str, rule: str, condition: Mapping[Any, Any], factors: Mapping[str, Factor]
+) -> Iterator[Finding]:
+    for name, wanted in condition.items():
         if name not in factors:
-            yield Finding.error(at, f"before: there is no factor {name!r}", did_you_mean(str(name), factors))
+            yield Finding.error(at, f"{rule}: there is no factor {name!r}", did_you_mean(str(name), factors))
             continue
         for each in factors[name].named(wanted):
             if factors[name].position_of(each) is None:
-                problem = f"before: {each!r} is no treatment of {name!r}"
+                problem = f"{rule}: {each!r} is no treatment of {name!r}"
                 yield Finding.error(at, problem, factors[name].suggestion(each))
 
 
-def _tried(at: str, step: OperatorStep, model: RunTableModel) -> Iterator[Finding]:
+def _tried(at: str, rule: str, step: OperatorStep, model: RunTableModel) -> Iterator[Finding]:
     for run in islice(model.plan(), _TRIED):
         try:
             step.suits(run.combination)
         except (Exception, SystemExit) as error:  # noqa: BLE001 - the user's own function
-            problem = f"before({run.combination}) raised {type(error).__name__}: {error}"
+            problem = f"{rule}({run.combination}) raised {type(error).__name__}: {error}"
             yield Finding.error(at, problem, "Mend the function: it is given the treatments by factor.")
             return
 

@@ -1,4 +1,4 @@
-"""What a person does before a run, and what they are asked: steps, when they are due, and typed answers."""
+"""What a person does before or after a run, and what they are asked: steps, when due, and typed answers."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _YES, _NO = frozenset({"y", "yes", "true", "1"}), frozenset({"n", "no", "false",
 #: What of a question is plain data as it is.
 _PLAIN = ("unit", "low", "high", "note", "optional", "text")
 
-#: Before which runs a step is done: a function of the treatments, or the treatments that it is done for, by factor.
+#: For which runs a step is done: a function of the treatments, or the treatments that it is done for, by factor.
 StepCondition = Callable[[Mapping[str, Any]], bool] | Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What a person is asked before a run. The answer is a measure of that run, entered by hand, or a note of it.
+    """What a person is asked about a run. The answer is a measure of that run, entered by hand, or a note of it.
 
     Attributes:
         name: the column of the run table, such as `voltage`.
@@ -159,7 +159,8 @@ def _shown(choice: Any) -> str:
 class OperatorStep:
     """What a person does before a run, such as swapping a battery. The run starts once they say that it is done.
 
-    A step is done before each run, and before each further attempt at it, unless one of these says otherwise:
+    A step is done before each run, and before each further attempt at it, unless one of these says otherwise. With
+    `after` it is done once a run is done, and the next one at its place waits until then.
 
     Attributes:
         name: what is to be done, as the person reads it.
@@ -167,6 +168,7 @@ class OperatorStep:
         when_changes: a factor, or several: where their treatments are not those that it was done for last.
         first: once, before the first run.
         before: only before these runs; beside any of the three above.
+        after: after each run that is done (`True`), or after these; beside none of the others.
         ask: what the person is asked when it is done.
 
     Example:
@@ -180,6 +182,12 @@ class OperatorStep:
     when_changes: str | Sequence[str] = ()
     first: bool = False
     before: StepCondition | None = None
+    after: StepCondition | bool | None = None
+
+    @property
+    def is_after(self) -> bool:
+        """Whether the step is done after runs."""
+        return self.after is not None and self.after is not False
 
     @property
     def factors(self) -> tuple[str, ...]:
@@ -192,19 +200,20 @@ class OperatorStep:
         return self.every is None and not self.factors and not self.first
 
     def suits(self, combination: Mapping[str, Any]) -> bool:
-        """Return whether `before` lets the step be done before a run with these treatments."""
-        if self.before is None:
+        """Return whether `before`, or `after`, lets the step be done for a run with these treatments."""
+        condition = self.after if self.is_after else self.before
+        if condition is None or isinstance(condition, bool):
             return True
-        if not isinstance(self.before, Mapping):
-            return bool(self.before(combination))
+        if not isinstance(condition, Mapping):
+            return bool(condition(combination))
         return all(
             any(treatments_are_equal(combination[factor], each) for each in _treatments_among(wanted))
-            for factor, wanted in self.before.items()
+            for factor, wanted in condition.items()
         )
 
 
 def _treatments_among(wanted: Any) -> Sequence[Any]:
-    """Return what one entry of `before` may name, as `Factor.named` decides: one treatment, or several."""
+    """Return what one entry of a condition may name, as `Factor.named` decides: one treatment, or several."""
     return (wanted, *wanted) if isinstance(wanted, list | tuple | range | set | frozenset) else (wanted,)
 
 
@@ -222,6 +231,11 @@ def operator_measures(steps: Sequence[OperatorStep]) -> tuple[Measure, ...]:
         for question in step.ask
         if not question.note
     )
+
+
+def asked_after(steps: Sequence[OperatorStep]) -> frozenset[str]:
+    """Return the names of the questions that are asked after runs."""
+    return frozenset(question.name for step in steps if step.is_after for question in step.ask)
 
 
 def read_answers(

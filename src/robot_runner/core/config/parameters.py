@@ -120,7 +120,9 @@ class StaticParameters:
         OperationType.AUTO,
     )
     operator_steps: Sequence[OperatorStep] = _declare(
-        "What a person does before a run, and what they are asked: `OperatorStep(...)`.", kinds.OPERATOR_STEPS, ()
+        "What a person does before or after a run, and what they are asked: `OperatorStep(...)`.",
+        kinds.OPERATOR_STEPS,
+        (),
     )
     time_between_runs_in_ms: int = _declare(
         "How long the robot rests between two runs, in milliseconds.", kinds.whole(0, " of milliseconds"), 0

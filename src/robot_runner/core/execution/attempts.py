@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from typing import Any
@@ -70,6 +70,7 @@ class Attempts:
         """
         ongoing = self._ongoing
         name = "" if ongoing.has_one_place else place.name
+        to_ask = self._operator.due_after(run)
         yield from self._between_runs.prepare(run, finished, place, name, is_cleared=is_cleared)
         outcome = None
         for attempts_left in range(self._left.pop(run.run_id, self._parameters.attempts - 1), -1, -1):
@@ -82,15 +83,21 @@ class Attempts:
             task = replace(self._progress.begin(run, name, place.slot), attempts_left=attempts_left)
             ongoing.notify(AttemptStarted(task, self._progress.time_left))
             outcome = yield from self._attempt(task, place, passage)
-            if self._keep(task, outcome):
+            if self._keep(task, outcome, to_ask):
                 break
         has_failed = outcome is not None and outcome.status is AttemptStatus.FAILED
         if has_failed and not self.is_to_do_elsewhere(run) and self._parameters.on_failure is FailurePolicy.STOP:
             ongoing.stopped_by = ongoing.stopped_by or "on_failure"
+        if outcome is not None and outcome.status is AttemptStatus.DONE:
+            yield from self._operator.ask_after(run, name, outcome, to_ask)
         return outcome
 
-    def _keep(self, task: RunTask, outcome: RunOutcome) -> bool:
-        """Keep how an attempt went; return whether it was the last one."""
+    def ask_about_earlier(self) -> Steps[None]:
+        """Have the steps done that are due after runs of earlier sessions, which ended before they were."""
+        return self._operator.ask_about_earlier()
+
+    def _keep(self, task: RunTask, outcome: RunOutcome, to_ask: Sequence[str]) -> bool:
+        """Keep how an attempt went, and what is asked after one that is done; return whether it was the last one."""
         is_last = outcome.status is not AttemptStatus.FAILED or bool(self._ongoing.stopped_by)
         if outcome.is_lost and not is_last:
             # Beyond what the config grants to attempts that were lost, such a one is one of `attempts`.
@@ -101,7 +108,8 @@ class Attempts:
         is_to_do = task.run_id in self._left
         is_last = is_last or (task.attempts_left == 0 and not is_to_do)
         self._find(self._clock.look(task.run_id, outcome.findings))
-        noticed = self._progress.record_outcome(task, outcome, is_last=is_last)
+        to_ask = to_ask if outcome.status is AttemptStatus.DONE else ()
+        noticed = self._progress.record_outcome(task, outcome, is_last=is_last, to_ask=to_ask)
         self._ongoing.notify(AttemptFinished(task, outcome, is_last, self._progress.time_left))
         if noticed:
             self._ongoing.notify(FindingsNoticed(noticed))

@@ -16,6 +16,7 @@ from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import Quality, quality_of_value
 from robot_runner.core.execution.durations import TimeLeft
 from robot_runner.core.execution.places import InFlight
+from robot_runner.core.execution.step_history import StepHistory
 from robot_runner.core.storage.cells import ENDS, RunStatus
 from robot_runner.core.storage.executed_runs import EXCLUSION_KINDS, ExcludedRuns
 from robot_runner.core.storage.journal import read_journal, seconds_of
@@ -71,6 +72,8 @@ class ExperimentHistory:
         self.warm_ups: set[str] = set()
         self.precision: tuple[str, ...] = ()
         self.decided = ""
+        #: Whether results decided last that no runs follow.
+        self.is_decided = False
         self.is_paused = False
         self.sessions: list[Session] = []
         self._begun: dict[str, None] = {}
@@ -81,6 +84,7 @@ class ExperimentHistory:
         self.gate_seconds = 0.0
         self._in_flight: dict[str, InFlight] = {}
         self._set_aside: list[Finding] = []
+        self._steps = StepHistory()
         self.started_at: str | None = None
         self.finished_at: str | None = None
         self.combinations: dict[str, Mapping[str, Any]] = {}
@@ -179,6 +183,11 @@ class ExperimentHistory:
         return {run for run, end in self._ends.items() if end is not RunStatus.TODO}
 
     @property
+    def left_after(self) -> list[Finding]:
+        """What a person is still to do after runs that have ended."""
+        return [each for each in self._steps.left_after if each.where not in self.exclusions.present]
+
+    @property
     def excluded(self) -> dict[str, str]:
         """Why runs of the table are left out, by id."""
         return {run: each.reason for run, each in self.exclusions.present.items() if run in self.statuses}
@@ -234,6 +243,7 @@ class ExperimentHistory:
     def _take_judged(self, record: Mapping[str, Any]) -> None:
         self.precision = tuple(str(each["in_words"]) for each in record.get("precision", ()))
         self.decided = str(record.get("why", ""))
+        self.is_decided = not record.get("runs") or record.get("role") == CONFIRMATION
 
     def _take_extended(self, record: Mapping[str, Any]) -> None:
         self._take_added(record)
@@ -242,6 +252,7 @@ class ExperimentHistory:
 
     def _take_attempt_started(self, record: Mapping[str, Any]) -> None:
         self._in_flight[record["run"]] = InFlight(record["run"], record.get("place", ""))
+        self._steps.begin(record["run"])
         self._since_table[record["run"]] = RunStatus.RUNNING  # to do again where it comes to no end, whatever it was
         self._take_left(record)
         if record.get("repetition") != 0:  # a warm-up run comes before each session, whatever the table's order
@@ -263,7 +274,12 @@ class ExperimentHistory:
         }
         self._qualities[record["run"]] = {name: each for name, each in told.items() if each is not Quality.GOOD}
         self._in_flight.pop(record["run"], None)
+        self._steps.expect_after(record)
         self._take_left(record)
+
+    def _take_operator_step(self, record: Mapping[str, Any]) -> None:
+        if record.get("is_after"):
+            self._steps.end_step(record["run"], record["step"])
 
     def _take_left(self, record: Mapping[str, Any]) -> None:
         if record.get("status") != "interrupted":  # then the run is to do again, and what was left at its beginning is
@@ -298,13 +314,14 @@ class ExperimentHistory:
                 "next_run": record["next_run"],
                 "place": record.get("place", ""),
                 "step": record.get("step", ""),
+                "is_after": record.get("is_after", False),
                 "questions": record.get("questions", ()),
             }
 
     def _take_asked(self, record: Mapping[str, Any]) -> None:
         run, step = record["run"], record["step"]
         place = self._in_flight[run].place if run in self._in_flight else ""
-        self._waits[run, step] = {"next_run": run, "place": place, "step": step, "questions": ()}
+        self._waits[run, step] = {"next_run": run, "place": place, "step": step, "is_after": False, "questions": ()}
 
     def _take_answered(self, record: Mapping[str, Any]) -> None:
         self._waits.pop((record["run"], record["step"]), None)

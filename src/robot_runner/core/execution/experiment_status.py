@@ -14,6 +14,7 @@ from robot_runner.core.design.precision import rule_in_words, rules_of_mapping
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.durations import Durations, TimeLeft
 from robot_runner.core.execution.experiment_history import ExperimentHistory, Session
+from robot_runner.core.execution.left_systems import may_be_moving
 from robot_runner.core.execution.places import InFlight
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import moved_in_words, moved_runs, unrecorded_findings
@@ -139,7 +140,10 @@ def status_of(files: ExperimentFolder, history: ExperimentHistory) -> Experiment
     statuses, out = history.statuses, history.excluded
     counting = {run: status for run, status in statuses.items() if run not in out}
     holder = holder_of(files.lock)
-    left = _time_left(files, history, is_executed=holder is not None)
+    repeated = rule_in_words(*rules_of_mapping(manifest.get("repeat_until")))
+    decides = str((manifest.get("design", {}).get("facts") or {}).get("decides", ""))
+    follows = "" if history.is_decided else repeated or decides
+    left = history.left if holder is not None else _time_left(files, history, follows)
     done = [run for run, status in statuses.items() if status is RunStatus.DONE]
     # Of an experiment that is executed the end of a run may have come since the journal was read.
     lost = () if holder is not None else unrecorded_findings(files.journal, done, history.ended, manifest)
@@ -158,7 +162,7 @@ def status_of(files: ExperimentFolder, history: ExperimentHistory) -> Experiment
         failures=tuple(
             f"{run}: {reason}" for run, reason in history.failures.items() if counting.get(run) is RunStatus.FAILED
         ),
-        findings=(*history.findings, *lost),
+        findings=(*history.findings, *lost, *(() if holder else history.left_after), *may_be_moving(files)),
         started_at=history.started_at,
         finished_at=history.finished_at,
         seconds_left=left.after(history.since_left if holder else 0.0) if left is not None else None,
@@ -174,9 +178,9 @@ def status_of(files: ExperimentFolder, history: ExperimentHistory) -> Experiment
         pause_is_requested=holder is not None and is_requested(files.pause),
         lacks_plan=history.lacks_plan,
         order=moved_in_words(moved_runs(list(statuses), history.executed), history.executed),
-        repeated=rule_in_words(*rules_of_mapping(manifest.get("repeat_until"))),
+        repeated=repeated,
         precision=history.precision,
-        decided=history.decided or str((manifest.get("design", {}).get("facts") or {}).get("decides", "")),
+        decided=history.decided or decides,
         gates=tuple(history.gates.values()) if holder else (),
         gate_seconds=history.gate_seconds,
     )
@@ -206,17 +210,16 @@ def _count(statuses: Mapping[str, RunStatus], *wanted: RunStatus) -> int:
     return sum(status in wanted for status in statuses.values())
 
 
-def _time_left(files: ExperimentFolder, history: ExperimentHistory, *, is_executed: bool) -> TimeLeft | None:
-    """Return what is left: as the orchestrator estimated it last, or of all runs that are not done."""
-    if is_executed:
-        return history.left
+def _time_left(files: ExperimentFolder, history: ExperimentHistory, follows: str) -> TimeLeft | None:
+    """Return how long the runs take that are not done; at least so long where others may follow, as is told."""
     out = history.excluded
     unfinished = [run for run, status in history.statuses.items() if not (status is RunStatus.DONE or run in out)]
     if not unfinished:
         return None
     durations = Durations()
     durations.learn_from(files.journal)
-    durations.plan(history.combinations[run] for run in unfinished if run in history.combinations)
+    planned = (history.combinations[run] for run in unfinished if run in history.combinations)
+    durations.plan(planned, follows=follows)
     return durations.left()
 
 

@@ -104,10 +104,11 @@ class WaitingForUser:
     """The next run starts once the user says so (SEMI), or says that a step is done.
 
     Attributes:
-        run_id, combination, repetition: of the next run.
+        run_id, combination, repetition: of the next run, or of the one that is over where `is_after`.
         place: the robot or worker that executes it; empty where there is no other.
         step: what the user is to do; empty where they are only asked whether the run may start.
         questions: what they are asked then.
+        is_after: whether the step comes after the run.
         runs_left: how many runs are to come in this session, the next one included; None where that is not known.
         left: how long these will take; None where that is not known.
     """
@@ -121,6 +122,7 @@ class WaitingForUser:
     place: str = ""
     step: str = ""
     questions: Sequence[Question] = ()
+    is_after: bool = False
     runs_left: int | None = None
     left: TimeLeft | None = None
 

@@ -104,8 +104,9 @@ class Notifications:
                 what = notice.step or "may the next run start?"
                 treatments = ", ".join(f"{name}={shown_treatment(each)}" for name, each in notice.combination.items())
                 place = f", {notice.place}" if notice.place else ""
+                when = "After" if notice.is_after else "Before"
                 body = (
-                    f"Before {notice.run_id}, run {notice.next_run_number} of {notice.run_count}{place}: {treatments}"
+                    f"{when} {notice.run_id}, run {notice.next_run_number} of {notice.run_count}{place}: {treatments}"
                 )
                 yield _Message(f"{self._name} waits for you: {what}", body, "warning")
             case notices.GateWaiting() if "waiting" in wanted and notice.seconds >= _GATE_PATIENCE:
@@ -123,7 +124,9 @@ class Notifications:
     def _progress(self) -> Iterator[_Message]:
         self._ended += 1
         if self._notify is not None and self._notify.every and self._ended % self._notify.every == 0:
-            yield _Message(f"{self._name}: {self._counts(self._done, self._run_count, self._failures)}", "It goes on.")
+            is_last = self._done + self._failures >= self._run_count
+            body = "That was the last one that is planned." if is_last else "It goes on."
+            yield _Message(f"{self._name}: {self._counts(self._done, self._run_count, self._failures)}", body)
 
     @staticmethod
     def _counts(done: int, run_count: int, failed: int) -> str:

@@ -1,15 +1,14 @@
-"""The person who takes part: asked before runs, by the terminal of the experiment or from any other, and taken down.
+"""The person who takes part: asked before runs and after them, by the terminal or from any other, and taken down.
 
 What a person did and answered is a record of the journal, so that an experiment that goes on later knows which steps
-are due: see `_History`.
+are due: see `StepHistory`. Which ones come after a run is in the record of its end, so that what one session did not
+come to ask is asked by the next.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from robot_runner.core.config.operator_steps import OperatorStep, Question, read_answers
@@ -19,86 +18,14 @@ from robot_runner.core.events.measure import OPERATOR_OWNER, MeasureValue, Origi
 from robot_runner.core.execution.notices import AnswersRefused, QuestionAsked, UserHasContinued, WaitingForUser
 from robot_runner.core.execution.orchestrator_events import OngoingExperiment
 from robot_runner.core.execution.patience import Pause, Steps
-from robot_runner.core.execution.task import PendingRun, Report, RunTask
-from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.execution.step_history import StepHistory, still_to_do
+from robot_runner.core.execution.task import OutcomeBuilder, PendingRun, Report, RunOutcome, RunTask
 from robot_runner.core.storage.lock import Asked, take_request
 
 #: How often a second terminal is listened to, in seconds.
 _LISTEN = 0.2
 #: A line that is longer than this was not typed.
 _MOST_BYTES = 64 * 1024
-
-
-@dataclass(slots=True)
-class _Done:
-    """When a step was done last.
-
-    Attributes:
-        treatments: which it was done for, by factor.
-        begun_since: the runs that have begun since.
-        ahead: those that came before it, and had not begun when it was done.
-    """
-
-    treatments: Mapping[str, str]
-    begun_since: set[str] = field(default_factory=set)
-    ahead: set[str] = field(default_factory=set)
-
-
-class _History:
-    """Which steps were done, and what was answered about runs that have not come to their end."""
-
-    def __init__(self) -> None:
-        self._done: dict[str, _Done] = {}
-        self.answers: dict[str, dict[str, MeasureValue]] = {}
-
-    @classmethod
-    def of(cls, journal: Path) -> _History:
-        """Return what the journal tells."""
-        history = cls()
-        for record in read_journal(journal, kinds={"attempt_started", "attempt_finished", "operator_step"}):
-            match record["kind"]:
-                case "operator_step":
-                    history.expect(record["step"], record["treatments"], record.get("ahead", ()))
-                    history.take(record["run"], record["answers"])
-                case "attempt_started":
-                    history.begin(record["run"])
-                case _ if record["is_last"]:
-                    history.end(record["run"], is_interrupted=record["status"] == "interrupted")
-        return history
-
-    def expect(self, step: str, treatments: Mapping[str, str], ahead: Iterable[str]) -> None:
-        """Take down that a step is done for some treatments, after runs that are yet to begin."""
-        self._done[step] = _Done(treatments, ahead=set(ahead))
-
-    def take(self, run_id: str, answers: Mapping[str, MeasureValue]) -> None:
-        """Take down what was answered about a run."""
-        self.answers.setdefault(run_id, {}).update(answers)
-
-    def begin(self, run_id: str) -> None:
-        """Take down that a run begins."""
-        for done in self._done.values():
-            if run_id not in done.ahead:
-                done.begun_since.add(run_id)
-
-    def end(self, run_id: str, *, is_interrupted: bool) -> None:
-        """Take down that a run has ended: if it is executed again, it begins anew, and is asked about anew."""
-        for done in self._done.values():
-            done.ahead.discard(run_id)
-        if not is_interrupted:
-            self.answers.pop(run_id, None)
-
-    def ahead_of(self, step: str, yet_to_begin: Iterable[str]) -> list[str]:
-        """Return which of some runs came before a step was done last."""
-        return [run_id for run_id in yet_to_begin if run_id in self._done[step].ahead]
-
-    def is_due(self, step: OperatorStep, treatments: Mapping[str, str]) -> bool:
-        """Return whether a step is to be done before a run with these treatments of its factors."""
-        done = self._done.get(step.name)
-        if done is None or step.is_for_each_attempt:
-            return True
-        if step.every is not None:
-            return len(done.begun_since) >= step.every
-        return bool(step.factors) and done.treatments != treatments
 
 
 class Operator:
@@ -111,7 +38,9 @@ class Operator:
     def __init__(self, ongoing: OngoingExperiment) -> None:
         self._ongoing = ongoing
         self._experiment = ongoing.experiment
-        self._steps = ongoing.experiment.parameters.operator_steps
+        steps = ongoing.experiment.parameters.operator_steps
+        self._steps = [step for step in steps if not step.is_after]
+        self._steps_after = [step for step in steps if step.is_after]
         self._progress = ongoing.progress
         self._keyboard = _Keyboard(ongoing.observer.user_input)
         self.is_asking = False
@@ -119,7 +48,7 @@ class Operator:
         self._being_done: dict[tuple[str, str], None] = {}
         self._has_begun: dict[str, bool] = {}
         self._notify = ongoing.notify
-        self._history: _History | None = None
+        self._history: StepHistory | None = None
         self._reads: dict[str, dict[tuple[str, str], None]] = {}
 
     def prepare(self, run: PendingRun, place: str, *, is_retry: bool = False) -> Steps[bool]:
@@ -156,6 +85,45 @@ class Operator:
                 yield from self._await_done([each for each in before if each[0] == step.name])
         return has_asked
 
+    def due_after(self, run: PendingRun) -> list[str]:
+        """Return the steps that are to be done once a run is done; asked for before it, as a function may raise.
+
+        Raises:
+            ExecutionError: a function of the config that says so raised.
+        """
+        return [step.name for step in self._steps_after if self._suits(step, run)[1]]
+
+    def ask_after(self, run: PendingRun, place: str, outcome: RunOutcome, names: Collection[str]) -> Steps[None]:
+        """Have these steps done after a run that is done, and make the answers measures of it."""
+        for step in self._steps_after:
+            if step.name not in names:
+                continue
+            answers = yield from self._ask(run, place, step)
+            if answers is None:
+                left = [each.name for each in self._steps_after if each.name in names]
+                self._progress.find(still_to_do(run.run_id, left[left.index(step.name) :]))
+                return
+            measures, notes = self._sorted(step, answers)
+            builder = OutcomeBuilder(run.run_id, self._experiment.columns)
+            builder.go_on_from(outcome)
+            for name, value in measures.items():
+                builder.take("measure", _as_measure(name, value))
+            # First the answers: a step that is recorded as done is not asked for again.
+            outcome = self._progress.amend_outcome(self._progress.task_of(run, place), outcome, builder.outcome())
+            facts = {"run": run.run_id, "step": step.name, "treatments": {}, "answers": measures, "notes": notes}
+            self._progress.note("operator_step", flush=True, **facts, is_after=True)
+            self._known().end_step(run.run_id, step.name)
+
+    def ask_about_earlier(self) -> Steps[None]:
+        """Have the steps done that are due after runs of earlier sessions, but for those that are executed again."""
+        if not self._steps_after:
+            return
+        rows, again = self._progress.rows, {run.run_id for run in self._progress.pending()}
+        for run_id, end in [*self._known().ends.items()]:
+            place = rows.place_of(run_id)
+            if place is not None and run_id not in again and rows.excluded(place) is None:
+                yield from self.ask_after(PendingRun(run_id, place), "", RunOutcome.of_fields(end), end["to_ask"])
+
     def _await_done(self, awaited: Sequence[tuple[str, str]]) -> Steps[None]:
         """Wait until a step has been done that is being done before runs that came earlier."""
         while not self._ongoing.is_interrupted and any(each in self._being_done for each in awaited):
@@ -177,44 +145,40 @@ class Operator:
             return
         self._has_begun[task.run_id] = True
         for name, value in self._known().answers.get(task.run_id, {}).items():
-            fields = {"name": name, "value": value, "owner": OPERATOR_OWNER, "origin": Origin.ENTERED.value}
-            task.measures[name] = fields
-            report("measure", fields)
+            task.measures[name] = _as_measure(name, value)
+            report("measure", task.measures[name])
 
     def _yet_to_begin(self) -> list[str]:
         """Return the runs that were prepared, and have not begun."""
         return [run_id for run_id, has_begun in self._has_begun.items() if not has_begun]
 
-    def _known(self) -> _History:
+    def _known(self) -> StepHistory:
         if self._history is None:
-            self._history = _History.of(self._experiment.folder.journal)
+            self._history = StepHistory.of(self._experiment.folder.journal)
         return self._history
 
     def _is_due(self, step: OperatorStep, run: PendingRun) -> bool:
+        combination, suits = self._suits(step, run)
+        return self._known().is_due(step, _treatments(step, combination)) and suits
+
+    def _suits(self, step: OperatorStep, run: PendingRun) -> tuple[WatchedCombination, bool]:
+        """Return the treatments of a run, and whether the config has the step done for these."""
         combination = WatchedCombination(
             self._progress.task_of(run).combination,
             lambda factor: self.note_read(run.run_id, factor, OPERATOR_OWNER),
         )
         try:
-            suits = step.suits(combination)
+            return combination, step.suits(combination)
         except Exception as error:
-            problem = f"before raised {type(error).__name__}: {error}"
+            problem = f"{'after' if step.is_after else 'before'} raised {type(error).__name__}: {error}"
             fix = "Mend the function, and start the experiment again: it resumes."
             raise ExecutionError(problem, where=f"operator step {step.name!r}, {run.run_id}", fix=fix) from error
-        return self._known().is_due(step, _treatments(step, combination)) and suits
 
     def _have_done(self, step: OperatorStep, run: PendingRun, place: str) -> Steps[None]:
         answers = yield from self._ask(run, place, step)
         if answers is None:
             return
-        columns = self._experiment.columns
-        measures, notes = {}, {}
-        for question in step.ask:
-            value = answers[question.name]
-            if question.note:
-                notes[question.name] = value
-            else:
-                measures[columns.column_for(OPERATOR_OWNER, question.name).name] = value
+        measures, notes = self._sorted(step, answers)
         treatments = _treatments(step, self._progress.task_of(run).combination)
         self._known().take(run.run_id, measures)
         facts = {"run": run.run_id, "step": step.name, "treatments": treatments, "answers": measures, "notes": notes}
@@ -223,13 +187,22 @@ class Operator:
         self._progress.note("operator_step", flush=True, **facts)
         self._being_done.pop((step.name, run.run_id), None)
 
+    def _sorted(
+        self, step: OperatorStep, answers: Mapping[str, MeasureValue]
+    ) -> tuple[dict[str, MeasureValue], dict[str, MeasureValue]]:
+        """Return the answers that are measures, by column, and those that are notes."""
+        columns = self._experiment.columns
+        notes = {question.name: answers[question.name] for question in step.ask if question.note}
+        measures = {name: value for name, value in answers.items() if name not in notes}
+        return {columns.column_for(OPERATOR_OWNER, name).name: value for name, value in measures.items()}, notes
+
     def _ask(
         self, run: PendingRun, place: str, step: OperatorStep | None = None
     ) -> Steps[dict[str, MeasureValue] | None]:
         """Wait until a person says that a step is done, or that a run may start; None after an interruption.
 
-        The person is asked about one run at a time; others that are about to begin elsewhere wait meanwhile, and come
-        in the order of the runs.
+        The person is asked about one run at a time; others that have ended or are about to begin elsewhere wait
+        meanwhile, and come in the order of the runs.
         """
         self._in_line.add(run.number)
         try:
@@ -251,15 +224,17 @@ class Operator:
         facts: dict[str, Any] = {"next_run": run.run_id, "step": name, "questions": asked}
         if place:
             facts["place"] = place
+        if step is not None and step.is_after:
+            facts["is_after"] = True
         self._progress.note("waiting", **facts)
-        self._notify(self._waiting(run, place, name, questions))
+        self._notify(self._waiting(run, place, step))
         answers = yield from self._answered((run.run_id, name), questions)
         self._progress.note("continued")
         self._notify(UserHasContinued())
         return answers
 
-    def _waiting(self, run: PendingRun, place: str, step: str, questions: Sequence[Question]) -> WaitingForUser:
-        task = self._progress.task_of(run)
+    def _waiting(self, run: PendingRun, place: str, step: OperatorStep | None) -> WaitingForUser:
+        task, is_after = self._progress.task_of(run), step is not None and step.is_after
         return WaitingForUser(
             folder=self._experiment.folder.root,
             next_run_number=run.number,
@@ -268,9 +243,10 @@ class Operator:
             combination=task.combination,
             repetition=task.repetition,
             place=place,
-            step=step,
-            questions=questions,
-            runs_left=self._progress.runs_left(run),
+            step=step.name if step else "",
+            questions=tuple(step.ask) if step else (),
+            is_after=is_after,
+            runs_left=None if is_after else self._progress.runs_left(run),
             left=self._progress.time_left,
         )
 
@@ -308,6 +284,11 @@ class Operator:
     def _put_question(self, left: deque[Question]) -> None:
         if left and self._keyboard.is_there:
             self._notify(QuestionAsked(left[0]))
+
+
+def _as_measure(column: str, value: MeasureValue) -> dict[str, Any]:
+    """Return an answer as a run would report it."""
+    return {"name": column, "value": value, "owner": OPERATOR_OWNER, "origin": Origin.ENTERED.value}
 
 
 def _treatments(step: OperatorStep, combination: Mapping[str, Any]) -> dict[str, str]:

@@ -12,6 +12,7 @@ from typing import Any
 
 from robot_runner.core.config.claims import Claims, held_claims
 from robot_runner.core.config.experiment import Experiment
+from robot_runner.core.config.operator_steps import asked_after
 from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, StorageError
 from robot_runner.core.events.context import ExperimentEnd
 from robot_runner.core.events.manager import RobotRunnerEvents
@@ -20,6 +21,7 @@ from robot_runner.core.execution.begun_experiment import prepared_treatments
 from robot_runner.core.execution.executor import places_of
 from robot_runner.core.execution.inherited import note_open_files
 from robot_runner.core.execution.interruption import Interruption
+from robot_runner.core.execution.left_systems import goes_on
 from robot_runner.core.execution.notices import (
     ExperimentFinished,
     ExperimentStarted,
@@ -35,7 +37,6 @@ from robot_runner.core.execution.probe import Probe, probe_profilers, probed_pro
 from robot_runner.core.execution.progress_manager import ProgressManager
 from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.execution.side_by_side import SideBySide
-from robot_runner.core.execution.standby import goes_on
 from robot_runner.core.execution.task import RunTask
 from robot_runner.core.storage.claim_locks import HeldClaims
 from robot_runner.core.storage.lock import forget_requests, is_requested
@@ -235,13 +236,18 @@ class _Orchestrator:
 
     def _start_notice(self, findings: Sequence[Finding]) -> ExperimentStarted:
         columns = self._experiment.columns.in_table
+        told_later = asked_after(self._parameters.operator_steps)
         return ExperimentStarted(
             experiment_name=self._parameters.experiment_name,
             folder=self._experiment.folder.root,
             run_count=self._progress.run_count,
             done_count=self._progress.done_before,
             seed=self._progress.seed,
-            columns={column.name: column.measure.unit for column in columns if not column.tells_of},
+            columns={
+                column.name: column.measure.unit
+                for column in columns
+                if not (column.tells_of or (column.owner == OPERATOR_OWNER and column.measure.name in told_later))
+            },
             asked_for=[column.name for column in columns if column.owner == OPERATOR_OWNER],
             overrides=self._experiment.overrides,
             findings=(*findings, *self._progress.findings),

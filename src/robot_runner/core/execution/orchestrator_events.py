@@ -243,8 +243,9 @@ class OrchestratorEvents:
         """
         task = self._progress.task_of(finished, place)
         published = OutcomeBuilder(task.run_id, self._experiment.columns)
-        published.go_on_from(self._progress.last_outcome(place))
-        task.measures.update(self._progress.last_outcome(place).fields()["measures"])
+        before = self._progress.last_outcome(place)
+        published.go_on_from(before)
+        task.measures.update(before.fields()["measures"])
 
         def report(kind: str, fields: dict[str, Any]) -> None:
             published.take(kind, fields)
@@ -255,7 +256,7 @@ class OrchestratorEvents:
 
         returned = self.emit_to_run(RobotRunnerEvents.CONTINUE, task, report, experiment, adapt)
         outcome = published.outcome()
-        self._progress.amend_outcome(task, outcome)
+        self._progress.amend_outcome(task, before, outcome)
         if outcome.failure is not None and not self._interruption.is_requested:
             where = " of ".join(filter(None, (outcome.failure.event, outcome.failure.owner)))
             raise ExecutionError(outcome.failure.problem, where=where, fix="Mend this callback, and resume.")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import replace
 from typing import Any, Self
@@ -18,7 +18,7 @@ from robot_runner.core.execution.begun_experiment import begun_manifest, made_fo
 from robot_runner.core.execution.circumstances import keep_config
 from robot_runner.core.execution.deciding import Deciding, Growth
 from robot_runner.core.execution.durations import Durations, TimeLeft, durations_of
-from robot_runner.core.execution.left_over import await_left_over
+from robot_runner.core.execution.left_systems import see_to_what_is_left
 from robot_runner.core.execution.notices import NextDecided
 from robot_runner.core.execution.probe import Probe
 from robot_runner.core.execution.recovered_table import RecoveredTable, TableOnDisk
@@ -31,7 +31,7 @@ from robot_runner.core.execution.run_facts import (
     left_logs,
     missing_measures,
 )
-from robot_runner.core.execution.standby import await_standby
+from robot_runner.core.execution.systems_state import SystemsFile
 from robot_runner.core.execution.table_recovery import recover_table
 from robot_runner.core.execution.task import AttemptStatus, PendingRun, RunOutcome, RunTask, seed_of_run
 from robot_runner.core.storage.cells import RunStatus
@@ -86,8 +86,7 @@ class ProgressManager:
             opened.callback(forget_requests, self._folder.pause, self._folder.stop)  # of no use to the next session
             forget_requests(self._folder.pause, self._folder.stop)  # of one that was killed
             remove_half_written(self._folder)
-            left_over = await_left_over(self._folder, self._experiment.parameters.grace_in_s)
-            self._findings += [each for each in (left_over, await_standby(self._folder)) if each is not None]
+            self._findings += see_to_what_is_left(self._experiment)
             accept_changes = self._resumption.accept_changes
             self._manifest, odd = begun_manifest(self._experiment, accept_changes=accept_changes)
             self._findings += odd
@@ -108,7 +107,7 @@ class ProgressManager:
             probed = self._probed()
             self._findings += left_logs(self._folder, recovered.unfinished)
             self._left_behind.update(recovered.unfinished, recovered.put_back_attempts())
-            self._journal = opened.enter_context(Journal(self._folder.journal, self._lock.others_hold))
+            self._journal = opened.enter_context(Journal(self._folder.journal, self._lock.successor))
             recovered.keep_deviations(self._journal, self._manifest)
             if prepared:
                 self._journal.append(PREPARED, flush=True, treatments=prepared)
@@ -214,9 +213,9 @@ class ProgressManager:
         """The run table as it stands."""
         return self._rows
 
-    def expect_places(self, count: int, again: Iterable[PendingRun] = ()) -> None:
-        """Take into account that so many runs go on at the same time, where they may, and that some are done again."""
-        self._durations.places = count
+    def expect_places(self, count: int, again: Sequence[PendingRun] = ()) -> None:
+        """Take into account how many runs go on at a time; at the most, where a place is gone whose runs come again."""
+        self._durations.places = min(count, self._durations.places) if again else count
         self._durations.expect_again(self._rows.combination(run.place) for run in again)
 
     def pending(self, first: int = 0) -> Iterator[PendingRun]:
@@ -307,13 +306,11 @@ class ProgressManager:
             self._rows.record(task.run_id, stamps={"continue_at": fields["at"]})
             self._file.refresh()
 
-    def record_outcome(self, task: RunTask, outcome: RunOutcome, *, is_last: bool) -> tuple[Finding, ...]:
-        """Keep how an attempt went; it is on the disk when this returns.
-
-        Returns:
-            what it shows about the runs that follow.
-        """
-        self._lock.refuse_moved(self._journal)  # a run whose files are in two folders is not done
+    def record_outcome(
+        self, task: RunTask, outcome: RunOutcome, *, is_last: bool, to_ask: Sequence[str] = ()
+    ) -> tuple[Finding, ...]:
+        """Keep on the disk how an attempt went and which steps come after it; return what it shows of runs to come."""
+        self._lock.refuse_other_folder(self._journal)  # a run whose files are in two folders is not done
         if task.slot:
             keep_log(self._folder.at_slot(task.slot), task.run_id)
             self._findings += large_log(self._folder.log(task.run_id))
@@ -321,15 +318,14 @@ class ProgressManager:
         self._findings += [*outcome.findings, *missing_measures(self._experiment, task, outcome)]
         if outcome.status is AttemptStatus.FAILED:  # also where it is to be tried again: something may come in between
             self._failed[task.run_id] = str(outcome.failure)
-        self._keep_outcome(task, outcome, {"is_last": is_last})
+        self._keep_outcome(task, outcome, {"is_last": is_last} | ({"to_ask": [*to_ask]} if to_ask else {}))
         return self._unread.take(task, outcome)
 
-    def amend_outcome(self, task: RunTask, later: RunOutcome) -> None:
-        """Keep what came after the last attempt had been recorded: measures, findings, the stamp of `continue`."""
-        before = self._last_outcomes[task.place]
+    def amend_outcome(self, task: RunTask, before: RunOutcome, later: RunOutcome) -> RunOutcome:
+        """Keep and return what came after an attempt had been recorded: measures, findings, the stamp of `continue`."""
         found = later.findings[len(before.findings) :]
         if (later.measures, later.stamps) == (before.measures, before.stamps) and not found:
-            return
+            return before
         outcome = replace(before, stamps=later.stamps, measures=later.measures, findings=later.findings)
         missing = missing_measures(self._experiment, task, outcome)
         no_more = set(missing_measures(self._experiment, task, before)).difference(missing)
@@ -337,11 +333,13 @@ class ProgressManager:
         # The later end of an attempt takes the place of the earlier. A stamp alone can wait for what is flushed next.
         is_lasting = later.measures != before.measures or bool(found)
         self._keep_outcome(task, outcome, {"is_last": True, "is_amended": True}, flush=is_lasting)
+        return outcome
 
     def _keep_outcome(self, task: RunTask, outcome: RunOutcome, facts: dict[str, Any], *, flush: bool = True) -> None:
         self._last_outcomes[task.place] = outcome
         told = {**facts, **outcome.fields(), **self._left()}
         self._journal.append("attempt_finished", flush=flush, run=task.run_id, attempt=task.attempt, **told)
+        SystemsFile(self._folder.at_slot(task.slot)).remove()  # what became of its systems is told there
         if self._table.take_outcome(task.run_id, outcome):
             # From here on the schema tells the types: without it a text such as "1" would come back as a number.
             self._table.write_schema(self._folder.schema)
@@ -365,6 +363,7 @@ class ProgressManager:
 
     def finish(self, *, interrupted: bool) -> None:
         """Bring everything that people read up to date: the experiment has ended."""
+        self._lock.refuse_other_folder(self._journal)
         self.bring_table_up_to_date()
         self._table.write_schema(self._folder.schema)
         self._manifest["executions"][-1]["finished_at"] = utc_now()

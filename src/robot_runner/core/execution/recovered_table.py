@@ -348,6 +348,7 @@ class TableOnDisk:
         Raises:
             StorageError: it cannot be written.
         """
+        self._journal.stay_in_place()
         started, worked = time.monotonic(), time.process_time()
         digest = write_run_table(self._path, self._table.rows)
         # After the rename: a run that is in the table and not yet known to be is taken from the journal once more.

@@ -80,6 +80,7 @@ class SideBySide:
         """
         if not self._begun:
             self._await_elsewhere()
+            self._ongoing.patience.follow(self._attempts.ask_about_earlier())
         self._left = self._progress.pending(self._begun)
         self._may_begin = True
         if self._turns is not None:

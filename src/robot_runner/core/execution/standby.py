@@ -11,38 +11,28 @@ from __future__ import annotations
 import fcntl
 import os
 import signal
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, suppress
 from copy import copy as shallow_copy
-from pathlib import Path
 from typing import Any, NoReturn
 
 from robot_runner.core.config.experiment import Experiment
-from robot_runner.core.errors import ExecutionError, Finding, LinkError, StorageError
+from robot_runner.core.errors import LinkError, StorageError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.events.resources import Resources
-from robot_runner.core.execution.left_over import (
-    go_on_elsewhere,
-    has_locked,
-    is_alive,
-    is_subject_left,
-    left_over,
-    marked_folders,
-)
-from robot_runner.core.execution.processes import ends, forked, settle_streams
+from robot_runner.core.execution.left_over import has_locked
+from robot_runner.core.execution.processes import ends, forked, settle_streams, use_no_streams
 from robot_runner.core.execution.run_events import made_safe, run_contexts
 from robot_runner.core.execution.run_records import failure_fields
-from robot_runner.core.execution.systems_state import Care, SystemsState
+from robot_runner.core.execution.systems_state import Care, SystemsFile, SystemsState
 from robot_runner.core.execution.task import RunTask
 from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND, keep_commanding_zero
 from robot_runner.core.links.connect import connect_robot, is_simulated, join_beforehand, preload_robot
 from robot_runner.core.plugin import System
-from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, remove
+from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor
 from robot_runner.core.storage.layout import ExperimentFolder, print_to_log
-from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.lock_files import open_to_lock, was_open_to_strangers
 from robot_runner.core.treatments import factors_of
 from robot_runner.core.words import enumerated
@@ -50,7 +40,7 @@ from robot_runner.core.words import enumerated
 #: How long the standby may take from the run's death on, s. Finding a robot's nodes takes tenths, or up to 8 s where
 #: one is switched off; telling the robot to stand still takes 4 to 12 s; and where something fails, all of it is done
 #: twice at least.
-_LONGEST = 40.0
+LONGEST = 40.0
 #: For how long after the run's death, and how often, it is begun anew where the robot cannot be reached, s: what has
 #: killed the run may have taken a server or the network along, and both come back.
 _RETRYING, _AGAIN = 15.0, 0.5
@@ -71,26 +61,32 @@ class Standby:
         task: the run.
 
     Attributes:
+        systems: that are made safe.
         state: what its processes tell each other.
     """
 
     def __init__(self, systems: Sequence[System], experiment: Experiment, task: RunTask) -> None:
         # One with bound parameters is built again, in its place, for a run that begins beside this one.
-        self._systems = [shallow_copy(each) if factors_of(each) else each for each in systems]
+        self.systems = [shallow_copy(each) if factors_of(each) else each for each in systems]
         self._experiment = experiment
         self._task = task
         self._pid = 0
         self.state = SystemsState()
 
-    def begin(self, run: int, let_go: Sequence[int] = ()) -> None:
-        """Fork the process that waits for the death of the run, and let go of these descriptors in it."""
+    def begin(self, run: int | None, let_go: Sequence[int] = ()) -> None:
+        """Fork the process that waits for the death of the run, and let go of these descriptors in it.
+
+        Args:
+            run: the process; None where it is known to be dead.
+            let_go: what the process that is forked closes.
+        """
         self._pid = forked()
         if self._pid == 0:
             for descriptor in let_go:
                 os.close(descriptor)
             self._stand_by(run)
 
-    def wait(self, seconds: float = _LONGEST) -> None:
+    def wait(self, seconds: float = LONGEST) -> None:
         """Wait until the process of `begin` has ended, once the run is dead; kill it where it hangs."""
         if hangs := not ends(self._pid, seconds):
             with suppress(ProcessLookupError):
@@ -98,7 +94,7 @@ class Standby:
         with suppress(ChildProcessError):  # reaped by who reaps all
             os.waitpid(self._pid, 0)
         if hangs and self.state.care is Care.STANDBY:
-            self.state.set(Care.OUT_OF_REACH, f"that took longer than {_LONGEST:g} s")
+            self.state.set(Care.OUT_OF_REACH, f"that took longer than {LONGEST:g} s")
 
     def look_after(self, run: int) -> None:
         """Wait for the standby of a run that is dead, and do its work where it was killed."""
@@ -107,14 +103,14 @@ class Standby:
 
     def looked_after(self, run: int) -> Iterator[float]:
         """Do the same step by step, for the orchestrator: yield how long to wait each time, s."""
-        deadline = time.monotonic() + _LONGEST
+        deadline = time.monotonic() + LONGEST
         while self._acts() and time.monotonic() < deadline:
             yield _LOOK
         # Nobody stood by any more, or it was killed meanwhile, or has not woken up yet: twice does no harm.
         if self.state.care in {Care.RUN, Care.STANDBY} and not self._acts():
             self.state.set(Care.RUN)
             self.begin(run)
-            deadline = time.monotonic() + _LONGEST
+            deadline = time.monotonic() + LONGEST
             while not ends(self._pid, 0.0) and time.monotonic() < deadline:
                 yield _LOOK
             self.wait(0.0)
@@ -122,12 +118,12 @@ class Standby:
     def _acts(self) -> bool:
         """Whether the process that stood by is alive and makes the systems safe."""
         with suppress(StorageError):
-            return self.state.care is Care.STANDBY and _locked_by(self._experiment.folder) is not None
+            return self.state.care is Care.STANDBY and locked_by(self._experiment.folder) is not None
         return False
 
     def finding(self) -> dict[str, Any] | None:
         """Return the fields of a finding on what became of the systems; None where the run made them safe itself."""
-        care, names = self.state.care, enumerated([each.name for each in self._systems]) or "the robot"
+        care, names = self.state.care, enumerated([each.name for each in self.systems]) or "the robot"
         if care in {Care.NOBODY_YET, Care.SAFE}:
             return None
         if care is Care.MADE_SAFE:
@@ -142,7 +138,8 @@ class Standby:
             "fix": STOP_BY_HAND,
         }
 
-    def _stand_by(self, run: int) -> NoReturn:
+    def _stand_by(self, run: int | None) -> NoReturn:
+        use_no_streams()  # what client libraries print while they join is not for the screen of who has forked this
         try:
             with suppress(Exception):  # a folder that was removed: no lock is worth a robot that drives on
                 _lock(self._experiment.folder)
@@ -150,10 +147,11 @@ class Standby:
                 with suppress(Exception):  # the run fails for the same reason, and says so
                     preload_robot(self._experiment.parameters.robot)
                     join_beforehand(connection.contexts(CONFIG_OWNER))
-                for system in self._systems:
+                for system in self.systems:
                     with suppress(Exception):
                         system.stand_by(connection.contexts(system.name))
-                ends(run)
+                if run is not None:
+                    ends(run)
                 if self.state.care is Care.RUN:
                     self._act(connection)
         finally:
@@ -174,6 +172,7 @@ class Standby:
             self.state.set(Care.OUT_OF_REACH, failure_fields(error)["problem"])
         else:
             names = enumerated(sorted(unheard))
+            SystemsFile(self._experiment.folder).remove()  # first: the next run may begin once it is known
             self.state.set(Care.MADE_SAFE, f"nobody subscribes to {names} any more" if unheard else "")
 
     def _make_safe_anew(self, deadline: float) -> list[str]:
@@ -196,7 +195,7 @@ class Standby:
         commanded, unheard = self.state.commanded, list[str]()
         with ExitStack() as each_of_them:  # the last one first, as the run does it
             each_of_them.callback(lambda: unheard.extend(connection.stop_again(commanded)))
-            for system in self._systems:
+            for system in self.systems:
                 each_of_them.callback(made_safe, system, connection.contexts(system.name))
             for topic, message_type in commanded:  # also for who has no `make_safe`, such as a config
                 each_of_them.callback(connection.stop, topic, message_type)
@@ -236,67 +235,6 @@ class _Connection:
         self._resources.close()
 
 
-def goes_on(root: Path) -> bool:
-    """Return whether anything goes on of an experiment that nobody executes.
-
-    That is a run, here or on another machine, or what was done beside the runs; software under test; or who makes
-    systems safe.
-    """
-    folder = ExperimentFolder.found_at(root)
-    with suppress(OSError, StorageError):  # of a folder that cannot be looked at, that is not known
-        if holder_of(folder.lock):
-            return False
-        marked = marked_folders(folder)
-        is_here = any(is_alive(each) or _locked_by(each) is not None or left_over(each) for each in marked)
-        return is_here or is_subject_left(folder) or go_on_elsewhere(folder)
-    return False
-
-
-def await_standby(folder: ExperimentFolder) -> Finding | None:
-    """Wait until nobody of an earlier execution makes its systems safe; kill who does so for too long.
-
-    Two processes must not command one robot. Where all of an execution was killed, its standby may still be at work
-    when the next one begins.
-
-    Returns:
-        that it was waited for, and how long; None where nobody stood by.
-
-    Raises:
-        ExecutionError: it is still there afterwards; that takes another user's process.
-    """
-    began = time.monotonic()
-    # All of them are awaited, whichever stood by.
-    if not any([_await_at(slot) for slot in map(folder.at_slot, folder.used_slots())]):  # noqa: C419
-        return None
-    waited = time.monotonic() - began
-    problem = f"an earlier execution was killed; its systems were still being made safe, which took {waited:.1f} s"
-    return Finding.warning(str(folder.root), problem, "Look where the robot stands.")
-
-
-def _await_at(slot: ExperimentFolder) -> bool:
-    """Wait until nobody stands by at a slot; return whether anybody did."""
-    began, stood_by = time.monotonic(), False
-    while (pid := _locked_by(slot)) is not None:
-        stood_by = True
-        waited = time.monotonic() - began
-        if waited > _LONGEST:
-            _kill(pid, slot)
-        if waited > _LONGEST + _DYING:
-            problem = "systems of an earlier execution are still being made safe, and that cannot be ended from here"
-            raise ExecutionError(problem, where=str(slot.root), fix=f"End process {pid} by hand.")
-        time.sleep(_LOOK)
-    if was_open_to_strangers(slot.standing_by, slot.root):  # as earlier versions made it
-        remove(slot.standing_by, slot.root)
-    return stood_by
-
-
-def _kill(pid: int, folder: ExperimentFolder) -> None:
-    """Kill the standby, and only the standby, whatever number stands in the file."""
-    if pid > 1 and (sys.platform != "linux" or has_locked(pid, folder.standing_by.resolve())):
-        with suppress(ProcessLookupError, PermissionError):
-            os.kill(pid, signal.SIGKILL)
-
-
 def _lock(folder: ExperimentFolder) -> None:
     """Hold the lock of `standing_by` until this process ends, as its descriptor stays open."""
     descriptor = open_to_lock(folder.standing_by, folder.root)
@@ -305,7 +243,7 @@ def _lock(folder: ExperimentFolder) -> None:
     fcntl.flock(descriptor, fcntl.LOCK_SH)
 
 
-def _locked_by(folder: ExperimentFolder) -> int | None:
+def locked_by(folder: ExperimentFolder) -> int | None:
     """Return the process that stands by; None where nobody does, or where only a stranger has locked the file."""
     try:
         descriptor = open_descriptor(folder.standing_by, folder.root, os.O_RDONLY)
@@ -328,7 +266,12 @@ def standby_of(experiment: Experiment, task: RunTask) -> Standby | None:
     The embedded simulation lives in the run's own process and dies with it.
     """
     robot = experiment.parameters.robot
-    systems = [each for each in experiment.systems if type(each).make_safe is not System.make_safe]
+    systems = made_safe_of_their_own(experiment)
     if is_simulated(robot) or (robot is None and not systems):
         return None
     return Standby(systems, experiment, task)
+
+
+def made_safe_of_their_own(experiment: Experiment) -> list[System]:
+    """Return the systems that have a `make_safe` of their own."""
+    return [each for each in experiment.systems if type(each).make_safe is not System.make_safe]

@@ -1,11 +1,24 @@
-"""Which process is responsible for a run's systems: known to the run, its keeper, its standby and the orchestrator."""
+"""Which process is responsible for a run's systems: known to the run, its keeper, its standby and the orchestrator.
+
+Where all of them were killed, a file in the experiment's folder tells the next execution what is not safe yet.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
 import threading
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
+
+from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.guarded_files import open_to_append, open_to_fill, read_text, remove
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.system_refusals import fsync_file
 
 #: The longest reason that is kept of why a system could not be made safe, bytes.
 _REASON = 2000
@@ -70,3 +83,73 @@ class SystemsState:
     def close(self) -> None:
         """Let go of the file."""
         os.close(self.descriptor)
+
+
+@dataclass(frozen=True, slots=True)
+class LeftSystems:
+    """The systems of a run that has begun, and of which nobody has said that they are safe.
+
+    Attributes:
+        run_id: of the run.
+        robot: how its robot is reached; None where it has none.
+        task: the run, as plain data (`worker.described_task`).
+        commanded: the full name and the type of each topic on which it has commanded a velocity.
+    """
+
+    run_id: str
+    robot: str | None
+    task: Mapping[str, Any]
+    commanded: tuple[tuple[str, str], ...]
+
+    @property
+    def in_words(self) -> str:
+        """What is said of it."""
+        robot = "" if self.robot is None else f" ({self.robot})"
+        return f"an earlier execution was killed in {self.run_id}{robot}, and nobody was left to make its systems safe"
+
+
+class SystemsFile:
+    """Tells whoever comes next that the systems of the run at a slot are not safe yet; it is gone once they are.
+
+    What cannot be written is left: no file is worth a run that fails, and it takes a kill of all who stand by to need
+    it.
+
+    Args:
+        folder: of the experiment, at the slot.
+    """
+
+    def __init__(self, folder: ExperimentFolder) -> None:
+        self._path, self._root = folder.to_make_safe, folder.root
+
+    def begin(self, robot: str | None, task: Mapping[str, Any]) -> None:
+        """Say, in the run, that its systems are about to be used, and have it reach the disk."""
+        with suppress(OSError, StorageError), open_to_fill(self._path, self._root) as file:
+            file.write(f"{json.dumps({'robot': robot, 'task': task}, default=str)}\n".encode())
+            file.flush()
+            fsync_file(file.fileno())
+
+    def add_commanded(self, topic: str, message_type: str) -> None:
+        """Say, in the run, that velocities will be commanded on a topic."""
+        with suppress(OSError, StorageError), open_to_append(self._path, self._root) as file:
+            file.write(f"{json.dumps({'topic': topic, 'type': message_type})}\n".encode())
+
+    def remove(self) -> None:
+        """Say that they are safe, or that a person was told that they are not."""
+        with suppress(StorageError):
+            remove(self._path, self._root)
+
+    def left(self) -> LeftSystems | None:
+        """Return what is not safe yet; None where nothing is, or the file is not what a run has written."""
+        lines = list(self._lines())
+        match lines[0] if lines else None:
+            case {"robot": str() | None as robot, "task": {"run_id": str(run_id)} as task}:
+                told = ((line.get("topic"), line.get("type")) for line in lines)
+                commanded = ((topic, kind) for topic, kind in told if isinstance(topic, str) and isinstance(kind, str))
+                return LeftSystems(run_id, robot, task, tuple(commanded))
+        return None
+
+    def _lines(self) -> Iterator[Mapping[str, Any]]:
+        with suppress(StorageError, ValueError, RecursionError):  # the last line may have been written by half
+            for line in read_text(self._path, self._root).splitlines():
+                if isinstance(read := json.loads(line), dict):
+                    yield read

@@ -157,6 +157,19 @@ class RunOutcome:
             "readers": dict(self.readers),
         }
 
+    @classmethod
+    def of_fields(cls, fields: Mapping[str, Any]) -> RunOutcome:
+        """Return an outcome that is done as the journal has it; units and findings are kept elsewhere."""
+        measures = {
+            name: PublishedMeasure(
+                name, each["value"], each["owner"], origin=Origin(each["origin"]), doubts=tuple(each.get("doubts", ()))
+            )
+            for name, each in fields["measures"].items()
+        }
+        readers = {factor: tuple(owners) for factor, owners in (fields.get("readers") or {}).items()}
+        status, seconds = AttemptStatus(fields["status"]), fields["seconds"] or 0.0
+        return cls(status, dict(fields["stamps"]), measures, readers=readers, seconds=seconds)
+
 
 class OutcomeBuilder:
     """Gathers the records of one attempt; what it lacks when the run has ended tells how it ended."""

@@ -11,7 +11,8 @@ import os
 import signal
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
@@ -29,8 +30,9 @@ from robot_runner.core.execution.processes import leave_after, settle_streams
 from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.run_facts import notice_programs
 from robot_runner.core.execution.run_records import FINISHED, RecordWriter
-from robot_runner.core.execution.systems_state import SystemsState
+from robot_runner.core.execution.systems_state import Care, SystemsFile, SystemsState
 from robot_runner.core.execution.task import RunTask
+from robot_runner.core.links.commanded_topics import hear_commanded
 from robot_runner.core.storage.layout import print_to_log
 from robot_runner.core.treatments import bind
 
@@ -90,12 +92,24 @@ def _execute(experiment: Experiment, task: RunTask, systems: SystemsState | None
     keeper = os.getppid()
     begin_run()
     notice_programs(experiment, report)
-    execute_run(experiment, task, report, gate, systems)
+    with nullcontext() if systems is None else _kept(systems, experiment, task):
+        execute_run(experiment, task, report, gate, systems)
     for problem in write_open_files():
         report("failure", {"event": "", "owner": "", "problem": problem, "traceback": ""})
     report(FINISHED, {})
     if os.getppid() != keeper:  # it was killed, and cannot end what the run leaves behind
         end_left_over(experiment.folder)
+
+
+@contextmanager
+def _kept(systems: SystemsState, experiment: Experiment, task: RunTask) -> Iterator[None]:
+    """Keep in a file what is to be made safe, for the case that all are killed who would do so, until it is safe."""
+    file = SystemsFile(experiment.folder)
+    file.begin(experiment.parameters.robot, described_task(experiment, task))
+    hear_commanded(file.add_commanded)
+    yield
+    if systems.care in {Care.NOBODY_YET, Care.SAFE}:
+        file.remove()
 
 
 def _execute_described(description: Mapping[str, Any], report: RecordWriter) -> None:

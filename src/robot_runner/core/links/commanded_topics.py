@@ -76,9 +76,11 @@ def keep_commanding_zero(link: RobotLink, commanded: Sequence[tuple[str, str]]) 
         faults: dict[str, Exception] = {}
         for topic, message_type in commanded:
             try:
+                # First: that takes up to a second, in which one that takes nothing may come to count as gone.
+                is_reached = seconds >= _TELLING and _reaches(link, topic, message_type)
                 if seconds >= _TELLING and all(each.is_own for each in link.subscribers(topic)):
                     empty.append(topic)
-                elif seconds >= _TELLING and not _reaches(link, topic, message_type):
+                elif seconds >= _TELLING and not is_reached:
                     missed.append(topic)
             except Exception as error:  # noqa: BLE001 - raised below
                 faults.setdefault(topic, error)

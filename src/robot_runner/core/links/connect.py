@@ -223,6 +223,26 @@ def robot_on_graph(robot: str) -> str:
     return f"{graph.rstrip('/')}{namespace_prefix(name.namespace)}"
 
 
+def graph_variables(robot: str | None, *, is_here: bool = True) -> Mapping[str, str]:
+    """Return the variables of the environment by which a program joins the graph of a robot, where its name says which.
+
+    Args:
+        robot: how it is reached; None where there is none.
+        is_here: whether the program is executed on this machine.
+
+    Raises:
+        LinkError: there is no such link.
+
+    Example:
+        >>> graph_variables("ros2:domain=7,namespace=alice"), graph_variables("ros2://alice")
+        ({'ROS_DOMAIN_ID': '7'}, {})
+    """
+    if robot is None:
+        return {}
+    kind, name = resolved_robot(robot)
+    return kind.program_variables(name, is_here=is_here) if isinstance(kind, kinds.PutsOnGraph) else {}
+
+
 def run_robot(context: RobotRunnerContext) -> tuple[kinds.RobotLinkKind, RobotName]:
     """Return the kind of link of the run's robot, and its name.
 

@@ -98,6 +98,19 @@ class TellsGraphs(Protocol):
 
 
 @runtime_checkable
+class PutsOnGraph(Protocol):
+    """A kind of link whose graph other programs join, which find it by their environment."""
+
+    def program_variables(self, name: RobotName, *, is_here: bool) -> Mapping[str, str]:
+        """Return the variables by which a program joins the graph of a robot: those that the name says.
+
+        Args:
+            name: of the robot.
+            is_here: whether the program is executed on this machine.
+        """
+
+
+@runtime_checkable
 class LooksAtGraph(Protocol):
     """A kind of link that can look, before anything is executed, whether its graph has what plugins need."""
 

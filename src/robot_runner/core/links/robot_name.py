@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -133,26 +132,9 @@ def _name_findings(given: list[tuple[str, str]]) -> list[Finding]:
 
 
 def _link_findings(given: list[tuple[str, str]]) -> list[Finding]:
-    links = [link for _, link in given]
-    if not all(isinstance(link, str) and link for link in links):
-        return [_finding("a robot is no text", "Give the name of a link, such as 'ros2://alice'.")]
-    meant = {link: _meant(link) for link in links if not link.startswith("simulated")}
-    counts = Counter(meant[link] for link in links if link in meant)
-    twice = {robot: link for link, robot in meant.items() if counts[robot] > 1}  # of its spellings, one is told
-    return [
-        _finding(f"{link!r} is named twice", "Two runs would drive one robot: name each once.")
-        for link in twice.values()
-    ]
-
-
-def _meant(link: str) -> str:
-    """Return the same for each way to write one robot: `ros2://alice` and `ros2:namespace=/alice`."""
-    try:
-        name = RobotName.parse(link)
-    except LinkError:  # told where it is to be reached
-        return link
-    name = name if name.address is None else name.on_graph
-    return f"{name.graph}//{name.namespace.strip('/')}"
+    if all(isinstance(link, str) and link for _, link in given):
+        return []
+    return [_finding("a robot is no text", "Give the name of a link, such as 'ros2://alice'.")]
 
 
 def _finding(problem: str, fix: str) -> Finding:

@@ -1,7 +1,8 @@
-"""What an experiment has claimed for itself, known to other experiments of this user on this machine.
+"""What an experiment has claimed for itself, known to other experiments on this machine.
 
 Each claim is a file in `$XDG_STATE_HOME/robot-runner/claims/<host>` that is locked while the experiment is executed.
-The system lets go of the lock when the process dies, however it dies; the file stays.
+The system lets go of the lock when the process dies, however it dies; the file stays. That is for experiments of this
+user, who are told of each other; `shared_claims` keeps out those of others.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Self
-from urllib.parse import quote
+from urllib.parse import quote, unquote
 
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.storage.file_shapes import ClaimFile
@@ -23,6 +25,7 @@ from robot_runner.core.storage.guarded_files import open_descriptor
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.layout import user_folder
 from robot_runner.core.storage.lock_files import sign, signature_of, try_lock
+from robot_runner.core.storage.shared_claims import hold_against_users, may_be_one
 from robot_runner.core.storage.system_refusals import storage_error
 
 #: How often a file is tried that nobody holds and somebody merely looks at, and how long to wait between, s.
@@ -34,6 +37,7 @@ _AWAIT_ITS_END = (
     "It ends by itself: try again in a moment, or have this one wait: `robot-runner run --wait`. If it goes on for "
     "minutes, start the other one again, which ends it."
 )
+_ASK_THEM = "Have this one wait: `robot-runner queue add`, or `run --wait`; or ask the other user."
 _NAME_A_FOLDER = "Set XDG_STATE_HOME to a folder of your own."
 
 
@@ -73,6 +77,24 @@ def claim_holders(claims: Collection[str]) -> dict[str, ClaimHolder]:
             finally:
                 os.close(descriptor)
     return found
+
+
+def last_holders() -> list[ClaimHolder]:
+    """Return which experiments have claimed something last, one for each folder; nothing is changed by asking.
+
+    Raises:
+        StorageError: the user has no home folder, as in some containers.
+    """
+    found: dict[str, ClaimHolder] = {}
+    for path in _files():
+        with suppress(StorageError, OSError):
+            descriptor = open_descriptor(path, path.parent, os.O_RDONLY)
+            try:
+                holder = _holder(descriptor)
+            finally:
+                os.close(descriptor)
+            found[holder.folder] = holder
+    return list(found.values())
 
 
 class HeldClaims:
@@ -124,9 +146,33 @@ class HeldClaims:
         self.findings.clear()
         with ExitStack() as opened:
             refusals = [finding for claim in self._claims for finding in self._hold(claim, opened)]
+            refusals += self._overlapping()
+            refusals += [finding for claim in self._claims for finding in self._against_users(claim, opened)]
             if not refusals:
                 self._held = opened.pop_all()
             return refusals
+
+    def _overlapping(self) -> Iterator[Finding]:
+        """Yield who has claimed the whole graph of a robot of ours, or a robot of a graph that we have claimed."""
+        names: set[str] = set()
+        with suppress(StorageError):  # of a user without a home folder: told where a claim is to be held
+            names.update(unquote(path.name) for path in _files())
+        names.difference_update(self._claims)
+        for other, holder in claim_holders([each for each in names if self._overlap(each)]).items():
+            for claim in filter(partial(may_be_one, other), self._claims):
+                problem = f"{claim} may be one robot with {other}, which is in use by {holder.in_words()}"
+                yield Finding.error("claims", problem, _HAVE_IT_WAIT)
+
+    def _overlap(self, other: str) -> bool:
+        return any(may_be_one(other, claim) for claim in self._claims)
+
+    def _against_users(self, claim: str, opened: ExitStack) -> Iterator[Finding]:
+        try:
+            for who in hold_against_users(claim, opened):
+                yield Finding.error("claims", f"{claim} is in use by {who}", _ASK_THEM)
+        except OSError as error:
+            problem = f"other users who claim {claim} are not kept out: {error.strerror} ({error.filename})"
+            self.findings.append(Finding.warning("claims", problem, "Mend what the system names."))
 
     def _hold(self, claim: str, opened: ExitStack, looked_at: ClaimHolder | None = None) -> Iterator[Finding]:
         """Lock the file of a claim; yield who has it where somebody has, or has something left: not so `looked_at`."""
@@ -157,6 +203,10 @@ class HeldClaims:
             return
         with suppress(OSError):  # on a full disk nobody learns who holds it, and others are kept out all the same
             sign(descriptor, replace(self._signature, since=utc_now()))
+
+
+def _files() -> list[Path]:
+    return sorted(state_folder("claims").glob("*"))
 
 
 def _path_of(claim: str) -> Path:

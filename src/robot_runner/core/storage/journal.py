@@ -37,6 +37,11 @@ _RECORD, _END = _BEGINNING.encode(), b"}\n"
 _FLAGS = os.O_RDWR | os.O_CREAT | os.O_APPEND
 #: How much of the end of a journal tells of the last runs: some thousand of them.
 _LAST_BYTES = 4_000_000
+#: What is told where the folder of an experiment that is executed is no longer there, and what to do.
+REMOVED = (
+    "the experiment's folder was removed while it was executed",
+    "Start the experiment again: it begins anew.",
+)
 
 _encode = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), allow_nan=False, default=str).encode
 
@@ -73,13 +78,13 @@ class Journal:
 
     Args:
         path: the file.
-        others_execute: returns whether another process executes the experiment by now, so that what stands in place of
-            a journal that was removed is its.
+        successor: returns, in words, what has taken the experiment's place by now, so that a journal that was removed
+            is not put back there; empty where nothing has.
     """
 
-    def __init__(self, path: Path, others_execute: Callable[[], bool] = lambda: False) -> None:
+    def __init__(self, path: Path, successor: Callable[[], str] = str) -> None:
         self._path = path
-        self._others_execute = others_execute
+        self._successor = successor
         self._descriptor = open_descriptor(path, flags=_FLAGS)
         try:
             self._cut_torn_line()
@@ -155,16 +160,33 @@ class Journal:
             os.close(self._descriptor)
             self._descriptor = -1
 
+    def stay_in_place(self) -> None:
+        """Put it back where it was removed: what is written beside it is a view of it, and would pass for one alone.
+
+        Raises:
+            StorageError: it cannot be put back, or was moved.
+        """
+        with storage_errors(self._path, "written"):
+            self._put_back_if_removed()
+            if not is_at(self._descriptor, self._path):
+                fix = "Move it back, and start the experiment again: it resumes."
+                raise StorageError("it was moved while it was written", where=str(self._path), fix=fix)
+
     def _flush(self) -> None:
         fsync_file(self._descriptor)
+        self._put_back_if_removed()
+
+    def _put_back_if_removed(self) -> None:
         if os.fstat(self._descriptor).st_nlink == 0:
             self._put_back()
 
     def _put_back(self) -> None:
-        if self._others_execute():
+        if not os.path.isdir(self._path.parent):  # noqa: PTH112 - that of a path raises what the system refuses
+            raise StorageError(REMOVED[0], where=str(self._path.parent), fix=REMOVED[1])
+        if successor := self._successor():
             kept = self._path.with_name(f"{self._path.name}.removed-{os.getpid()}")
             self._copy_to(kept)
-            problem = "it was removed, and another process has executed the experiment anew since"
+            problem = f"it was removed, and {successor}"
             fix = f"Leave the folder alone while it is executed. What this process had recorded is in {kept.name}."
             raise StorageError(problem, where=str(self._path), fix=fix)
         with suppress(FileNotFoundError):

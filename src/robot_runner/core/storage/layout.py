@@ -112,7 +112,7 @@ class ExperimentFolder:
     def used_slots(self) -> list[int]:
         """Return the numbers of the slots that have files, the first one always among them."""
         used = {1}
-        for pattern in ("current_log_*.txt", ".alive_*", ".standing_by_*"):
+        for pattern in ("current_log_*.txt", ".alive_*", ".standing_by_*", ".to_make_safe_*"):
             ends = (path.stem.rpartition("_")[2] for path in self.root.glob(pattern))
             used.update(int(end) for end in ends if end.isdecimal())
         return sorted(used)
@@ -136,6 +136,11 @@ class ExperimentFolder:
     def standing_by(self) -> Path:
         """Locked by the process that stands by to make the systems of a run safe; it has that process's id."""
         return self.root / f".standing_by{self._of_slot}"
+
+    @property
+    def to_make_safe(self) -> Path:
+        """There from the beginning of a run until its systems are safe: which run it is, and what it has commanded."""
+        return self.root / f".to_make_safe{self._of_slot}"
 
     def run(self, run_id: str) -> Path:
         """Return the folder of a run: its log, and a folder for each plugin's raw data."""

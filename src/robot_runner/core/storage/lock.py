@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import socket
@@ -16,7 +17,8 @@ from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
 from robot_runner.core.storage.file_shapes import HolderFile, RequestFile
 from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, read_bytes, remove, replace
-from robot_runner.core.storage.journal import Journal, utc_now
+from robot_runner.core.storage.guarded_paths import open_folder
+from robot_runner.core.storage.journal import REMOVED, Journal, utc_now
 from robot_runner.core.storage.lock_files import is_at, is_held_exclusively, lock_exclusively, sign, signature_of
 from robot_runner.core.storage.system_refusals import storage_error
 
@@ -40,9 +42,16 @@ class ExperimentLock:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._descriptor = -1
+        self._folder = -1
 
     def __enter__(self) -> Self:
         self._take()
+        # Held open, so that no other folder is mistaken for it: one that is made anew may get its number.
+        try:
+            self._folder = open_folder(self._path.parent, [])
+        except OSError as error:
+            self._let_go()
+            raise storage_error(self._path.parent, "opened", error) from error
         return self
 
     def _take(self) -> None:
@@ -61,9 +70,21 @@ class ExperimentLock:
         self._let_go()
         self._descriptor = descriptor
 
-    def others_hold(self) -> bool:
-        """Return whether the locked file was removed, and another process has locked the one in its place."""
-        return not is_at(self._descriptor, self._path) and holder_of(self._path) is not None
+    def successor(self) -> str:
+        """Return, in words, what stands in the place of what was locked; empty where nothing that keeps us out does."""
+        if is_at(self._descriptor, self._path):
+            return ""
+        if holder_of(self._path) is not None:
+            return "another process has executed the experiment anew since"
+        return "" if self._has_folder else "its folder was made anew since"
+
+    @property
+    def _has_folder(self) -> bool:
+        """Whether the experiment's folder is still the one whose lock was taken; it may be reached through a link."""
+        try:
+            return os.path.samestat(os.fstat(self._folder), os.stat(self._path.parent))  # noqa: PTH116 - as it is held
+        except OSError as error:
+            return error.errno not in {errno.ENOENT, errno.ENOTDIR, errno.ESTALE}  # else it cannot be looked at
 
     def look_after(self, journal: Journal) -> list[Finding]:
         """Check that the locked file is still the one that others see, and take the lock again if it is not.
@@ -79,13 +100,10 @@ class ExperimentLock:
                 was moved or removed.
             StorageError: it cannot be locked.
         """
-        self.refuse_moved(journal)
+        self.refuse_other_folder(journal)
         if is_at(self._descriptor, self._path):
             return []
         where, problem = str(self._path.parent), f"{self._path.name} was removed while the experiment was executed"
-        if not self._path.parent.exists():
-            problem = "the experiment's folder was removed while it was executed"
-            raise ExecutionError(problem, where=where, fix="Start the experiment again: it begins anew.")
         again = "start the experiment again: it resumes"
         try:
             self._take()
@@ -97,23 +115,34 @@ class ExperimentLock:
             raise ExecutionError(problem, where=where, fix=f"Leave that file alone, and {again}.")
         return [Finding.warning(where, f"{problem}: it is locked anew", "Leave that file alone: it keeps others out.")]
 
-    def refuse_moved(self, journal: Journal) -> None:
-        """Check that nobody has moved the experiment: its journal and the files of its runs would be in two folders.
+    def refuse_other_folder(self, journal: Journal) -> None:
+        """Check that nobody has moved or removed the experiment: a run that goes on may have made its folder anew.
+
+        Its journal and the files of its runs would be in two folders, or those of earlier runs gone without a word.
 
         Raises:
             ExecutionError: somebody has.
         """
+        where = str(self._path.parent)
         if there := journal.moved_to:
             raise ExecutionError(
                 f"the experiment was moved or renamed while it was executed: its journal is {there}",
-                where=str(self._path.parent),
+                where=where,
                 fix="Move it back, with what was written here since, and start the experiment again: it resumes.",
             )
+        if self._has_folder:
+            return
+        problem, fix = REMOVED
+        if (other := holder_of(self._path)) is not None:
+            refusal = _refusal(self._path, other)
+            problem, fix = f"{problem}, and now {refusal.problem}", refusal.fix
+        raise ExecutionError(problem, where=where, fix=fix)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._let_go()
+        os.close(self._folder)
 
     def _let_go(self) -> None:
         if self._descriptor < 0:

@@ -48,6 +48,7 @@ class _AttemptFinished(_OfRun):
     stamps: dict[str, str | None]
     is_last: NotRequired[bool]
     is_amended: NotRequired[bool]
+    to_ask: NotRequired[list[str]]
     readers: NotRequired[dict[str, list[str]] | None]
 
 
@@ -205,6 +206,7 @@ class _Waiting(Record):
     next_run: NotRequired[str]
     place: NotRequired[str]
     step: NotRequired[str | None]
+    is_after: NotRequired[bool]
     questions: NotRequired[list[dict[str, Any]]]
 
 
@@ -225,6 +227,7 @@ class _OperatorStep(Record):
     answers: dict[str, Scalar]
     notes: dict[str, Scalar]
     ahead: NotRequired[list[str]]
+    is_after: NotRequired[bool]
 
 
 class _BoundParameter(TypedDict):

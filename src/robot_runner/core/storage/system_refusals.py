@@ -94,11 +94,12 @@ def _whose(path: Path) -> str:
     for each in (path, *path.parents):
         with suppress(OSError):
             owner = each.lstat().st_uid
-            return "" if owner == os.geteuid() else f"{'It' if each == path else each} is {_name_of(owner)}'s"
+            return "" if owner == os.geteuid() else f"{'It' if each == path else each} is {user_name(owner)}'s"
     return ""
 
 
-def _name_of(user: int) -> str:
+def user_name(user: int) -> str:
+    """Return the name of a user, or the number where there is no name."""
     import pwd  # noqa: PLC0415 - of errors alone
 
     try:

@@ -199,7 +199,7 @@ function showAsk(state) {
   shown.asked = key;
   if (!waiting) { return; }
   setText($("ask-title"), waiting.step || "May " + waiting.run + " start?");
-  setText($("ask-run"), "Next is " + waiting.run + (waiting.place ? ", " + waiting.place : "") + (treatments(waiting.treatments) ? ": " + treatments(waiting.treatments) : ""));
+  setText($("ask-run"), (waiting.is_after ? "This is about " : "Next is ") + waiting.run + (waiting.place ? ", " + waiting.place : "") + (treatments(waiting.treatments) ? ": " + treatments(waiting.treatments) : ""));
   const fields = waiting.questions.map(field);
   const button = element("button", { type: "submit", class: "main" }, waiting.step ? "It is done, go on" : "Start " + waiting.run);
   $("ask-form").replaceChildren(...fields, ...(shown.about.may_act ? [button] : [element("p", { class: "soft" }, "Your link is for looking only.")]));

@@ -1,0 +1,212 @@
+"""What an execution that was killed has left, seen to by the next one before anything else is done.
+
+Processes that are still alive are awaited and ended (`left_over`), and so is who makes systems safe, as two must not
+command one robot. Where a run was killed with all who would have made its systems safe, that is done now: a robot
+carries out its last command for ever.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from contextlib import ExitStack, suppress
+from dataclasses import fields, replace
+from pathlib import Path
+
+from robot_runner.core.config.claims import Claims, held_claims
+from robot_runner.core.config.experiment import Experiment
+from robot_runner.core.errors import ExecutionError, Finding, LinkError, RobotRunnerError, StorageError
+from robot_runner.core.execution.left_over import (
+    await_left_over,
+    go_on_elsewhere,
+    has_locked,
+    is_alive,
+    is_subject_left,
+    left_over,
+    marked_folders,
+)
+from robot_runner.core.execution.standby import LONGEST, Standby, locked_by, made_safe_of_their_own
+from robot_runner.core.execution.systems_state import Care, LeftSystems, SystemsFile
+from robot_runner.core.execution.task import RunTask
+from robot_runner.core.execution.worker import task_of
+from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND
+from robot_runner.core.links.connect import is_simulated, robot_on_graph
+from robot_runner.core.storage.claim_locks import HeldClaims
+from robot_runner.core.storage.guarded_files import remove
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.lock import holder_of
+from robot_runner.core.storage.lock_files import was_open_to_strangers
+from robot_runner.core.storage.shared_claims import may_be_one
+from robot_runner.core.treatments import bind
+
+#: How long who makes systems safe may take to die once it was killed, s.
+_DYING = 5.0
+#: How often we look whether it has ended, s.
+_LOOK = 0.02
+
+
+def see_to_what_is_left(experiment: Experiment) -> list[Finding]:
+    """See to what a killed execution has left, before anything else is done: processes end, and systems are made safe.
+
+    Returns:
+        what was done.
+
+    Raises:
+        ExecutionError: something cannot be ended; or a system cannot be made safe, which is told once, as a person is
+            to do it then.
+    """
+    folder = experiment.folder
+    found = [await_left_over(folder, experiment.parameters.grace_in_s), await_standby(folder)]
+    return [*(each for each in found if each is not None), *_made_safe_late(experiment)]
+
+
+def _made_safe_late(experiment: Experiment) -> list[Finding]:
+    """Make safe, all at once, what runs of a killed execution have left, as nobody was left who would have."""
+    slots = map(experiment.folder.at_slot, experiment.folder.used_slots())
+    found = [(slot, left) for slot in slots if (left := SystemsFile(slot).left()) is not None]
+    late, findings = [], []
+    with ExitStack() as held:
+        for slot, left in found:
+            if refusal := _refused(experiment, left, held):
+                findings.append(refusal)
+            else:
+                late.append((_late_standby(experiment, slot, left), left))
+        for standby, _ in late:
+            standby.begin(None)
+        for standby, left in late:
+            standby.wait()
+            findings.append(_finding(standby, left))
+            standby.state.close()
+    for slot, _ in found:
+        SystemsFile(slot).remove()
+    ExecutionError.refuse(each for each in findings if each.is_error)
+    return findings
+
+
+def _refused(experiment: Experiment, left: LeftSystems, held: ExitStack) -> Finding | None:
+    """Return who uses the robot of that run by now; else claim it, where this execution has not."""
+    if left.robot is None or is_simulated(left.robot):
+        return None
+    try:
+        claim = f"robot:{robot_on_graph(left.robot)}"
+    except LinkError:  # one that cannot be reached at all says so as it is made safe
+        return None
+    ours = held_claims(Claims(experiment.parameters, experiment.plugins, experiment.events), experiment.model)
+    # Not even looked at: a process that closes a file which it has locked loses its lock.
+    if any(may_be_one(claim, each) for each in ours):
+        return None
+    try:
+        held.enter_context(HeldClaims([claim], experiment.parameters.experiment_name, experiment.folder.root))
+    except ExecutionError as error:
+        fix = "Look where the robot stands, once that experiment has ended."
+        return Finding.warning(left.run_id, f"{left.in_words}; nothing was done now: {error.problem}", fix)
+    return None
+
+
+def _late_standby(experiment: Experiment, slot: ExperimentFolder, left: LeftSystems) -> Standby:
+    """Return who makes the systems safe that a run has left, with its robot and its treatments."""
+    of_run = replace(experiment, folder=slot, parameters=experiment.parameters.but(robot=left.robot))
+    task = _task_of(experiment, left)
+    standby = Standby(made_safe_of_their_own(experiment), of_run, task)
+    for each in standby.systems:
+        with suppress(Exception):  # one that cannot be built then says in its `make_safe` what it lacks
+            bind(each, task.combination)
+    for topic, message_type in left.commanded:
+        standby.state.add_commanded(topic, message_type)
+    standby.state.set(Care.RUN)
+    return standby
+
+
+def _task_of(experiment: Experiment, left: LeftSystems) -> RunTask:
+    """Return the run, with the texts of its treatments where the config has these no more, or another version told."""
+    with suppress(RobotRunnerError, AttributeError, LookupError, TypeError, ValueError):
+        return task_of(experiment, left.task)
+    told = {each.name: left.task[each.name] for each in fields(RunTask) if each.name in left.task}
+    treatments = left.task.get("combination")
+    known = treatments.items() if isinstance(treatments, dict) else ()
+    combination = {name: each[-1] for name, each in known if isinstance(each, list) and each}
+    unknown = dict.fromkeys(("run_number", "run_count", "attempt", "repetition", "experiment_seed", "run_seed"), 1)
+    return RunTask(**{**unknown, **told, "combination": combination})
+
+
+def _finding(standby: Standby, left: LeftSystems) -> Finding:
+    reason = standby.state.reason
+    if standby.state.care is Care.MADE_SAFE:
+        done = f"{left.in_words}; that was done now{f', as far as it could be: {reason}' if reason else ''}"
+        return Finding.warning(left.run_id, done, "Look where the robot stands.")
+    reason = reason or "the process that was to do it died"
+    problem = f"{MAY_BE_MOVING}: {left.in_words}; it cannot be done now either: {reason}"
+    return Finding.error(left.run_id, problem, STOP_BY_HAND)
+
+
+def may_be_moving(folder: ExperimentFolder) -> list[Finding]:
+    """Return that a robot may be moving, for each run that was killed with all who would have made its systems safe."""
+    slots = map(folder.at_slot, folder.used_slots())
+    left = [each for slot in slots if (each := SystemsFile(slot).left()) is not None]
+    if not left or holder_of(folder.lock) is not None or goes_on(folder.root):
+        return []
+    fix = "Start the experiment again, which does it before anything else, or stop it by hand."
+    return [Finding.warning(each.run_id, f"{MAY_BE_MOVING}: {each.in_words}", fix) for each in left]
+
+
+def goes_on(root: Path) -> bool:
+    """Return whether anything goes on of an experiment that nobody executes.
+
+    That is a run, here or on another machine, or what was done beside the runs; software under test; or who makes
+    systems safe.
+    """
+    folder = ExperimentFolder.found_at(root)
+    with suppress(OSError, StorageError):  # of a folder that cannot be looked at, that is not known
+        if holder_of(folder.lock):
+            return False
+        marked = marked_folders(folder)
+        is_here = any(is_alive(each) or locked_by(each) is not None or left_over(each) for each in marked)
+        return is_here or is_subject_left(folder) or go_on_elsewhere(folder)
+    return False
+
+
+def await_standby(folder: ExperimentFolder) -> Finding | None:
+    """Wait until nobody of an earlier execution makes its systems safe; kill who does so for too long.
+
+    Two processes must not command one robot. Where all of an execution was killed, its standby may still be at work
+    when the next one begins.
+
+    Returns:
+        that it was waited for, and how long; None where nobody stood by.
+
+    Raises:
+        ExecutionError: it is still there afterwards; that takes another user's process.
+    """
+    began = time.monotonic()
+    # All of them are awaited, whichever stood by.
+    if not any([_await_at(slot) for slot in map(folder.at_slot, folder.used_slots())]):  # noqa: C419
+        return None
+    waited = time.monotonic() - began
+    problem = f"an earlier execution was killed; its systems were still being made safe, which took {waited:.1f} s"
+    return Finding.warning(str(folder.root), problem, "Look where the robot stands.")
+
+
+def _await_at(slot: ExperimentFolder) -> bool:
+    """Wait until nobody stands by at a slot; return whether anybody did."""
+    began, stood_by = time.monotonic(), False
+    while (pid := locked_by(slot)) is not None:
+        stood_by = True
+        waited = time.monotonic() - began
+        if waited > LONGEST:
+            _kill(pid, slot)
+        if waited > LONGEST + _DYING:
+            problem = "systems of an earlier execution are still being made safe, and that cannot be ended from here"
+            raise ExecutionError(problem, where=str(slot.root), fix=f"End process {pid} by hand.")
+        time.sleep(_LOOK)
+    if was_open_to_strangers(slot.standing_by, slot.root):  # as earlier versions made it
+        remove(slot.standing_by, slot.root)
+    return stood_by
+
+
+def _kill(pid: int, folder: ExperimentFolder) -> None:
+    """Kill the standby, and only the standby, whatever number stands in the file."""
+    if pid > 1 and (sys.platform != "linux" or has_locked(pid, folder.standing_by.resolve())):
+        with suppress(ProcessLookupError, PermissionError):
+            os.kill(pid, signal.SIGKILL)

@@ -1,0 +1,182 @@
+"""Claims that other users of this machine see, in a folder where everybody may make files, and remove their own alone.
+
+Each user has an empty file there for each claim, and a shared `flock` on it while an experiment of theirs goes on.
+What the experiment forks holds that, too: it is let go of once the last of these processes has died, however it dies.
+Who claims something locks their own file first, and looks at those of others then, so that of two at once never both go
+on. Nothing of another user is followed, written, or believed but that its owner is who the name says; so another user
+can do no more than keep us out, and is named then.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import stat
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+from hashlib import sha256
+from pathlib import Path
+from urllib.parse import quote, unquote
+
+from robot_runner.core.storage.lock_files import is_at
+from robot_runner.core.storage.system_refusals import user_name
+
+#: Where all users of a machine may make files: the first one that is there, so that all choose the same.
+_FOLDERS = (Path("/run/lock"), Path("/tmp"))  # noqa: S108 - shared on purpose, see above
+#: Names another one, as for users in containers of their own; empty, no other user is kept out.
+_VARIABLE = "ROBOT_RUNNER_LOCKS"
+_PREFIX = "robot-runner-claim."
+#: A file's name may have 255 bytes, with the user's number.
+_MOST_BYTES = 200
+#: Others may look whether it is held.
+_MODE = 0o644
+#: O_NONBLOCK has a meaning for pipes alone, which somebody may have put there.
+_FLAGS = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+#: How often a file is tried that somebody merely looks at, and how long to wait between, s.
+_TRIES, _BETWEEN = 50, 0.01
+
+
+def may_be_one(claim: str, other: str) -> bool:
+    """Return whether two claims may be about one robot: one that is named without its namespace is a whole graph.
+
+    Example:
+        >>> [may_be_one(each, "robot:domain 0/alice") for each in ("robot:domain 0", "robot:domain 0/bob")]
+        [True, False]
+    """
+    if not claim.startswith("robot:"):
+        return claim == other
+    return claim == other or claim.startswith(f"{other}/") or other.startswith(f"{claim}/")
+
+
+def hold_against_users(claim: str, opened: ExitStack) -> Iterator[str]:
+    """Hold a claim against other users of this machine until `opened` is closed, and yield who of them has it.
+
+    Where all users have no folder in common, nobody is kept out, and nothing is done.
+
+    Raises:
+        OSError: the file cannot be made or locked, or the folder that the environment names is no such one.
+    """
+    folder = _folder()
+    if folder is None:
+        return
+    name = quote(claim, safe="")
+    name = name if len(name) <= _MOST_BYTES else sha256(claim.encode()).hexdigest()
+    own = folder / f"{_PREFIX}{os.geteuid()}.{name}"
+    if who := _hold(own, opened):
+        yield who
+    for path in sorted(folder.glob(f"{_PREFIX}*")):
+        user, _, others = path.name.removeprefix(_PREFIX).partition(".")
+        if path != own and (others == name or may_be_one(unquote(others), claim)) and user != str(os.geteuid()):
+            yield from _holder(path, user)
+
+
+def _folder() -> Path | None:
+    named = os.environ.get(_VARIABLE)
+    if named is None:
+        return next(filter(_is_everybodys, _FOLDERS), None)
+    if named and not _is_everybodys(Path(named)):
+        raise OSError(errno.EINVAL, f"{_VARIABLE} is to name a folder of root with mode 1777", named)
+    return Path(named) if named else None
+
+
+def _is_everybodys(folder: Path) -> bool:
+    """Return whether a folder is the system's, and everybody may make files in it, but nobody remove another's."""
+    try:
+        found = folder.lstat()
+    except OSError:
+        return False
+    wanted = stat.S_ISVTX | 0o777
+    return stat.S_ISDIR(found.st_mode) and found.st_uid == 0 and found.st_mode & wanted == wanted
+
+
+def _hold(path: Path, opened: ExitStack) -> str:
+    """Hold our own file; return who keeps us from it, if somebody does."""
+    for _ in range(_TRIES):
+        try:
+            descriptor = os.open(path, os.O_RDONLY | os.O_CREAT | _FLAGS, _MODE)
+        except OSError:
+            if (owner := _owner(path)) in {None, os.geteuid()}:
+                raise
+            return f"{user_name(owner)}, who has put {path} in our place"
+        held = ExitStack()
+        held.callback(os.close, descriptor)
+        found = os.fstat(descriptor)
+        if found.st_uid != os.geteuid() or not stat.S_ISREG(found.st_mode):
+            held.close()
+            return f"{user_name(found.st_uid)}, who has put {path} in our place"
+        if stat.S_IMODE(found.st_mode) != _MODE:  # the umask took others' right to look
+            os.fchmod(descriptor, _MODE)
+        if _flock(descriptor, fcntl.LOCK_SH) and is_at(descriptor, path):  # else it was removed meanwhile
+            opened.callback(_let_go, descriptor, path)
+            return ""
+        locker = _locker(descriptor)
+        held.close()
+        time.sleep(_BETWEEN)
+    return f"{locker or 'another user'}, who keeps {path} locked"
+
+
+def _let_go(descriptor: int, path: Path) -> None:
+    """Let go of our own file, and remove it where nothing else holds it: what we have started may still do."""
+    os.close(descriptor)
+    with suppress(OSError):
+        again = os.open(path, os.O_RDONLY | _FLAGS)
+        try:
+            if _flock(again, fcntl.LOCK_EX) and is_at(again, path):
+                path.unlink()
+        finally:
+            os.close(again)
+
+
+def _holder(path: Path, user: str) -> Iterator[str]:
+    """Yield who holds the file of another user, if somebody does; what is not that user's own file tells nothing."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | _FLAGS)
+    except OSError:
+        return
+    try:
+        found = os.fstat(descriptor)
+        if str(found.st_uid) == user and stat.S_ISREG(found.st_mode) and _is_held(descriptor):
+            yield f"an experiment of {_locker(descriptor) or user_name(found.st_uid)}"
+    finally:
+        os.close(descriptor)
+
+
+def _is_held(descriptor: int) -> bool:
+    for _ in range(_TRIES):
+        if _flock(descriptor, fcntl.LOCK_EX):
+            fcntl.flock(descriptor, fcntl.LOCK_UN)
+            return False
+        if _flock(descriptor, fcntl.LOCK_SH):  # else somebody else looks as we do
+            fcntl.flock(descriptor, fcntl.LOCK_UN)
+            return True
+        time.sleep(_BETWEEN)
+    return True
+
+
+def _flock(descriptor: int, kind: int) -> bool:
+    try:
+        fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _locker(descriptor: int) -> str:
+    """Return who has locked a file, in words; empty where the system does not tell (`man 5 proc_locks`)."""
+    found = os.fstat(descriptor)
+    inode = f"{os.major(found.st_dev):02x}:{os.minor(found.st_dev):02x}:{found.st_ino}"
+    with suppress(OSError, ValueError, IndexError):
+        for line in Path("/proc/locks").read_text(encoding="ascii").splitlines():
+            _, kind, _, _, pid, where, *_ = line.split()
+            if kind == "FLOCK" and where == inode and (owner := _owner(Path("/proc") / pid)) is not None:
+                return f"{user_name(owner)} (process {pid})"
+    return ""
+
+
+def _owner(path: Path) -> int | None:
+    try:
+        return path.lstat().st_uid
+    except OSError:
+        return None

@@ -1,0 +1,195 @@
+"""Who comes after a kill makes systems safe with what the killed run has written, whatever has changed since."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.errors import ExecutionError
+from robot_runner.core.execution import standby
+from robot_runner.core.execution.left_systems import may_be_moving, see_to_what_is_left
+from robot_runner.core.execution.systems_state import SystemsFile
+from robot_runner.core.execution.task import RunTask
+from robot_runner.core.execution.worker import described_task
+from robot_runner.core.links import commanded_topics
+from robot_runner.core.storage.claim_locks import HeldClaims
+from robot_runner.core.storage.guarded_files import make_experiment_folder
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from robot_runner.core.config.experiment import Experiment
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+
+HEAD = """\
+from pathlib import Path
+from robot_runner import *
+from robot_runner.plugins import System
+
+HERE = Path(__file__).parent
+
+class Lamp(System):
+    def __init__(self, *, room):
+        super().__init__()
+        self.room = room
+    def make_safe(self, context):
+        (HERE / "made_safe").write_text(f"{self.room} {context.combination['Room']} {context.run_id} {context.robot}")
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = "results"
+    plugins = [Lamp(room=treatment("Room"))]
+"""
+TABLE = """
+    def create_run_table(self):
+        return RunTableModel([Factor("Room", ["kitchen", "hall"])])
+"""
+
+
+@pytest.fixture
+def experiment(write_config: Callable[..., Path]) -> Experiment:
+    experiment = prepare_or_refuse(write_config("", head=HEAD, table=TABLE))
+    experiment.folder.root.parent.mkdir()
+    make_experiment_folder(experiment.folder.root)
+    return experiment
+
+
+def left(experiment: Experiment, **changed: Any) -> dict[str, Any]:
+    task = RunTask("r_2", 2, 2, 1, {"Room": "hall"}, 1, 7, 8, slot=3)
+    return described_task(experiment, task) | changed
+
+
+def made_safe(experiment: Experiment) -> str:
+    path = experiment.config_path.parent / "made_safe"
+    return path.read_text() if path.exists() else ""
+
+
+def test_systems_are_made_safe_with_the_treatments_of_the_run_that_was_killed_and_once(experiment: Experiment) -> None:
+    SystemsFile(experiment.folder.at_slot(3)).begin(None, left(experiment))
+    (said,) = may_be_moving(experiment.folder)
+    assert "THE ROBOT MAY BE MOVING: an earlier execution was killed in r_2" in said.problem
+    (found,) = see_to_what_is_left(experiment)
+    assert found.where == "r_2"
+    assert made_safe(experiment) == "hall hall r_2 None"
+    assert see_to_what_is_left(experiment) == []
+    assert may_be_moving(experiment.folder) == []
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [{"combination": {"Room": [True, "attic"]}}, {"more": 1}],
+    ids=["a treatment that the config has no more", "a run of another version"],
+)
+def test_systems_are_made_safe_of_a_run_that_the_config_does_not_know_any_more(
+    experiment: Experiment, changed: dict[str, Any]
+) -> None:
+    SystemsFile(experiment.folder).begin(None, left(experiment, **changed))
+    assert len(see_to_what_is_left(experiment)) == 1
+    room = changed.get("combination", {"Room": [True, "hall"]})["Room"][1]
+    assert made_safe(experiment) == f"{room} {room} r_2 None"
+
+
+class Deserted:
+    """A graph on which nobody subscribes to what the robot was commanded by."""
+
+    def publish(self, topic: str, message_type: str, message: object) -> None:
+        pass
+
+    def subscribers(self, topic: str) -> list[object]:
+        return []
+
+
+def test_of_a_robot_that_is_not_there_any_more_it_is_told_that_nobody_took_the_command(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(standby, "connect_robot", lambda _context: Deserted())
+    monkeypatch.setattr(commanded_topics, "_TELLING", 0.1)
+    monkeypatch.setattr(commanded_topics, "_REACHING", 0.2)
+    file = SystemsFile(experiment.folder)
+    file.begin("rosbridge://127.0.0.1:1", left(experiment))
+    file.add_commanded("/cmd_vel", "geometry_msgs/Twist")
+    (found,) = see_to_what_is_left(experiment)
+    assert found.problem.endswith("was done now, as far as it could be: nobody subscribes to /cmd_vel any more")
+
+
+USED = """
+import sys
+from pathlib import Path
+from robot_runner.core.storage.claim_locks import HeldClaims
+with HeldClaims([sys.argv[1]], "theirs", Path("theirs")):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_a_robot_that_another_experiment_uses_by_now_is_not_commanded(experiment: Experiment) -> None:
+    SystemsFile(experiment.folder).begin("rosbridge://127.0.0.1:1", left(experiment))
+    claim = "robot:rosbridge localhost:1"
+    words = [sys.executable, "-c", USED, claim]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as theirs:
+        assert theirs.stdout is not None
+        assert theirs.stdout.readline() == "held\n"
+        (found,) = see_to_what_is_left(experiment)
+        theirs.communicate()
+    assert not found.is_error
+    assert f"nothing was done now: {claim} is in use by the experiment 'theirs'" in found.problem
+    assert made_safe(experiment) == ""
+    assert see_to_what_is_left(experiment) == []
+
+
+@pytest.mark.parametrize("robot", ["rosbridge://127.0.0.1:1/alice", "rosbridge://localhost:1"])
+def test_this_execution_goes_on_holding_its_robot_once_that_was_made_safe(
+    write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, robot: str
+) -> None:
+    monkeypatch.setattr(standby, "connect_robot", lambda _context: Deserted())
+    body = '    robot = "rosbridge://localhost:1"\n'
+    experiment = prepare_or_refuse(write_config(body, head=HEAD, table=TABLE), looks_at_graph=False)
+    experiment.folder.root.parent.mkdir()
+    make_experiment_folder(experiment.folder.root)
+    SystemsFile(experiment.folder).begin(robot, left(experiment))
+    claim = "robot:rosbridge localhost:1"
+    with HeldClaims([claim], "trial", experiment.folder.root):
+        (found,) = see_to_what_is_left(experiment)
+        refused = subprocess.run(
+            [sys.executable, "-c", USED, claim], check=False, input="", capture_output=True, text=True
+        )
+    assert found.problem.endswith("that was done now")
+    assert made_safe(experiment) == f"hall hall r_2 {robot}"
+    assert f"{claim} is in use by the experiment 'trial'" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["", "{", "[]\n", '{"robot": 7, "task": {"run_id": "r_2"}}\n', '{"robot": null, "task": {}}\n', '{"a":' * 10_000],
+)
+def test_what_no_run_has_written_in_the_place_of_that_file_is_passed_over(experiment: Experiment, content: str) -> None:
+    experiment.folder.to_make_safe.write_text(content)
+    assert may_be_moving(experiment.folder) == []
+    assert see_to_what_is_left(experiment) == []
+
+
+@pytest.mark.parametrize("combination", [None, 7, {"Room": 7}, {"Room": []}])
+def test_of_a_run_whose_treatments_are_not_told_it_is_told_where_it_cannot_be_made_safe(
+    experiment: Experiment, combination: Any
+) -> None:
+    SystemsFile(experiment.folder).begin(None, left(experiment, combination=combination))
+    with pytest.raises(ExecutionError, match="THE ROBOT MAY BE MOVING: an earlier execution was killed in r_2"):
+        see_to_what_is_left(experiment)
+    assert see_to_what_is_left(experiment) == []
+
+
+def test_a_line_that_was_written_by_half_takes_no_other_with_it(experiment: Experiment) -> None:
+    file = SystemsFile(experiment.folder)
+    file.begin("dds://alice", left(experiment))
+    file.add_commanded("/alice/cmd_vel", "geometry_msgs/Twist")
+    with experiment.folder.to_make_safe.open("a") as half:
+        half.write('{"topic": "/al')
+    found = file.left()
+    assert found is not None
+    assert (found.robot, found.commanded) == ("dds://alice", (("/alice/cmd_vel", "geometry_msgs/Twist"),))
