@@ -11,8 +11,6 @@ __all__ = ["claim_port"]
 #: no other test's server takes one between its choice here and the start of the program that listens at it.
 _PORTS = range(12_000, 31_000)
 
-_held: list[socket.socket] = []
-
 
 def claim_port() -> int:
     """Return a port that nobody listens at and no other process has claimed; it is kept until this process ends.
@@ -29,6 +27,6 @@ def claim_port() -> int:
         except OSError:
             claim.close()
         else:
-            _held.append(claim)
+            claim.detach()  # it stays open, and nobody warns of that when the process ends
             return port
     raise AssertionError("all ports are claimed")

@@ -13,12 +13,13 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, redirect_stdout
 from importlib import import_module
 from pathlib import Path
-from threading import Timer
 from typing import TYPE_CHECKING, Any
 
+import psutil
 import pytest
 from tests.conftest import written_config
 from tests.core.execution.conftest import RecordingObserver
+from tests.waiting import wait_until
 
 from robot_runner import (
     ConfigError,
@@ -277,10 +278,7 @@ def test_ctrl_c_ends_it_cleanly_with_and_without_threads(tmp_path: Path, threads
 def test_a_script_that_is_killed_leaves_nobody(tmp_path: Path) -> None:
     with in_its_first_run(tmp_path, threads=True) as process:
         process.kill()
-    deadline = time.monotonic() + 30
-    while time.monotonic() < deadline and (left := _executing(str(tmp_path / "script.py"))):
-        time.sleep(0.1)
-    assert not left
+    wait_until(lambda: not _executing(str(tmp_path / "script.py")))
 
 
 def _executing(script: str) -> list[int]:
@@ -400,13 +398,15 @@ def test_an_interrupt_while_much_is_being_printed_tears_no_line() -> None:
     said: list[int] = []
 
     def work(tell: Callable[[str], object]) -> Any:
-        tell("wait until the interrupt has come")
-        Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
+        tell(f"{os.getpid():33}")
         tell("long" * 500_000)
 
     def say(line: str) -> None:
         said.append(len(line))
-        time.sleep(0.4 / len(said))
+        if len(said) == 1:
+            printing = psutil.Process(int(line))
+            wait_until(lambda: printing.status() == psutil.STATUS_SLEEPING, "the pipe is full, as nobody reads on")
+            printing.send_signal(signal.SIGINT)
 
     with pytest.raises(ExecutionError, match="KeyboardInterrupt"):
         apart.execute_forked(work, say)
