@@ -126,6 +126,31 @@ def test_where_everybody_was_killed_the_next_execution_makes_the_systems_safe_be
     assert "MAY BE MOVING" not in capsys.readouterr().out
 
 
+@pytest.mark.long
+def test_an_answer_after_one_run_leaves_what_is_to_be_made_safe_after_another_that_is_in_flight(
+    lamp: Callable[..., Any], start: Start
+) -> None:
+    more = """    workers = 2
+    Lamp.claims = lambda self, robot: []
+    operator_steps = [
+        OperatorStep("rate it", after={"Task": "Network"}, ask=[Question("trust", int)]),
+        OperatorStep("wait", after={"Task": "Network"}),
+    ]
+"""
+    mission = f"context.combination['Task'] == 'Network' or (HERE / 'killed').exists() or {LONG}"
+    experiment = lamp(mission=mission, more=more, tasks='"Video", "Network"')
+    journal = experiment.folder / "journal.jsonl"
+    wait_until(lambda: '"step":"rate it"' in journal.read_text(), "the first step is asked for")
+    assert main(["continue", str(experiment.folder), "--answer", "trust=5"]) == 0
+    wait_until(lambda: '"step":"wait"' in journal.read_text(), "the answer is kept, and the next step is asked for")
+    kill(*experiment.processes())
+    (experiment.config.parent / "killed").touch()
+    experiment.end()
+    again = start("", "--only", "r_2", config=experiment.config)
+    again.wait_for("made_safe")
+    assert [call[1:] for call in calls(again)] == [["r_1", "Video"]]
+
+
 #: What comes before any run, and even before the experiment.
 LOOKED_AT_FIRST = """
     def before_experiment(self):

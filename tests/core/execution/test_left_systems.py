@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import subprocess
 import sys
+from contextlib import closing
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.core.execution.conftest import RecordingObserver
 
 from robot_runner.core.config.preparation import prepare_or_refuse
-from robot_runner.core.errors import ExecutionError
+from robot_runner.core.errors import ExecutionError, RobotRunnerError
 from robot_runner.core.execution import standby
 from robot_runner.core.execution.left_systems import may_be_moving, see_to_what_is_left
+from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.systems_state import SystemsFile
 from robot_runner.core.execution.task import RunTask
 from robot_runner.core.execution.worker import described_task
 from robot_runner.core.links import commanded_topics
 from robot_runner.core.storage.claim_locks import HeldClaims
 from robot_runner.core.storage.guarded_files import make_experiment_folder
+from robot_runner.core.storage.journal import Journal
+from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -95,6 +103,75 @@ def test_systems_are_made_safe_of_a_run_that_the_config_does_not_know_any_more(
     assert made_safe(experiment) == f"{room} {room} r_2 None"
 
 
+@pytest.mark.parametrize("becomes", ["plugins = []", "plugins = [Lamp(room='hall')]; plugins[0].name = 'Light'"])
+def test_a_system_that_the_config_has_no_more_is_not_said_to_have_been_made_safe(
+    experiment: Experiment, write_config: Callable[..., Path], becomes: str
+) -> None:
+    SystemsFile(experiment.folder).begin(None, left(experiment), ["Lamp"])
+    head = HEAD.replace(HEAD.splitlines()[-1].strip(), becomes)
+    changed = prepare_or_refuse(write_config("", head=head, table=TABLE))
+    with pytest.raises(ExecutionError, match=r"THE ROBOT MAY BE MOVING: .* the config has no Lamp any more"):
+        see_to_what_is_left(changed)
+    assert see_to_what_is_left(changed) == []
+
+
+def test_what_was_done_about_a_robot_is_told_where_the_execution_is_refused_then(
+    write_config: Callable[..., Path],
+) -> None:
+    experiment = prepare_or_refuse(write_config("", head=HEAD, table=TABLE))
+    execute_experiment(experiment, RecordingObserver())
+    SystemsFile(experiment.folder).begin(None, left(experiment))
+    changed = prepare_or_refuse(write_config("attempts = 2", head=HEAD, table=TABLE))
+    with pytest.raises(RobotRunnerError) as caught:
+        execute_experiment(changed, RecordingObserver())
+    assert made_safe(experiment) == "hall hall r_2 None"
+    *refusals, told = caught.value.findings
+    assert all(each.is_error for each in refusals)
+    assert told.problem.endswith("nobody was left to make its systems safe; that was done now")
+
+
+def test_of_several_robots_those_that_were_made_safe_are_told_beside_one_that_could_not_be(
+    experiment: Experiment,
+) -> None:
+    SystemsFile(experiment.folder).begin(None, left(experiment))
+    SystemsFile(experiment.folder.at_slot(2)).begin(None, left(experiment, run_id="r_1", combination=None))
+    with pytest.raises(ExecutionError, match=r"THE ROBOT MAY BE MOVING: .* r_1") as caught:
+        see_to_what_is_left(experiment)
+    assert [each.where for each in caught.value.findings] == ["r_1", "r_2"]
+
+
+def began(experiment: Experiment, seed: int = 1) -> None:
+    with closing(Journal(experiment.folder.journal)) as journal:
+        journal.append("experiment_started", flush=True, seed=seed)
+
+
+def test_a_copy_that_was_made_while_a_run_was_in_flight_leaves_its_systems_to_the_original(
+    experiment: Experiment,
+) -> None:
+    began(experiment)
+    SystemsFile(experiment.folder).begin(None, left(experiment))
+    root = experiment.folder.root
+    backup = shutil.copytree(root, root.with_name("backup"))
+    assert may_be_moving(ExperimentFolder(backup)) == []
+    assert see_to_what_is_left(replace(experiment, folder=ExperimentFolder(backup))) == []
+    assert len(may_be_moving(experiment.folder)) == 1
+
+
+@pytest.mark.parametrize("move", [shutil.copytree, os.rename], ids=["to another disk", "beside it"])
+def test_an_experiment_that_was_moved_since_it_was_killed_still_tells_what_it_left(
+    experiment: Experiment, move: Callable[[Path, Path], object]
+) -> None:
+    began(experiment)
+    SystemsFile(experiment.folder).begin(None, left(experiment))
+    root = experiment.folder.root
+    moved = root.with_name("moved")
+    move(root, moved)
+    shutil.rmtree(root, ignore_errors=True)
+    make_experiment_folder(root)
+    began(experiment, seed=2)  # anew
+    assert len(may_be_moving(ExperimentFolder(moved))) == 1
+
+
 class Deserted:
     """A graph on which nobody subscribes to what the robot was commanded by."""
 
@@ -116,6 +193,27 @@ def test_of_a_robot_that_is_not_there_any_more_it_is_told_that_nobody_took_the_c
     file.add_commanded("/cmd_vel", "geometry_msgs/Twist")
     (found,) = see_to_what_is_left(experiment)
     assert found.problem.endswith("was done now, as far as it could be: nobody subscribes to /cmd_vel any more")
+
+
+def test_nothing_but_a_velocity_is_commanded_whatever_somebody_has_written_into_that_file(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    published = experiment.config_path.with_name("published")
+
+    class Drone(Deserted):
+        def publish(self, topic: str, message_type: str, message: object) -> None:
+            with published.open("a") as file:
+                file.write(f"{topic} {message_type}\n")
+
+    monkeypatch.setattr(standby, "connect_robot", lambda _context: Drone())
+    monkeypatch.setattr(commanded_topics, "_TELLING", 0.1)
+    monkeypatch.setattr(commanded_topics, "_REACHING", 0.2)
+    file = SystemsFile(experiment.folder)
+    file.begin("rosbridge://127.0.0.1:1", left(experiment))
+    file.add_commanded("/cmd_vel", "geometry_msgs/TwistStamped")
+    file.add_commanded("/takeoff", "std_msgs/Empty")
+    see_to_what_is_left(experiment)
+    assert set(published.read_text().splitlines()) == {"/cmd_vel geometry_msgs/TwistStamped"}
 
 
 USED = """

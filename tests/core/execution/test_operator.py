@@ -587,6 +587,22 @@ def test_what_a_session_did_not_come_to_ask_after_a_run_is_asked_by_the_next(exe
     assert not any("still to be done" in each.problem for each in read_status(executed.folder).findings)
 
 
+def test_a_step_after_runs_that_has_left_the_config_is_not_promised_to_be_asked_for(execute: Callable) -> None:
+    lift = 'OperatorStep("lift the robot", after=True)'
+
+    def leave(waiting: WaitingForUser) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+
+    execute(ENERGY + steps(TRUST, lift), leave)
+    executed, _ = execute(ENERGY + steps(lift), "\n", Resumption(accept_changes=True))
+    assert executed.finished.done_count == 4
+    (left,) = [each for each in read_status(executed.folder).findings if each.where == "r_1"]
+    assert left.problem == "was not done after it, and is no step of the config any more: fill in the questionnaire"
+    restored, person = execute(ENERGY + steps(TRUST, lift), "2\n", Resumption(accept_changes=True))
+    assert person.asked == [("fill in the questionnaire", "r_1")]
+    assert not any("not done after it" in each.problem for each in read_status(restored.folder).findings)
+
+
 def cut_off_after_first_end(executed: Executed) -> None:
     """Have the journal and the table be as a kill leaves them right after the end of the first run."""
     journal, lines = executed.folder / "journal.jsonl", []

@@ -82,6 +82,17 @@ def held(claim: str) -> list[str]:
         return list(hold_against_users(claim, opened))
 
 
+def test_the_folder_of_all_users_may_be_reached_through_a_link_as_on_macos(
+    claim: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link = folder.with_name("tmp")
+    link.symlink_to(folder)
+    monkeypatch.setattr(shared_claims, "_FOLDERS", (folder / "not there", link))
+    with ExitStack() as opened:
+        assert list(hold_against_users(claim, opened)) == []
+        assert len(list(folder.iterdir())) == 1
+
+
 @as_root
 def test_what_another_user_has_claimed_is_refused_with_their_name_until_they_end(folder: Path, claim: str) -> None:
     opened = ExitStack()

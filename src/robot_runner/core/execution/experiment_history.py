@@ -212,6 +212,7 @@ class ExperimentHistory:
         self.started_at = record["at"]
         self.finished_at = None
         self._planned = int(record.get("runs", 0))
+        self._steps.after = frozenset(record.get("steps_after", ()))
         self._waits.clear()
         self.gates.clear()
         self.is_paused = False

@@ -11,13 +11,21 @@ import os
 import signal
 import sys
 import time
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import fields, replace
 from pathlib import Path
 
 from robot_runner.core.config.claims import Claims, held_claims
 from robot_runner.core.config.experiment import Experiment
-from robot_runner.core.errors import ExecutionError, Finding, LinkError, RobotRunnerError, StorageError
+from robot_runner.core.errors import (
+    ExecutionError,
+    Finding,
+    LinkError,
+    RobotRunnerError,
+    StorageError,
+    errors_first,
+)
 from robot_runner.core.execution.left_over import (
     await_left_over,
     go_on_elsewhere,
@@ -40,6 +48,7 @@ from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.lock_files import was_open_to_strangers
 from robot_runner.core.storage.shared_claims import may_be_one
 from robot_runner.core.treatments import bind
+from robot_runner.core.words import enumerated
 
 #: How long who makes systems safe may take to die once it was killed, s.
 _DYING = 5.0
@@ -81,8 +90,20 @@ def _made_safe_late(experiment: Experiment) -> list[Finding]:
             standby.state.close()
     for slot, _ in found:
         SystemsFile(slot).remove()
-    ExecutionError.refuse(each for each in findings if each.is_error)
+    if any(each.is_error for each in findings):  # with what was done, as nobody is told of that again
+        raise ExecutionError.of_findings(errors_first(findings))
     return findings
+
+
+@contextmanager
+def told_if_refused() -> Iterator[list[Finding]]:
+    """Yield a list of what was done about those systems: it is told with whatever refuses the execution, too."""
+    findings: list[Finding] = []
+    try:
+        yield findings
+    except RobotRunnerError as error:
+        error.findings = (*error.findings, *findings)
+        raise
 
 
 def _refused(experiment: Experiment, left: LeftSystems, held: ExitStack) -> Finding | None:
@@ -133,9 +154,12 @@ def _task_of(experiment: Experiment, left: LeftSystems) -> RunTask:
 
 def _finding(standby: Standby, left: LeftSystems) -> Finding:
     reason = standby.state.reason
-    if standby.state.care is Care.MADE_SAFE:
+    gone = left.systems.difference(each.name for each in standby.systems)
+    if standby.state.care is Care.MADE_SAFE and not gone:
         done = f"{left.in_words}; that was done now{f', as far as it could be: {reason}' if reason else ''}"
         return Finding.warning(left.run_id, done, "Look where the robot stands.")
+    if gone:
+        reason = f"the config has no {enumerated(sorted(gone))} any more"
     reason = reason or "the process that was to do it died"
     problem = f"{MAY_BE_MOVING}: {left.in_words}; it cannot be done now either: {reason}"
     return Finding.error(left.run_id, problem, STOP_BY_HAND)

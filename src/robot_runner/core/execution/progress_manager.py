@@ -18,7 +18,7 @@ from robot_runner.core.execution.begun_experiment import begun_manifest, made_fo
 from robot_runner.core.execution.circumstances import keep_config
 from robot_runner.core.execution.deciding import Deciding, Growth
 from robot_runner.core.execution.durations import Durations, TimeLeft, durations_of
-from robot_runner.core.execution.left_systems import see_to_what_is_left
+from robot_runner.core.execution.left_systems import see_to_what_is_left, told_if_refused
 from robot_runner.core.execution.notices import NextDecided
 from robot_runner.core.execution.probe import Probe
 from robot_runner.core.execution.recovered_table import RecoveredTable, TableOnDisk
@@ -80,13 +80,14 @@ class ProgressManager:
         self._last_outcomes: dict[str, RunOutcome] = {}
 
     def __enter__(self) -> Self:
-        with ExitStack() as opened:
+        with told_if_refused() as seen_to, ExitStack() as opened:
             self._left_behind = made_folder(self._folder)
             self._lock = opened.enter_context(ExperimentLock(self._folder.lock))
             opened.callback(forget_requests, self._folder.pause, self._folder.stop)  # of no use to the next session
             forget_requests(self._folder.pause, self._folder.stop)  # of one that was killed
             remove_half_written(self._folder)
-            self._findings += see_to_what_is_left(self._experiment)
+            seen_to.extend(see_to_what_is_left(self._experiment))
+            self._findings += seen_to
             accept_changes = self._resumption.accept_changes
             self._manifest, odd = begun_manifest(self._experiment, accept_changes=accept_changes)
             self._findings += odd
@@ -129,6 +130,7 @@ class ProgressManager:
             design=manifest["design"]["source"],
             factors=manifest["design"]["factors"],
             repetitions=manifest["design"]["repetitions"],
+            steps_after=[each.name for each in self._experiment.parameters.operator_steps if each.is_after],
             **({"selection": chosen} if (chosen := self._resumption.selection) else {}),
             repository=manifest["executions"][-1].get("repository"),
         )
@@ -319,6 +321,7 @@ class ProgressManager:
         if outcome.status is AttemptStatus.FAILED:  # also where it is to be tried again: something may come in between
             self._failed[task.run_id] = str(outcome.failure)
         self._keep_outcome(task, outcome, {"is_last": is_last} | ({"to_ask": [*to_ask]} if to_ask else {}))
+        SystemsFile(self._folder.at_slot(task.slot)).remove()  # what became of its systems is told there
         return self._unread.take(task, outcome)
 
     def amend_outcome(self, task: RunTask, before: RunOutcome, later: RunOutcome) -> RunOutcome:
@@ -339,7 +342,6 @@ class ProgressManager:
         self._last_outcomes[task.place] = outcome
         told = {**facts, **outcome.fields(), **self._left()}
         self._journal.append("attempt_finished", flush=flush, run=task.run_id, attempt=task.attempt, **told)
-        SystemsFile(self._folder.at_slot(task.slot)).remove()  # what became of its systems is told there
         if self._table.take_outcome(task.run_id, outcome):
             # From here on the schema tells the types: without it a text such as "1" would come back as a number.
             self._table.write_schema(self._folder.schema)

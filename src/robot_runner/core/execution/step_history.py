@@ -13,6 +13,8 @@ from robot_runner.core.events.measure import MeasureValue
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.words import enumerated
 
+_PUT_BACK = "Put it back into the config, and start the experiment again, if it is still to be asked for."
+
 
 @dataclass(slots=True)
 class _Done:
@@ -41,12 +43,14 @@ class StepHistory:
     Attributes:
         answers: as above, by run.
         ends: how runs ended that are done, by run, where steps are still to be done after them (`to_ask`).
+        after: the steps that come after runs in the config that was executed last.
     """
 
     def __init__(self) -> None:
         self._done: dict[str, _Done] = {}
         self.answers: dict[str, dict[str, MeasureValue]] = {}
         self.ends: dict[str, dict[str, Any]] = {}
+        self.after: frozenset[str] = frozenset()
 
     @classmethod
     def of(cls, journal: Path) -> StepHistory:
@@ -89,8 +93,15 @@ class StepHistory:
 
     @property
     def left_after(self) -> list[Finding]:
-        """What is still to be done after runs."""
-        return [still_to_do(run_id, end["to_ask"]) for run_id, end in self.ends.items()]
+        """What was not done after runs, and whether that is still to come."""
+        found = []
+        for run_id, end in self.ends.items():
+            if left := [step for step in end["to_ask"] if step in self.after]:
+                found.append(still_to_do(run_id, left))
+            if gone := [step for step in end["to_ask"] if step not in self.after]:
+                problem = f"was not done after it, and is no step of the config any more: {enumerated(gone)}"
+                found.append(Finding.warning(run_id, problem, _PUT_BACK))
+        return found
 
     def end_step(self, run_id: str, step: str) -> None:
         """Take down that a step was done after a run."""

@@ -9,14 +9,17 @@ import json
 import os
 import tempfile
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
+from pathlib import Path
 from typing import Any
 
 from robot_runner.core.errors import StorageError
+from robot_runner.core.links.commanded_topics import VELOCITIES
 from robot_runner.core.storage.guarded_files import open_to_append, open_to_fill, read_text, remove
+from robot_runner.core.storage.journal import journal_lines
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.system_refusals import fsync_file
 
@@ -26,6 +29,8 @@ _REASON = 2000
 _TOPICS = 1 + _REASON
 #: The longest list of them, bytes; a robot has one or two.
 _LONGEST_LIST = 100_000
+#: The types by which a robot is stopped; as a list, as whatever was read may be compared with it.
+_STOPPED = sorted(VELOCITIES)
 
 
 class Care(IntEnum):
@@ -94,12 +99,14 @@ class LeftSystems:
         robot: how its robot is reached; None where it has none.
         task: the run, as plain data (`worker.described_task`).
         commanded: the full name and the type of each topic on which it has commanded a velocity.
+        systems: the names of those that have a `make_safe` of their own.
     """
 
     run_id: str
     robot: str | None
     task: Mapping[str, Any]
     commanded: tuple[tuple[str, str], ...]
+    systems: frozenset[str]
 
     @property
     def in_words(self) -> str:
@@ -119,12 +126,13 @@ class SystemsFile:
     """
 
     def __init__(self, folder: ExperimentFolder) -> None:
-        self._path, self._root = folder.to_make_safe, folder.root
+        self._path, self._root, self._journal = folder.to_make_safe, folder.root, folder.journal
 
-    def begin(self, robot: str | None, task: Mapping[str, Any]) -> None:
+    def begin(self, robot: str | None, task: Mapping[str, Any], systems: Sequence[str] = ()) -> None:
         """Say, in the run, that its systems are about to be used, and have it reach the disk."""
+        told = {"robot": robot, "systems": systems, "folder": str(self._root.absolute()), "task": task}
         with suppress(OSError, StorageError), open_to_fill(self._path, self._root) as file:
-            file.write(f"{json.dumps({'robot': robot, 'task': task}, default=str)}\n".encode())
+            file.write(f"{json.dumps(told, default=str)}\n".encode())
             file.flush()
             fsync_file(file.fileno())
 
@@ -139,14 +147,27 @@ class SystemsFile:
             remove(self._path, self._root)
 
     def left(self) -> LeftSystems | None:
-        """Return what is not safe yet; None where nothing is, or the file is not what a run has written."""
+        """Return what is not safe yet; None where nothing is, or the file is not what a run has written here."""
         lines = list(self._lines())
+        if lines and self._is_copied_from(lines[0].get("folder")):
+            return None
         match lines[0] if lines else None:
             case {"robot": str() | None as robot, "task": {"run_id": str(run_id)} as task}:
-                told = ((line.get("topic"), line.get("type")) for line in lines)
-                commanded = ((topic, kind) for topic, kind in told if isinstance(topic, str) and isinstance(kind, str))
-                return LeftSystems(run_id, robot, task, tuple(commanded))
+                topics = ((line.get("topic"), line.get("type")) for line in lines)
+                # Nothing else: an empty message of another type may have a robot do something.
+                commanded = ((topic, kind) for topic, kind in topics if isinstance(topic, str) and kind in _STOPPED)
+                names = told if isinstance(told := lines[0].get("systems"), list) else []
+                systems = frozenset(each for each in names if isinstance(each, str))
+                return LeftSystems(run_id, robot, task, tuple(commanded), systems)
         return None
+
+    def _is_copied_from(self, folder: object) -> bool:
+        """Whether the experiment is still in another folder, which tells of its run, and was copied meanwhile."""
+        with suppress(OSError, StorageError, ValueError):
+            if isinstance(folder, str) and not self._root.samefile(folder):
+                begun = next(journal_lines(self._journal), None)
+                return begun is not None and begun == next(journal_lines(Path(folder) / self._journal.name), None)
+        return False
 
     def _lines(self) -> Iterator[Mapping[str, Any]]:
         with suppress(StorageError, ValueError, RecursionError):  # the last line may have been written by half

@@ -30,6 +30,7 @@ from robot_runner.core.execution.processes import leave_after, settle_streams
 from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.run_facts import notice_programs
 from robot_runner.core.execution.run_records import FINISHED, RecordWriter
+from robot_runner.core.execution.standby import made_safe_of_their_own
 from robot_runner.core.execution.systems_state import Care, SystemsFile, SystemsState
 from robot_runner.core.execution.task import RunTask
 from robot_runner.core.links.commanded_topics import hear_commanded
@@ -105,7 +106,8 @@ def _execute(experiment: Experiment, task: RunTask, systems: SystemsState | None
 def _kept(systems: SystemsState, experiment: Experiment, task: RunTask) -> Iterator[None]:
     """Keep in a file what is to be made safe, for the case that all are killed who would do so, until it is safe."""
     file = SystemsFile(experiment.folder)
-    file.begin(experiment.parameters.robot, described_task(experiment, task))
+    names = [each.name for each in made_safe_of_their_own(experiment)]
+    file.begin(experiment.parameters.robot, described_task(experiment, task), names)
     hear_commanded(file.add_commanded)
     yield
     if systems.care in {Care.NOBODY_YET, Care.SAFE}:

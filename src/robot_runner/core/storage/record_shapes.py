@@ -152,6 +152,7 @@ class _ExperimentStarted(_Dated):
     repetitions: NotRequired[int]
     repository: NotRequired[Repository | None]
     selection: NotRequired[dict[str, list[str]]]
+    steps_after: NotRequired[list[str]]
 
 
 class _Estimate(TypedDict):

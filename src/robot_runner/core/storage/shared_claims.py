@@ -75,7 +75,7 @@ def hold_against_users(claim: str, opened: ExitStack) -> Iterator[str]:
 def _folder() -> Path | None:
     named = os.environ.get(_VARIABLE)
     if named is None:
-        return next(filter(_is_everybodys, _FOLDERS), None)
+        return next(filter(_is_everybodys, map(Path.resolve, _FOLDERS)), None)  # on macOS, /tmp is a link
     if named and not _is_everybodys(Path(named)):
         raise OSError(errno.EINVAL, f"{_VARIABLE} is to name a folder of root with mode 1777", named)
     return Path(named) if named else None
