@@ -165,10 +165,13 @@ def test_a_column_that_is_filled_in_now_and_then_is_no_doubt():
         (None, [n / 2 for n in range(21)], ""),  # a program that is faster than was said
         (TimeColumn("second"), [n / 2 for n in range(21)], ""),
         (None, [0, 1, 2, 3, 5, 5, 6, 7, 8, 9, 10], ""),  # a row that was held up
+        (TimeColumn("second"), [n // 3 for n in range(29)], "19 of 29"),  # each row three times
+        (TimeColumn("second"), [*range(10), *range(10), *[1, 4, 4, 8] * 2], ""),  # events, stamped in whole seconds
     ],
 )
 def test_a_sum_of_rows_that_the_program_repeats_is_doubted(time, moments, told):
     columns = [CommandColumn("count", Measure("Seen", "1", "Things."), Aggregate.SUM), CommandColumn("count", CPU)]
+    moments = sorted(moments)
     rows = [{"count": "3", **({"second": str(moment)} if time else {})} for moment in moments]
     plugin = CommandProfiler(command=["meter"], columns=columns, time=time)
     ending = Ending(0, was_asked=True, was_killed=False, complaint="")

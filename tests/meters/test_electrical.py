@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import json
+import random
+from itertools import accumulate
 
 import pytest
 
@@ -11,8 +13,8 @@ from robot_runner.testing import FakeClock, make_context, rehearse
 class ScriptedMeter(ElectricalProfiler):
     """Says what a function of time says."""
 
-    def __init__(self, say, rate_hz=10.0):
-        super().__init__(name="Meter", rate_hz=rate_hz)
+    def __init__(self, say, rate_hz=10.0, channels=("",)):
+        super().__init__(name="Meter", rate_hz=rate_hz, channels=channels)
         self._say = say
 
     def open(self, context):
@@ -20,7 +22,8 @@ class ScriptedMeter(ElectricalProfiler):
         return self
 
     def read(self):
-        return (self._say(self._clock.now()),)
+        said = self._say(self._clock.now())
+        return (said,) if isinstance(said, ElectricalReading) else said
 
     def close(self):
         pass
@@ -46,8 +49,8 @@ def test_what_the_energy_was_taken_from_is_told_of_the_mission_and_not_of_the_ti
 
 @pytest.fixture
 def measure(tmp_path):
-    def execute(say, seconds=10.0):
-        clock, plugin = FakeClock(), ScriptedMeter(say)
+    def execute(say, seconds=10.0, **settings):
+        clock, plugin = FakeClock(), ScriptedMeter(say, **settings)
         context = make_context(tmp_path, plugin, robot=None, clock=clock)
         rehearse(context, plugin, mission=lambda: clock.sleep(seconds))
         return context.measures, [finding.problem for finding in context.broker.findings]
@@ -164,22 +167,142 @@ def test_power_in_another_unit_than_voltage_and_current_is_doubted(measure, fact
         (690.0, 230.0, 1.0),  # the power of three phases, and the current of one
         (0.0, 234.9, 0.08),  # a clamp without a load, as a Shelly Pro EM-50 told it
         (0.1, 234.9, 0.08),
+        (0.2, 0.0, 5.0),  # a supply in constant current at 40 mV, told in steps of 0.1 V
+        (0.0001, 0.0003, 0.00004),  # the noise of a supply that is switched off
+        (0.0001, -0.0002, 0.00001),
     ],
 )
 def test_power_that_voltage_and_current_allow_is_not_doubted(measure, watts, volts, amperes):
     def say(time):
-        return ElectricalReading(watts, volts * (1 + 0.001 * (round(time * 10) % 7)), amperes)
+        wobble = 1 + 0.001 * (round(time * 10) % 7)
+        return ElectricalReading(watts * wobble, volts * wobble, amperes)
 
     assert measure(say)[1] == []
 
 
-def test_power_at_no_voltage_is_doubted(measure):
-    problems = measure(lambda time: ElectricalReading(8.0 + 0.01 * (round(time * 10) % 7), 0.0, 0.7))[1]
+@pytest.mark.parametrize(("volts", "amperes"), [(0.0, 0.7), (12.0, 0.0), (0.0, 0.0)])
+def test_power_at_no_voltage_or_no_current_is_doubted(measure, volts, amperes):
+    problems = measure(lambda time: ElectricalReading(8.0 + 0.01 * (round(time * 10) % 7), volts, amperes))[1]
     assert any("the power contradicts voltage times current" in each for each in problems)
 
 
-def test_a_step_of_the_load_while_power_and_current_are_asked_is_no_contradiction(measure):
-    problems = measure(
-        lambda time: ElectricalReading(40.0 if time > 5.05 else 0.4, wobbling(time), 3.4 if time > 4.95 else 0.034)
-    )[1]
+@pytest.mark.parametrize("later", [0.02, 0.04])
+def test_power_and_current_of_a_load_in_bursts_that_are_asked_one_after_the_other_are_no_contradiction(measure, later):
+    def watts(time):
+        return 300.0 if time % 0.407 < 0.2 else 8.0
+
+    def say(time):
+        return ElectricalReading(watts(time), wobbling(time), watts(time + later) / 12.0)
+
+    problems = measure(say, seconds=60.0)[1]
     assert [each for each in problems if "contradicts" in each] == []
+
+
+def test_power_in_another_unit_is_doubted_though_power_and_current_are_asked_one_after_the_other(measure):
+    def watts(time):
+        return 300.0 if time % 0.407 < 0.2 else 8.0
+
+    def say(time):
+        return ElectricalReading(watts(time) * (1e-3 if time > 30 else 1), wobbling(time), watts(time + 0.04) / 12.0)
+
+    problems = measure(say, seconds=60.0)[1]
+    assert [each for each in problems if "contradicts" in each] != []
+
+
+@pytest.mark.parametrize("seconds", [10.0, 1.0])
+def test_a_step_of_the_load_while_power_and_current_are_asked_is_no_contradiction(measure, seconds):
+    def say(time):
+        is_off, is_off_later = (time + later > seconds / 2 for later in (-0.05, 0.05))
+        return ElectricalReading(0.4 if is_off else 40.0, wobbling(time), 0.034 if is_off_later else 3.4)
+
+    assert [each for each in measure(say, seconds=seconds)[1] if "contradicts" in each] == []
+
+
+def test_power_that_is_told_in_another_unit_in_every_other_reading_is_doubted(measure):
+    def say(time):  # one that changes over to mW below 1 W
+        is_idle = round(time * 10) % 2
+        return ElectricalReading(500.0 if is_idle else 8.0, wobbling(time), (0.5 if is_idle else 8.0) / 12.0)
+
+    assert any("contradicts voltage times current in 50 of 101 readings" in each for each in measure(say)[1])
+
+
+@pytest.mark.parametrize(("share", "said"), [(1.0, []), (0.57, ["the energy counter rose by"])])
+def test_bursts_that_readings_of_power_miss_do_not_contradict_a_counter_as_a_share_does(measure, share, said):
+    chance = random.Random(4)  # noqa: S311 - reproducible, not secret
+    watts = [chance.choice((8.0, 300.0)) for _ in range(500)]  # for a 30th of a second each
+    joules = [0.0, *accumulate(share / 30 * each for each in watts)]
+
+    def say(time):
+        place = round(time * 30)
+        return ElectricalReading(watts[place], wobbling(time), joules=joules[place])
+
+    measures, problems = measure(say)
+    assert measures["Energy"] == pytest.approx(joules[300])
+    assert [each[:26] for each in problems] == said
+
+
+@pytest.mark.parametrize(
+    ("base", "said"),
+    [
+        (8.0, []),  # a motor that brakes now and then
+        (
+            -12.0,
+            ["the energy is -140 J: the meter is the wrong way round, or the load feeds back"],
+        ),  # a battery, charged
+    ],
+)
+def test_a_counter_that_runs_backwards_while_the_load_feeds_back_was_not_set_back(measure, base, said):
+    watts = [base - (20.0 if n % 100 in range(70, 80) else 0.0) for n in range(200)]
+    joules = [500.0, *accumulate((0.1 * each for each in watts), initial=500.0)]
+
+    def say(time):
+        place = round(time * 10)
+        return ElectricalReading(watts[place], wobbling(time), joules=joules[place + 1])
+
+    measures, problems = measure(say)
+    assert measures["Energy"] == pytest.approx(10 * base - 20.0, rel=0.02)
+    assert problems == said
+
+
+def test_a_counter_that_is_set_back_is_doubted_though_it_ran_backwards_before(measure):
+    watts = [-4.0 if n in {30, 31} else 8.0 for n in range(200)]
+    joules = list(accumulate((0.1 * each for each in watts), initial=0.0))
+
+    def say(time):
+        place = round(time * 10)
+        return ElectricalReading(watts[place], wobbling(time), joules=joules[place] - (56.0 if place > 70 else 0.0))
+
+    measures, problems = measure(say)
+    assert measures["Energy"] == pytest.approx(77.6, rel=0.01)
+    assert problems == ["the energy counter was set back"]
+
+
+def test_a_load_of_two_states_that_is_switched_at_even_times_is_no_meter_that_is_seldom_renewed(measure):
+    measures, problems = measure(  # a plug that tells whole watts, and a robot that goes to and fro
+        lambda time: ElectricalReading(75.0 if time % 7.0 < 3.5 else 60.0, wobbling(time)), seconds=60.0
+    )
+    assert measures["Energy"] == pytest.approx(60 * 60.0 + 15 * 31.5, rel=0.01)
+    assert problems == []
+
+
+_RAILS = ("in", "gpu")
+
+
+@pytest.mark.parametrize(
+    ("amperes", "until", "said"),
+    [
+        (0.0, 10.0, []),  # an averaging sensor of coarse steps tells no noise of a rail that nothing draws from
+        (0.4, 10.0, ["the meter said the same of gpu 101 times, for 10.0 s: it may be stuck"]),
+        (
+            0.0,
+            5.0,
+            [f"the meter said the same of {rail} 51 times, for 5.0 s: it may be stuck" for rail in ("in", "gpu")],
+        ),
+    ],
+)
+def test_a_rail_that_nothing_is_drawn_from_is_not_stuck_while_others_of_its_meter_change(measure, amperes, until, said):
+    def say(time):
+        volts = wobbling(min(time, until))
+        return (ElectricalReading(volts * 0.5, volts, 0.5), ElectricalReading(5.0 * amperes, 5.0, amperes))
+
+    assert measure(say, channels=_RAILS)[1] == said

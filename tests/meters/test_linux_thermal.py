@@ -165,6 +165,16 @@ def test_what_a_raspberry_pi_says_to_have_happened_between_two_samples_is_told(m
     ]
 
 
+def test_what_happened_before_is_not_new_where_the_firmware_could_not_be_asked_in_between(measure, board, clock):
+    board.firmware(0x50000)
+    board.cooler(0, "cpufreq-cpu0", 0)
+    clock.at(4.1, (board.root / "devices/platform/soc/soc:firmware/get_throttled").unlink)
+    clock.at(5.1, lambda: board.firmware(0x50000))
+    context = measure()
+    assert context.measures["Throttled"] == 0.0
+    assert problems(context) == []
+
+
 def test_a_zone_that_tells_whole_degrees_is_doubted(measure, board, clock):
     told = (
         "a thermal zone told temperatures below 0.15 °C in 10 of 21 samples: it may tell whole degrees, not thousandths"

@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import csv
 import json
+import random
+from itertools import accumulate
 
 import pytest
 from tests.meters.fake_nvidia_driver import DRIVER_NOT_LOADED, FakeGpu, FakeNvidiaDriver, install
@@ -102,6 +104,22 @@ def test_power_that_is_an_average_over_the_last_second_does_not_contradict_the_c
 
     context = measure(FakeGpu(watts, millijoules=millijoules), seconds=7.5)
     assert context.measures["Energy"] == pytest.approx(750.0 + 200.0)
+    assert problems(context) == []
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 10.0])
+def test_bursts_that_power_of_a_moment_misses_do_not_contradict_the_counter(measure, rate_hz):
+    chance = random.Random(7)  # noqa: S311 - reproducible, not secret
+    watts = [chance.choice((8.0, 300.0)) for _ in range(1000)]  # an A100 tells the power of a moment
+    joules = [0.0, *accumulate(0.1 * each for each in watts)]
+
+    def millijoules(time):
+        return 1000 * joules[int(time * 10 + 1e-6)]
+
+    context = measure(
+        FakeGpu(lambda time: watts[int(time * 10 + 1e-6)], millijoules=millijoules), seconds=60.0, rate_hz=rate_hz
+    )
+    assert context.measures["Energy"] == pytest.approx(joules[700] - joules[100])
     assert problems(context) == []
 
 

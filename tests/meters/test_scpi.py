@@ -86,7 +86,8 @@ def test_an_answer_that_comes_too_late_is_not_taken_for_the_next(tmp_path, serve
     # The voltage comes once its question was given up: taken for the current it would be 144 W.
     plugin, clock = Scpi(server.resource, timeout_s=20, rate_hz=20.0), SystemClock()
     context = make_context(tmp_path, plugin, robot=None, clock=clock)
-    asked, prompt, is_given_up = scpi._Instrument._asked, server.answers["MEAS:VOLT?"], threading.Event()
+    asked, prompt = scpi._Instrument._asked, server.answers["MEAS:VOLT?"]
+    is_measuring, is_given_up = threading.Event(), threading.Event()
 
     def late() -> str:
         server.answers["MEAS:VOLT?"] = prompt
@@ -94,8 +95,9 @@ def test_an_answer_that_comes_too_late_is_not_taken_for_the_next(tmp_path, serve
         return prompt()
 
     def ask(instrument, query):
-        if server.answers.get(query) is not late:
+        if query != "MEAS:VOLT?" or not is_measuring.is_set() or is_given_up.is_set():
             return asked(instrument, query)
+        server.answers[query] = late  # not before: else the question before it may be answered late
         try:
             with hurried(instrument):
                 return asked(instrument, query)
@@ -104,7 +106,7 @@ def test_an_answer_that_comes_too_late_is_not_taken_for_the_next(tmp_path, serve
 
     def mission() -> None:
         clock.sleep(0.5)
-        server.answers["MEAS:VOLT?"] = late
+        is_measuring.set()
         assert is_given_up.wait(PATIENCE)
         clock.sleep(0.5)
 

@@ -14,6 +14,8 @@ from robot_runner.core.events.window import Window
 
 #: By how many times between changes a renewal is recognised, and how far these may differ, as a share of their mean.
 _EVEN_CHANGES, _EVENNESS = 2, 0.1
+#: So many values has what is switched on and off.
+_STATES = 2
 #: Or how far, in times between two readings, where more of them are.
 _SLACK = 1.1
 
@@ -135,7 +137,8 @@ def growth(counter: Series, window: Window) -> float | None:
 def renewed_every(series: Series) -> float | None:
     """Return how far the changes of a series are apart, s, where they are evenly so; None otherwise, or for too few.
 
-    So is what a meter renews less often than it is read.
+    So is what a meter renews less often than it is read; what goes to and fro between two values is a load that is
+    switched.
 
     Example:
         >>> renewed_every(Series([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [7.5, 7.5, 7.6, 7.6, 7.4, 7.4, 7.5]))
@@ -144,7 +147,7 @@ def renewed_every(series: Series) -> float | None:
     times, values = series.times, series.values
     changes = [times[place] for place in range(1, len(series)) if values[place] != values[place - 1]]
     apart = [later - sooner for sooner, later in pairwise(changes)]
-    if len(apart) < _EVEN_CHANGES:
+    if len(apart) < _EVEN_CHANGES or len(set(values)) == _STATES:
         return None
     every, spread = math.fsum(apart) / len(apart), max(apart) - min(apart)
     # A change is seen at the next reading only, so that times between changes may differ by as much.

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from itertools import accumulate, pairwise
+from itertools import accumulate, groupby, pairwise
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.measure import Measure, Over
@@ -23,6 +23,8 @@ Parse = Callable[[Sequence[str]], Sequence[Row | None]]
 
 #: Rows are of one moment where no more of the mean time between rows lies between them.
 _AT_ONCE = 0.1
+#: So often comes a row that is repeated, as a rule.
+_TWICE = 2
 
 
 class Aggregate(Enum):
@@ -198,10 +200,16 @@ def _number(cell: str | float | None) -> float | None:
 def repeated_rows(times: Sequence[float], rows: Sequence[Row]) -> int:
     """Return how many rows are the same as the row before, in a tenth of the mean time between rows or less.
 
+    None are where stamps are coarser than the rows, as those of events in whole seconds: more than two rows share one,
+    now more and now fewer.
+
     Example:
         >>> repeated_rows([0.0, 0.0, 1.0, 2.0], [{"count": "3"}] * 4)
         1
     """
+    shared = [len(list(same)) for _, same in groupby(times)]
+    if len(times) > _TWICE * len(shared) and len(set(shared[1:-1])) > 1:
+        return 0
     apart = (times[-1] - times[0]) / len(times) if times else 0.0
     pairs = zip(pairwise(times), pairwise(rows), strict=True)
     return sum(left == right and later - sooner <= _AT_ONCE * apart for (sooner, later), (left, right) in pairs)

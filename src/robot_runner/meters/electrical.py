@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import groupby, pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robot_runner.core.events.measure import Measure, Over
@@ -32,12 +32,15 @@ if TYPE_CHECKING:
 _FINE = 0.005
 #: A stretch of equal readings is doubted where it is this long, and fills this share of the window. A converter of ten
 #: bits and more shows its own noise in one of three quantities far sooner.
-STUCK_READINGS, STUCK_SHARE = 30, 0.2
+_STUCK_READINGS, _STUCK_SHARE = 30, 0.2
 #: Power is renewed seldom where that takes so many readings, and this share of the window.
 _SELDOM_READINGS, _SELDOM_SHARE = 3, 0.05
 
 #: Where power that changed between samples may bend the energy by more than this share, that is told.
 OFF_SHARE = 0.05
+#: A counter sees what readings miss: its power contradicts it beyond so many times what steps between readings leave
+#: open, of which bursts that are shorter than the time between readings take up to two and a half.
+STEP_ERRORS = 3
 #: What is larger than any meter tells in SI units, and small enough for sums and squares to stay finite.
 _BEYOND = 1e18
 #: Power contradicts voltage times current above this multiple: rounding a small current doubles it, three phases of
@@ -47,9 +50,11 @@ _MOST_OF_APPARENT, _LEAST_OF_APPARENT = 10.0, 1 / 500
 #: No power at all contradicts so many volt-amperes: such a clamp tells 0 W at 19 VA (a Shelly Pro EM-50 in ShellyPy's
 #: issue 20), and coarse meters tell whole watts.
 _APPARENT = 100.0
-#: Told where it holds for this share of the readings, and for more than a step of the load explains, where quantities
-#: are asked one after the other.
-_CONTRADICTED_SHARE, _OF_A_STEP = 0.05, 2
+#: What is told as 0 may be a step of a coarse meter, V and A; and less than so many volt-amperes may be noise.
+_VOLTS_AT_0, _AMPERES_AT_0, _NOISE = 0.1, 0.01, 0.001
+#: Told where it holds for more than a step of the load explains and this share of the readings: in a row, or in all.
+#: Where quantities are asked one after the other, steps come alone, and make power too high in a quarter at most.
+_OF_A_STEP, _IN_A_ROW, _IN_ALL = 2, 0.05, 0.3
 
 
 class ElectricalReading(NamedTuple):
@@ -202,7 +207,9 @@ class ElectricalProfiler(PolledProfiler[Readings]):
 
     def _counted(self, sampling: Sampling[Readings], place: int) -> float | None:
         counter = _told(sampling, place, "joules")
-        return growth(Series(counter.times, unwrapped(counter.values)), sampling.window)
+        has_sign = any(_backward_steps(sampling, place))
+        counts = counter.values if has_sign else unwrapped(counter.values)
+        return growth(Series(counter.times, counts), sampling.window)
 
     def _mean(self, sampling: Sampling[Readings], place: int, quantity: str) -> float | None:
         told, window = _told(sampling, place, quantity), sampling.window
@@ -225,9 +232,10 @@ class ElectricalProfiler(PolledProfiler[Readings]):
         if falls := _falls(sampling, place):
             yield f"the energy counter{{of}} was set back{'' if falls == 1 else f' {falls} times'}"
         elif counted is not None and integral is not None:
-            watts = _series(sampling.within(), place, "power").values
-            late = self.averaged * (max(watts, default=0.0) - min(watts, default=0.0))
-            blur = 2 * self._blur(sampling, integral) + late
+            power = _series(sampling.within(), place, "power")
+            late = self.averaged * (max(power.values, default=0.0) - min(power.values, default=0.0))
+            missed = 0.0 if self.averaged else STEP_ERRORS * step_error(power, sampling.window)
+            blur = 2 * self._blur(sampling, integral) + late + missed
             if abs(counted - integral) > max(self.disagreement * (abs(counted) + abs(integral)) / 2, blur):
                 yield f"the energy counter{{of}} rose by {counted:.4g} J, and its power amounts to {integral:.4g} J"
         if counted is not None and integral is None and (blur := self._blur(sampling, counted)) > _FINE * counted:
@@ -241,7 +249,7 @@ class ElectricalProfiler(PolledProfiler[Readings]):
         yield from _partly_told(sampling, place)
 
 
-def _off(power: Series, window: Window) -> float:
+def step_error(power: Series, window: Window) -> float:
     """Return how far the integral of power may be off, J: twice its standard deviation.
 
     Between two samples power may have changed at once, at any moment: a step that is uniformly distributed over an
@@ -256,7 +264,7 @@ def _off(power: Series, window: Window) -> float:
 
 def stepped(power: Series, sampling: Sampling[Any], joules: float | None) -> Iterator[str]:
     """Yield that power changed so much between samples that its integral may be off; `{of}` stands for the channel."""
-    off = _off(power, sampling.window)
+    off = step_error(power, sampling.window)
     if joules is not None and off > OFF_SHARE * abs(joules):
         apart = f"{1 / sampling.rate:.1f} s apart"
         yield (
@@ -301,7 +309,21 @@ def _partly_told(sampling: Sampling[Readings], place: int) -> Iterator[str]:
 
 
 def _falls(sampling: Sampling[Readings], place: int) -> int:
-    return fall_count(_series(sampling.within(), place, "joules").values)
+    """Return how often a counter was set back: it was lower than before, and not because a load fed back."""
+    within = sampling.within()
+    if any(_backward_steps(sampling, place)):
+        return _backward_steps(within, place).count(False)
+    return fall_count(_series(within, place, "joules").values)
+
+
+def _backward_steps(sampling: Sampling[Readings], place: int) -> list[bool]:
+    """Return, each time that a counter fell, whether power was negative: a load fed back, or a battery was charged."""
+    told = [
+        (joules, watts)
+        for readings in sampling.readings
+        if (joules := readings[place].joules) is not None and (watts := readings[place].power) is not None
+    ]
+    return [min(before, now) < 0 for (sooner, before), (later, now) in pairwise(told) if later < sooner]
 
 
 def seldom_renewed(power: Series, sampling: Sampling[Any]) -> Iterator[str]:
@@ -319,10 +341,22 @@ def doubts_about_readings(sampling: Sampling[Readings], place: int = 0) -> Itera
 
 def _stuck(sampling: Sampling[Readings], place: int) -> Iterator[str]:
     within = sampling.within()
-    longest = longest_standstill(within.times, [readings[place][:4] for readings in within.readings])
+    for standstill in standstills(within.times, [_standing(readings, place) for readings in within.readings], sampling):
+        yield f"the meter said the same{{of}} {standstill}: it may be stuck"
+
+
+def standstills(times: Sequence[float], values: Sequence[object], sampling: Sampling[Any]) -> Iterator[str]:
+    """Yield how often and for how long a meter said the same in the window, where its noise should have been seen."""
+    longest = longest_standstill(times, values)
     span = longest[-1] - longest[0] if longest else 0.0
-    if len(longest) >= STUCK_READINGS and span >= STUCK_SHARE * sampling.window.duration:
-        yield f"the meter said the same{{of}} {len(longest)} times, for {span:.1f} s: it may be stuck"
+    if len(longest) >= _STUCK_READINGS and span >= _STUCK_SHARE * sampling.window.duration:
+        yield f"{len(longest)} times, for {span:.1f} s"
+
+
+def _standing(readings: Readings, place: int) -> object:
+    """Return what says the same where a channel is stuck: that of all channels where nothing is drawn from this one."""
+    power, _, current = readings[place][:3]
+    return [each[:4] for each in readings] if power == 0 or current == 0 else readings[place][:4]
 
 
 def _contradicted(sampling: Sampling[Readings], place: int) -> Iterator[str]:
@@ -334,18 +368,22 @@ def _contradicted(sampling: Sampling[Readings], place: int) -> Iterator[str]:
         )
         if watts is not None and volts is not None and amperes is not None
     ]
-    odd = [each for each in told if _contradicts(*each)]
-    if len(odd) > max(_OF_A_STEP, _CONTRADICTED_SHARE * len(told)) or (odd and len(odd) == len(told)):
-        watts, volts, amperes = odd[0]
-        yield (
-            f"the power{{of}} contradicts voltage times current in {len(odd)} of {len(told)} readings, such as "
-            f"{watts:.3g} W at {volts:.3g} V and {amperes:.3g} A: one of them may have another unit"
-        )
+    signs = [_contradiction(*each) for each in told]
+    stretches = [(sign, len(list(stretch))) for sign, stretch in groupby(signs)]
+    for sign in (1, -1):
+        count, longest = signs.count(sign), max((size for each, size in stretches if each == sign), default=0)
+        is_long = longest > max(_OF_A_STEP, _IN_A_ROW * len(told))
+        if is_long or count > max(_OF_A_STEP, _IN_ALL * len(told)) or 0 < count == len(told):
+            watts, volts, amperes = told[signs.index(sign)]
+            yield (
+                f"the power{{of}} contradicts voltage times current in {count} of {len(told)} readings, such as "
+                f"{watts:.3g} W at {volts:.3g} V and {amperes:.3g} A: one of them may have another unit"
+            )
 
 
-def _contradicts(watts: float, volts: float, amperes: float) -> bool:
+def _contradiction(watts: float, volts: float, amperes: float) -> int:
+    """Return 1 where power is far more than voltage times current allow, -1 where it is far less, else 0."""
     apparent = abs(volts * amperes)
-    if not volts or not watts:
-        return bool(watts) or apparent >= _APPARENT
-    # A current that is told as 0 may be less than a step.
-    return bool(amperes) and not _LEAST_OF_APPARENT <= abs(watts) / apparent <= _MOST_OF_APPARENT
+    most = _MOST_OF_APPARENT * max((abs(volts) or _VOLTS_AT_0) * (abs(amperes) or _AMPERES_AT_0), _NOISE)
+    is_less = abs(watts) < _LEAST_OF_APPARENT * apparent if watts else apparent >= _APPARENT
+    return int(abs(watts) > most) - int(is_less)

@@ -53,7 +53,8 @@ class ThermalReading:
         throttle_count: how often it was throttled since the machine started; None where a core does not tell.
         is_held_back: whether the kernel or the firmware holds it back now.
         is_under_voltage: whether the supply voltage is too low now.
-        happened: the flags of what the firmware says to have happened before, in the places of those of now.
+        happened: the flags of what the firmware says to have happened before, in the places of those of now; None where
+            it does not tell.
     """
 
     temperature: float | None
@@ -63,7 +64,7 @@ class ThermalReading:
     is_under_voltage: bool = False
     core_frequencies: tuple[float | None, ...] = ()
     silent_zones: int = 0
-    happened: int = 0
+    happened: int | None = None
 
 
 class _Machine(Meter[ThermalReading]):
@@ -104,7 +105,7 @@ class _Machine(Meter[ThermalReading]):
             is_under_voltage=any(flag & UNDER_VOLTAGE for flag in flags),
             core_frequencies=tuple(clock * _KILO if clock else None for clock in clocks),
             silent_zones=len(self.temperatures) - len(temperatures),
-            happened=max((flag >> EVER for flag in flags), default=0),
+            happened=max((flag >> EVER for flag in flags), default=None),
         )
 
 
@@ -272,9 +273,9 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
             hottest = max(temperatures, default=None)
             at = "" if hottest is None else f", at up to {hottest:.0f} °C"
             yield f"the processor was held back in {sum(held_back)} of {len(held_back)} samples{at}"
-        told = sampling.readings
-        new = [bool(later.happened & ~sooner.happened & UNDER_VOLTAGE) for sooner, later in pairwise(told)]
-        if any(new) or any(reading.is_under_voltage for reading in told):
+        happened = [reading.happened for reading in sampling.readings if reading.happened is not None]
+        is_new = any(later & ~sooner & UNDER_VOLTAGE for sooner, later in pairwise(happened))
+        if is_new or any(reading.is_under_voltage for reading in sampling.readings):
             yield "the supply voltage of the computer was too low for a time"
 
     def details(self) -> Mapping[str, Any]:
@@ -322,7 +323,7 @@ def _held_back(readings: Sequence[ThermalReading]) -> list[bool]:
     for each in readings:
         if each.is_held_back is not None or each.throttle_count is not None:
             count = counted if each.throttle_count is None else each.throttle_count
-            has_been = count > counted or each.happened & ~happened & HELD_BACK
-            held_back.append(bool(each.is_held_back or has_been))
-            counted, happened = count, each.happened
+            before, happened = happened, happened if each.happened is None else each.happened
+            held_back.append(bool(each.is_held_back or count > counted or happened & ~before & HELD_BACK))
+            counted = count
     return held_back

@@ -13,9 +13,16 @@ from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.measured_machine import simulation_findings
 from robot_runner.measuring.quality import Column, sufficient
-from robot_runner.measuring.series import Series, cut, energy, growth, longest_standstill, mean
+from robot_runner.measuring.series import Series, cut, energy, growth, mean
 from robot_runner.meters.counters import fall_count
-from robot_runner.meters.electrical import OFF_SHARE, STUCK_READINGS, STUCK_SHARE, seldom_renewed, stepped
+from robot_runner.meters.electrical import (
+    OFF_SHARE,
+    STEP_ERRORS,
+    seldom_renewed,
+    standstills,
+    step_error,
+    stepped,
+)
 from robot_runner.meters.parameter_checks import check_list
 from robot_runner.meters.polled import PolledProfiler, known_series, trial_findings
 
@@ -215,9 +222,11 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
                 f"its energy may be off by {off:.0f} %"
             )
         if integral is not None:
-            watts = _known(sampling.within(), place, "power").values
-            late = 2 * _RENEWED * integral / seconds + _AVERAGED * (max(watts, default=0.0) - min(watts, default=0.0))
-            if abs(counted - integral) > max(OFF_SHARE * (counted + integral) / 2, late):
+            power = _known(sampling.within(), place, "power")
+            spread = max(power.values, default=0.0) - min(power.values, default=0.0)
+            late = 2 * _RENEWED * integral / seconds + _AVERAGED * spread
+            missed = STEP_ERRORS * step_error(power, sampling.window)
+            if abs(counted - integral) > max(OFF_SHARE * (counted + integral) / 2, late + missed):
                 rose = f"the energy counter of GPU {gpu} rose by {counted:.4g} J"
                 yield f"{rose}, and its power amounts to {integral:.4g} J"
 
@@ -238,11 +247,8 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
             yield doubt.format(of=f" of GPU {gpu}")
         # One that has nothing to do may draw the same power for long.
         busy = [each[place].power if each[place].utilisation else object() for each in within.readings]
-        longest = longest_standstill(within.times, busy)
-        span = longest[-1] - longest[0] if longest else 0.0
-        if len(longest) >= STUCK_READINGS and span >= STUCK_SHARE * sampling.window.duration:
-            same = f"GPU {gpu} told the same power {len(longest)} times, for {span:.1f} s"
-            yield f"{same}, while it computed: it may be stuck"
+        for standstill in standstills(within.times, busy, sampling):
+            yield f"GPU {gpu} told the same power {standstill}, while it computed: it may be stuck"
 
     def details(self) -> Mapping[str, Any]:
         """Return the names of the GPUs."""
