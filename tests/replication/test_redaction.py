@@ -172,7 +172,14 @@ def test_a_secret_is_found_in_its_column_whatever_stands_in_the_others(row, tmp_
 
 
 @pytest.mark.parametrize(
-    "table", ["run;energy;password\n1;1,5;X\n", 'run,"note, by whom",password\r\n1,ok,X\r\n', 'run\t"password"\n1;2\tX']
+    "table",
+    [
+        "run;energy;password\n1;1,5;X\n",
+        'run,"note, by whom",password\r\n1,ok,X\r\n',
+        'run\t"password"\n1;2\tX',
+        'run,"note; by whom; when; where",password\n1,ok,X\n',
+        'run,"note\nby whom",password\n1,ok,X\n',
+    ],
 )
 def test_the_heading_says_what_separates_the_columns(table, tmp_path):
     assert cleaned_table(table.replace("X", "hunter2"), tmp_path) == table.replace("X", "REDACTED")
@@ -181,6 +188,27 @@ def test_the_heading_says_what_separates_the_columns(table, tmp_path):
 def test_a_table_that_is_longer_than_a_block_keeps_its_secret_columns(tmp_path):
     table = "password,run\n" + f"X,{'7' * 1000}\n" * 4500  # a block is 4 MiB
     assert "hunter2" not in cleaned_table(table.replace("X", "hunter2"), tmp_path)
+
+
+@pytest.mark.long
+def test_a_table_that_is_longer_than_a_block_keeps_its_rows_together(tmp_path):
+    note = "it fell, and stood up\n" * 1500
+    table = "run,note,password\n" + f'1,"{note}",X\n' * 200  # blocks end within notes
+    assert cleaned_table(table.replace("X", "hunter2"), tmp_path) == table.replace("X", "REDACTED")
+
+
+@pytest.mark.long
+def test_a_secret_over_rows_of_a_long_table_before_a_long_note_is_found(tmp_path):
+    filled = "run,note,password\n" + f"2,{'7' * 1000},9\n" * 4100
+    note = "it fell, and stood up\n" * 9000  # the first block of 4 MiB ends within it
+    assert len(filled) < 4 << 20 < len(filled) + len(note)
+    assert "hunter2" not in cleaned_table(f'{filled}password: |\n  hunter2\n  hunter2,"{note}",9\n', tmp_path)
+
+
+@pytest.mark.long
+def test_a_quote_that_nothing_closes_hides_no_secret_of_a_long_table(tmp_path):
+    table = 'run,note,password\n1,"5,X\n' + f"2,{'7' * 1000},X\n" * 9000  # of several blocks
+    assert cleaned_table(table.replace("X", "hunter2"), tmp_path) == table.replace("X", "REDACTED")
 
 
 def test_bytes_that_are_no_text_are_told_from_text(tmp_path):

@@ -6,7 +6,6 @@ import re
 from collections.abc import Iterator
 from enum import Enum
 from functools import lru_cache
-from itertools import islice
 
 from robot_runner.core.secret_names import is_placeholder, is_secret_name
 from robot_runner.replication.secret_kinds import Found
@@ -115,10 +114,14 @@ def _secret_name(written: bytes) -> str:
 #: By what separates them: cells of a table. One in quotes goes on for lines; a quote that nothing closes is a letter.
 _CELLS = {
     mark: re.compile(
-        rb"(?P<cell>\"(?:[^\"]|\"\")*+\"(?=[MARK\r\n]|\Z)|[^MARK\r\n]*)(?P<end>MARK|\r?\n|\r|\Z)".replace(b"MARK", mark)
+        rb"(?P<cell>\"(?:[^\"]|\"\")*+\"(?=[MARK\r\n]|\Z)|(?P<open>(?=\"(?:[^\"]|\"\")*+\Z))?[^MARK\r\n]*)"
+        rb"(?P<end>MARK|\r?\n|\r|\Z)".replace(b"MARK", mark)
     )
     for mark in (b",", b";", b"\t")
 }
+
+
+_IN_QUOTES = re.compile(rb"\"[^\"]*\"")
 
 
 def _rows(block: bytes, separator: bytes) -> Iterator[list[re.Match[bytes]]]:
@@ -130,23 +133,45 @@ def _rows(block: bytes, separator: bytes) -> Iterator[list[re.Match[bytes]]]:
             row = []
 
 
-def secret_columns(heading: bytes) -> tuple[bytes, frozenset[int]]:
+def secret_columns(beginning: bytes) -> tuple[bytes, frozenset[int]]:
     """Return what separates the columns of a table, and the places, from 0, of those that are headed as secrets."""
-    separator = max(_CELLS, key=heading.count)
-    names = [each["cell"].strip(b'"').decode("utf-8", "replace") for each in next(_rows(heading, separator), [])]
+    separator = max(_CELLS, key=_IN_QUOTES.sub(b"", beginning).partition(b"\n")[0].count)
+    heading = next(_rows(beginning, separator), [])
+    if not (heading and heading[-1]["end"]):  # a line that goes on
+        return separator, frozenset()
+    names = [each["cell"].strip(b'"').decode("utf-8", "replace") for each in heading]
     return separator, frozenset(place for place, name in enumerate(names) if is_secret_name(name))
 
 
 def secrets_in_columns(
-    block: bytes, separator: bytes, columns: frozenset[int], *, has_heading: bool
-) -> Iterator[Found]:
-    """Yield the cells of these columns that are neither empty nor numbers: somebody has to judge."""
-    for row in islice(_rows(block, separator), int(has_heading), None):
+    block: bytes, separator: bytes, columns: frozenset[int], *, has_heading: bool, goes_on: bool
+) -> tuple[list[Found], list[int]]:
+    """Return the cells of these columns that are neither empty nor numbers: somebody has to judge.
+
+    Args:
+        block: the text, which begins with a row.
+        separator: what separates its columns.
+        columns: the places of those that are headed as secrets.
+        has_heading: whether the first row is the heading.
+        goes_on: whether the next block may close what a quote opens here: rows end before that.
+
+    Returns:
+        Also where each row ends.
+    """
+    found: list[Found] = []
+    ends: list[int] = []
+    for row in _rows(block, separator):
+        if goes_on and not (row[-1]["end"] and all(cell["open"] is None for cell in row)):
+            break
+        ends.append(row[-1].end())
+        if has_heading and len(ends) == 1:
+            continue
         for place in columns.intersection(range(len(row))):
             cell = row[place]["cell"]
             if not is_placeholder(cell.decode("utf-8", "replace")) and not _is_number(cell):
                 begin, end = row[place].span("cell")
-                yield Found(begin, end, f"what may be a {_WHAT} in a column", begin, is_sure=False)
+                found.append(Found(begin, end, f"what may be a {_WHAT} in a column", begin, is_sure=False))
+    return found, ends
 
 
 def _is_number(cell: bytes) -> bool:

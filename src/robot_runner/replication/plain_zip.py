@@ -22,6 +22,8 @@ _STAMP = (1980, 1, 1, 0, 0, 0)
 _LEVEL = 6
 _LARGE = 1 << 30
 _BLOCK = 1 << 16
+#: What a zip file says of each file takes a hundredth of one of this size: many smaller ones are no bomb together.
+_SMALL = 1 << 14
 #: Half of what is taken for a zip bomb: a file whose secrets are replaced may shrink more.
 _MOST_TIMES_SMALLER = 100
 #: Compressed already.
@@ -94,7 +96,7 @@ def looks_like_a_bomb(path: Path, size: int) -> bool:
     Raises:
         StorageError: it cannot be read.
     """
-    if size <= _BLOCK:
+    if size <= _SMALL:
         return False
     deflated, packed = zlib.compressobj(_LEVEL), 0
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -156,21 +157,26 @@ class Redactor:
 
     def cleaned(self, chunks: Iterable[bytes], hits: Hits, grammar: Grammar) -> Iterator[bytes]:
         """Yield a text that comes in chunks of UTF-8 in blocks of another size, secrets replaced."""
-        kept, line, is_whole, separator, columns = b"", 1, True, b",", frozenset[int]()
+        kept, line, is_whole, is_in_row, separator, columns = b"", 1, True, False, b",", frozenset[int]()
         for chunk, is_last in _with_last(chunks):
             kept += chunk
             if not is_last and is_whole and len(kept) < _WHOLE:
                 continue
             found = self.find(kept, grammar, is_file=is_whole and is_last)
             if is_whole and grammar is Grammar.TABLE and self.has_general:
-                separator, columns = secret_columns(kept[: kept.find(b"\n", 0, _LONGEST_HEADING) + 1])
+                separator, columns = secret_columns(kept[:_LONGEST_HEADING])
+            ends: list[int] = []
             if columns:
-                in_columns = secrets_in_columns(kept, separator, columns, has_heading=is_whole)
+                in_columns, ends = _in_columns(kept, separator, columns, is_whole=is_whole, is_last=is_last)
                 found = _without_overlap([*found, *in_columns])
             cut = len(kept) if is_last else _cut_of(kept, found)
+            if columns and not is_last:
+                row_end = _row_end(ends, cut, found)
+                is_in_row = not row_end and (is_in_row or len(kept) >= 2 * _WHOLE)  # it may be too long to be kept
+                cut = cut if is_in_row else row_end
             yield self._replaced(kept[:cut], [each for each in found if each.end <= cut], hits, line)
             line += kept.count(b"\n", 0, cut)
-            kept, is_whole = kept[cut:], False
+            kept, is_whole = kept[cut:], is_whole and not cut
 
     def _replaced(self, block: bytes, found: list[Found], hits: Hits, line: int) -> bytes:
         if not found:
@@ -184,6 +190,26 @@ class Redactor:
             line += block.count(b"\n", each.start, each.end)
             end = each.end
         return b"".join([*parts, block[end:]])
+
+
+def _in_columns(
+    block: bytes, separator: bytes, columns: frozenset[int], *, is_whole: bool, is_last: bool
+) -> tuple[list[Found], list[int]]:
+    """Return what is found in columns, and where the rows end that are whole."""
+    found, ends = secrets_in_columns(block, separator, columns, has_heading=is_whole, goes_on=not is_last)
+    if is_last or len(block) - (ends[-1] if ends else 0) < _WHOLE:
+        return found, ends
+    # No note is that long: nothing closes the quote.
+    return secrets_in_columns(block, separator, columns, has_heading=is_whole, goes_on=False)
+
+
+def _row_end(ends: list[int], cut: int, found: list[Found]) -> int:
+    """Return the last of these ends before a cut that is within nothing that was found; 0 where none is."""
+    end = ends[at - 1] if (at := bisect_right(ends, cut)) else 0
+    for each in reversed(found):
+        if each.begin < end < each.end:
+            end = ends[at - 1] if (at := bisect_right(ends, each.begin)) else 0
+    return end
 
 
 def _with_last(chunks: Iterable[bytes]) -> Iterator[tuple[bytes, bool]]:

@@ -400,6 +400,11 @@ def test_numbers_that_count_from_1_in_each_combination_may_be_repetitions_in_ano
     assert note.startswith("day is taken for a block")
 
 
+def test_numbers_one_of_which_is_in_words_are_counted_as_well(tmp_path):
+    (note,) = guessed(tmp_path, "task,Lauf,energy\na,1,0.5\na,r2,1.5\na,3,2.5\nb,1,3.5\nb,r2,4.5\nb,3,5.5\n").notes
+    assert note.startswith("Lauf counts from 1 to 3, and each combination has every number once: repetitions?")
+
+
 def test_what_may_be_a_block_is_noted_with_its_option(tmp_path):
     (note,) = guessed(tmp_path, SHAPES["subjects"][0]).notes
     assert note == "subject has every combination for each of its values: a block? Then say --block subject"

@@ -11,8 +11,10 @@ from tests.long_cases import long_but
 
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.statistics.effect_sizes import f_of_p_value, noncentralities_of_f, noncentralities_of_t
+from robot_runner.analysis.statistics.tested import TestMethod
+from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.factor import Factor
-from robot_runner.designs import Crossover
+from robot_runner.designs import Crossover, SplitPlot
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -100,3 +102,51 @@ def test_an_effect_is_told_in_standard_deviations_of_runs_however_many_share_a_b
 def test_an_f_or_a_t_that_no_library_inverts_is_given_up_at_once(f_value: float) -> None:
     assert noncentralities_of_f(f_value, (2, 33.3), 0.9) is None
     assert noncentralities_of_t(-(f_value**0.5) - 1, 18, 0.95) is None
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("is_between", [False, True])
+def test_a_covariate_changes_nothing_about_the_standard_deviation_of_runs_that_share_a_block(
+    tmp_path: Path, is_between: bool
+) -> None:
+    random, days = np.random.default_rng(8), Factor("Day", [f"day {number}" for number in range(1, 7)])
+
+    def values(treatments: dict[str, Any], repetition: int) -> dict[str, Any] | None:
+        day, is_b = days.treatments.index(treatments["Day"]), treatments["Task"] == "b"
+        if is_between and is_b != day % 2:
+            return None
+        own = (3.0 if is_b else -3.0) * (1, 1, -1, -1, 2, -2)[day]
+        return {"Energy": 50.0 + is_b + own + float(random.normal()), "Voltage": float(random.normal())}
+
+    measures, plan = ["Energy", "Voltage"], {"measures": ["Energy"]}
+    given: dict[str, Any] = {"repetitions": 6, "blocks": "Day", "measures": measures}
+    folder = make_experiment(tmp_path / "made", [days, TASKS], values, analysis=plan, **given)
+    results = load_results(folder.root)
+    plain = analyse(results).measure("Energy").test
+    adjusted = analyse(results, plan=AnalysisPlan(measures=["Energy"], covariates=["Voltage"])).measure("Energy").test
+    assert plain is not None
+    assert adjusted is not None
+    assert adjusted.method is TestMethod.COVARIANCE
+    assert adjusted.spread == pytest.approx(plain.spread)
+
+
+def test_a_run_that_a_whole_plot_lost_hardly_changes_an_effect(tmp_path: Path) -> None:
+    plots, floors = Factor("Plot", list(range(1, 9))), Factor("Floor", ["wood", "carpet"])
+    found = []
+    for lost in (False, True):
+        random = np.random.default_rng(9)
+
+        def values(treatments: dict[str, Any], _: int, lost: bool = lost, random: Any = random) -> Any:
+            noise, plot = float(random.normal()), treatments["Plot"]
+            if lost and plot == 3 and treatments["Task"] == "a":
+                return None
+            return {"Energy": 50.0 + 5 * (1, 1, -1, -1)[plot % 4] + 3 * (treatments["Floor"] == "wood") + noise}
+
+        design = SplitPlot("Floor", "Plot")
+        folder = make_experiment(tmp_path / f"{lost}", [plots, floors, TASKS], values, repetitions=1, chosen=design)
+        test = analyse(load_results(folder.root)).measure("Energy").test
+        assert test is not None
+        found.append((test.method, test.spread))
+    (method, spread), (method_of_lost, spread_of_lost) = found
+    assert (method, method_of_lost) == (TestMethod.SPLIT_PLOT, TestMethod.MIXED_MODEL)
+    assert spread_of_lost == pytest.approx(spread, rel=0.05)

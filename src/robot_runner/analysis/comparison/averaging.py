@@ -214,7 +214,8 @@ def _answer(question: _Question, of: _Estimated, alpha: float) -> EffectIn | Non
         return None
     reach = error * float(stats.t.ppf(1 - alpha / 2, freedom))
     own = None if isinstance(of.model, LenthModel | SurfaceModel) else of.model.spread_freedom
-    g, g_error = hedges_g(estimate, error, freedom if own is None else own, spread)
+    own = freedom if own is None else own
+    g, g_error = hedges_g(estimate, error, own, spread)
     return EffectIn(
         of.experiment,
         int(of.data.frame[factor].astype(str).isin(list(weights)).sum()),
@@ -225,6 +226,8 @@ def _answer(question: _Question, of: _Estimated, alpha: float) -> EffectIn | Non
         float(found.p_value),
         g,
         g_error,
+        # What error and standard deviation have in common cancels out of the error of g (Satterthwaite 1946).
+        1 / (1 / freedom - 1 / own) if own > freedom else math.inf,
     )
 
 
@@ -262,7 +265,7 @@ def _averaged(effect: CombinedEffect, alpha: float) -> CombinedEffect:
     standardised = None
     if len(sizes) == len(told):
         g, g_error = zip(*sizes, strict=True)
-        standardised = combine(g, g_error, [math.inf] * len(sizes), alpha=alpha)
+        standardised = combine(g, g_error, [each.g_freedom for each in told], alpha=alpha)
     return replace(effect, difference=difference, standardised=standardised)
 
 

@@ -100,6 +100,8 @@ class EffectIn:
         error: its standard error, with `freedom` degrees of freedom (Welch, Satterthwaite).
         interval: at 1 - alpha.
         g: Hedges' g; `g_error` its standard error; None with a single degree of freedom.
+        g_freedom: the degrees of freedom of that; infinite where the standard deviation is known no better than the
+            error of the difference is.
     """
 
     experiment: str
@@ -111,6 +113,7 @@ class EffectIn:
     p_value: float
     g: float | None
     g_error: float | None
+    g_freedom: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from robot_runner.analysis.importing.column_evidence import IN_RUN_ID, Confidence, Role, RoleGuess
+from robot_runner.analysis.importing.column_evidence import IN_RUN_ID, Confidence, Role, RoleGuess, repetition_number
 from robot_runner.analysis.importing.column_verdicts import ColumnVerdicts
 from robot_runner.core.errors import AnalysisError, did_you_mean
 
@@ -318,7 +318,7 @@ class _Guessing:
                 elif len(numbers) >= _FEWEST_COUNTED and not (
                     _BLOCK.fullmatch(_folded(name)) or _MAYBE_BLOCK.fullmatch(_folded(name))
                 ):
-                    first, *_, last = sorted(numbers, key=float)
+                    first, *_, last = sorted(numbers, key=lambda each: repetition_number(each) or 0)
                     told = f"{name} counts from {first} to {last}, and each combination has every number once"
                     self._notes.append(f"{told}: repetitions? Then say --repetition {shlex.quote(name)}")
 

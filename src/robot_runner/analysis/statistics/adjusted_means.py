@@ -166,7 +166,7 @@ def _fitted(design: CovariateDesign, statistic: Statistic) -> AdjustedMeans | No
         float(np.mean(adjusted - design.effects[:, 1:] @ fit.beta[first : first + count])),
         spread,
         left,
-        float(design.freedom_left(unadjusted)) if design.is_within else None,
+        design.spread_freedom(unadjusted) if design.is_within else None,
         is_within=design.is_within,
         first_slope=design.base.shape[1],
         slopes_p_value=_equal_slopes(design),

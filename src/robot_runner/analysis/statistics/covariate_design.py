@@ -12,6 +12,7 @@ import pandas as pd
 
 from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.cell_layout import relative_ranks
+from robot_runner.analysis.statistics.cell_moments import AveragedOut, averaged_out
 from robot_runner.analysis.statistics.effect_coding import Factors, Term
 from robot_runner.analysis.statistics.linear_model import estimable_terms
 from robot_runner.analysis.statistics.robust_covariance import RobustFit, fit_robustly
@@ -180,17 +181,50 @@ class CovariateDesign:
 
     def spread(self, fit: RobustFit) -> float:
         """Return the root of the mean variance of combinations, or of what the model leaves; NaN of too few runs."""
-        freedom = self.freedom_left(fit)
+        freedom = len(fit.residuals) - len(fit.beta) - self._swept_blocks
         if freedom < 1:
             return math.nan
         if self._variances is not None:
             return float(np.sqrt(np.mean(fit.working[np.unique(self.cell, return_index=True)[1]])))
+        if self._unit is not None:
+            own, _, beyond = self._of_units(fit, self._unit)
+            return math.sqrt(own + float(beyond.variance))
         return float(np.sqrt(np.sum(fit.residuals**2) / freedom))
 
-    def freedom_left(self, fit: RobustFit) -> int:
-        """Return the degrees of freedom that are left of all runs."""
-        blocks = int(self.units.max()) + 1 if self.units is not None and self.is_within else 0
-        return len(fit.residuals) - len(fit.beta) - blocks
+    def spread_freedom(self, fit: RobustFit) -> float:
+        """Return the degrees of freedom of the spread within blocks."""
+        if self._unit is None:
+            return float(len(fit.residuals) - len(fit.beta) - self._swept_blocks)
+        own, freedom, beyond = self._of_units(fit, self._unit)
+        return beyond.freedom_with(own, freedom)
+
+    def _of_units(self, fit: RobustFit, unit: Numbers) -> tuple[float, float, AveragedOut]:
+        """Return the variance of the means of runs that share their block and combination, its freedom, and the rest.
+
+        They are not independent: what the block responds to a treatment is in all of them.
+        """
+        residuals = np.empty(len(unit))
+        residuals[np.argsort(np.asarray(self.units), kind="stable")] = fit.residuals
+        sizes, first = np.bincount(unit), np.unique(unit, return_index=True)[1]
+        rows = [np.bincount(unit, column) / sizes for column in (residuals, *self.batches.T)]
+        blocks = None if self._sweep is None else self._sweep[first]
+        columns = np.column_stack([self.effects[first, int(self.is_within) :], *rows[1:]])
+        columns, means = _swept(columns, blocks), _swept(rows[0][:, None], blocks)[:, 0]
+        left = means - columns @ np.linalg.lstsq(columns, means)[0]
+        freedom = max(1.0, float(len(sizes) - _rank(columns) - self._swept_blocks))  # two blocks, and batches beside
+        return float(np.sum(left**2) / freedom), freedom, averaged_out(residuals, unit)
+
+    @cached_property
+    def _unit(self) -> Numbers | None:
+        """The combination within its block of each run; None where each has a single run, or there are no blocks."""
+        if self.units is None:
+            return None
+        _, unit = np.unique(np.stack([self.units, self.cell]), axis=1, return_inverse=True)
+        return None if int(unit.max()) + 1 == len(self.cell) else np.asarray(unit.ravel(), dtype=np.intp)
+
+    @property
+    def _swept_blocks(self) -> int:
+        return 0 if self._sweep is None else int(self._sweep.max()) + 1
 
     def crossed(self) -> Floats | None:
         """Return the products of covariates and main effects, in which slopes differ; None where runs are too few."""

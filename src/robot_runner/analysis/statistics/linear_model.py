@@ -92,15 +92,25 @@ class FittedModel:
 
     @property
     def spread(self) -> float:
-        """The standard deviation of what the model leaves unexplained of a run."""
-        return math.sqrt(self.fit.scale + float(self.averaged_out.variance))
+        """The standard deviation of what the model leaves unexplained of a run.
+
+        Where factors differ between blocks, how these vary is in it: those of one treatment differ by that.
+        """
+        ratio = self.fit.ratio if self._has_between else 0.0
+        return math.sqrt(self.fit.scale * (1 + ratio) + float(self.averaged_out.variance))
 
     @property
-    def spread_freedom(self) -> float:
-        """The degrees of freedom of `spread`."""
+    def spread_freedom(self) -> float | None:
+        """The degrees of freedom of `spread`; None with blocks in it: it is as well known as differences are."""
+        if self._has_between:
+            return None
         every = self.exog if self.blocks is None else self._with_blocks
         freedom = float(len(self.exog) - np.linalg.matrix_rank(every))
         return self.averaged_out.freedom_with(self.fit.scale, freedom)
+
+    @cached_property
+    def _has_between(self) -> bool:
+        return self.blocks is not None and any(map(self._is_between_blocks, self.terms))
 
     def effects(self) -> Iterator[EffectTest]:
         """Yield the test of each effect: Wald's statistic as an F, with degrees of freedom by containment."""
