@@ -262,6 +262,20 @@ def test_this_execution_goes_on_holding_its_robot_once_that_was_made_safe(
     assert f"{claim} is in use by the experiment 'trial'" in refused.stderr
 
 
+def test_of_a_robot_whose_commands_are_not_known_it_is_not_said_that_it_was_made_safe(
+    write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(standby, "connect_robot", lambda _context: Deserted())
+    head = HEAD.replace("    plugins = [", "    none = [")
+    experiment = prepare_or_refuse(write_config("", head=head, table=TABLE))
+    experiment.folder.root.parent.mkdir()
+    make_experiment_folder(experiment.folder.root)
+    task = described_task(experiment, RunTask("r_2", 2, 2, 1, {"Room": "hall"}, 1, 7, 8))
+    SystemsFile(experiment.folder).begin("rosbridge://127.0.0.1:1", task)
+    (found,) = see_to_what_is_left(experiment)
+    assert found.problem.endswith("no command of it is known, so that the robot was told nothing now")
+
+
 @pytest.mark.parametrize(
     "content",
     ["", "{", "[]\n", '{"robot": 7, "task": {"run_id": "r_2"}}\n', '{"robot": null, "task": {}}\n', '{"a":' * 10_000],

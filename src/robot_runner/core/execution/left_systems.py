@@ -157,6 +157,8 @@ def _finding(standby: Standby, left: LeftSystems) -> Finding:
     gone = left.systems.difference(each.name for each in standby.systems)
     if standby.state.care is Care.MADE_SAFE and not gone:
         done = f"{left.in_words}; that was done now{f', as far as it could be: {reason}' if reason else ''}"
+        if not left.commanded and not standby.systems:  # the power may have failed before one was on the disk
+            done = f"{left.in_words}; no command of it is known, so that the robot was told nothing now"
         return Finding.warning(left.run_id, done, "Look where the robot stands.")
     if gone:
         reason = f"the config has no {enumerated(sorted(gone))} any more"
