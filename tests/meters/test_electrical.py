@@ -6,7 +6,8 @@ from itertools import accumulate
 
 import pytest
 
-from robot_runner.meters.electrical import ElectricalProfiler, ElectricalReading
+from robot_runner.meters.electrical import ElectricalProfiler
+from robot_runner.meters.electrical_readings import ElectricalReading
 from robot_runner.testing import FakeClock, make_context, rehearse
 
 

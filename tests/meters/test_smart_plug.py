@@ -18,7 +18,7 @@ from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.meters.electrical import ElectricalReading
+from robot_runner.meters.electrical_readings import ElectricalReading
 from robot_runner.meters.http_requests import HttpDevice
 from robot_runner.meters.mqtt_requests import MqttRequests
 from robot_runner.meters.plug_dialects import DIALECTS

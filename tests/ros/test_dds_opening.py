@@ -113,6 +113,7 @@ def test_a_domain_id_that_cannot_be_is_refused_where_it_was_said(domain):
         ("dds:distro=jazy", "Did you mean 'jazzy'"),
         ("dds:types=/no/such/folder", "there is no such file or folder"),
         ("dds:domain=999", "the domain id is '999'"),
+        ("dds:domain=010", "the domain id is '010'"),  # programs of ROS take it for 8
     ],
 )
 def test_what_stands_in_the_way_is_found_without_opening_anything(name, problem):

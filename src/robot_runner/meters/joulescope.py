@@ -14,7 +14,8 @@ from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import Clock, RobotRunnerContext, SystemClock
 from robot_runner.core.plugin import Circumstances
 from robot_runner.measuring.measured_machine import machine_clock, simulation_findings
-from robot_runner.meters.electrical import ElectricalProfiler, ElectricalReading
+from robot_runner.meters.electrical import ElectricalProfiler
+from robot_runner.meters.electrical_readings import ElectricalReading
 from robot_runner.meters.polled import trial_findings
 
 _INSTALL = "Install it: pip install 'robot-runner[joulescope]'."

@@ -15,7 +15,7 @@ from robot_runner.measuring.measured_machine import simulation_findings
 from robot_runner.measuring.quality import Column, sufficient
 from robot_runner.measuring.series import Series, cut, energy, growth, mean
 from robot_runner.meters.counters import fall_count
-from robot_runner.meters.electrical import (
+from robot_runner.meters.electrical_readings import (
     OFF_SHARE,
     STEP_ERRORS,
     seldom_renewed,

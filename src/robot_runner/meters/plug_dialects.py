@@ -9,7 +9,7 @@ from contextlib import suppress
 from typing import Any, NamedTuple, Protocol
 from urllib.parse import urlencode
 
-from robot_runner.meters.electrical import ElectricalReading
+from robot_runner.meters.electrical_readings import ElectricalReading
 
 _KILOWATT_HOUR, _WATT_HOUR, _WATT_MINUTE = 3.6e6, 3600.0, 60.0
 

@@ -20,7 +20,8 @@ from robot_runner.measuring.local_host import LocalHost
 from robot_runner.measuring.measured_machine import Computer, machine_clock, simulation_findings
 from robot_runner.measuring.periodic import HostSampler, Sampling
 from robot_runner.measuring.ssh_host import SshHost
-from robot_runner.meters.electrical import ElectricalProfiler, Readings
+from robot_runner.meters.electrical import ElectricalProfiler
+from robot_runner.meters.electrical_readings import Readings
 from robot_runner.meters.polled import Meter, Sampler
 from robot_runner.meters.sysfs_rails import Rail, choose_rails, find_rails
 

@@ -12,7 +12,8 @@ from robot_runner.core.design.numeric_range import is_whole
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.connect import SIMULATED, is_simulated
-from robot_runner.meters.electrical import ElectricalProfiler, Readings
+from robot_runner.meters.electrical import ElectricalProfiler
+from robot_runner.meters.electrical_readings import Readings
 from robot_runner.meters.http_requests import HttpDevice, Secret, check_url
 from robot_runner.meters.mqtt_requests import MQTT_INSTALL, MqttRequests
 from robot_runner.meters.parameter_checks import check_positive

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError, did_you_mean
-from robot_runner.meters.electrical import ElectricalReading
+from robot_runner.meters.electrical_readings import ElectricalReading
 from robot_runner.meters.ina219.sysfs import SHUNT_RANGES
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from robot_runner.measuring.periodic import Sampling
 from robot_runner.measuring.quality import Column, SampleQuality, quality_of, report_quality, write_samples
 from robot_runner.measuring.serial_line import SerialLine, port_problem
 from robot_runner.measuring.series import Series, mean_of_intervals
-from robot_runner.meters.electrical import ElectricalReading, Readings, doubts_about_readings
+from robot_runner.meters.electrical_readings import ElectricalReading, Readings, doubts_about_readings
 
 #: Source of what is said and answered: Electronic Educational Devices, Watts up? PRO communications protocol (2009):
 #: `#L,W,3,E,<reserved>,<interval in s>;` begins to log to the line, `#L,R,0;` ends it. A record is

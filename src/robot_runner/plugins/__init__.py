@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     from robot_runner.measuring.series import mean as mean
     from robot_runner.measuring.series import mean_of_intervals as mean_of_intervals
     from robot_runner.meters.electrical import ElectricalProfiler as ElectricalProfiler
-    from robot_runner.meters.electrical import ElectricalReading as ElectricalReading
+    from robot_runner.meters.electrical_readings import ElectricalReading as ElectricalReading
     from robot_runner.meters.polled import Meter as Meter
     from robot_runner.meters.polled import PolledProfiler as PolledProfiler
     from robot_runner.ros.lifecycle import LifecycleState as LifecycleState

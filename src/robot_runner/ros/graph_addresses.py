@@ -57,12 +57,13 @@ def domain_id(options: Mapping[str, str], environment: Mapping[str, str]) -> int
     """
     named = "domain" in options
     text = options["domain"] if named else environment.get("ROS_DOMAIN_ID") or "0"
-    if text.isascii() and text.isdigit() and int(text) <= _MAX_DOMAIN:
+    # Programs of ROS take 010 for 8 (rcl, domain_id.c: strtoul with base 0).
+    if text.isascii() and text.isdigit() and text == str(int(text)) and int(text) <= _MAX_DOMAIN:
         return int(text)
     raise LinkError(
         f"the domain id is {text!r}",
         where="robot" if named else "ROS_DOMAIN_ID",
-        fix=f"Give a whole number from 0 to {_MAX_DOMAIN}, the ROS_DOMAIN_ID of the robot.",
+        fix=f"Give a whole number from 0 to {_MAX_DOMAIN} without zeros before it, the ROS_DOMAIN_ID of the robot.",
     )
 
 

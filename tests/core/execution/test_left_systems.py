@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.core.execution.conftest import RecordingObserver
+from tests.core.execution.lamp import HEAD, TABLE, made_safe
 
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError, RobotRunnerError
@@ -35,30 +36,6 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 
-HEAD = """\
-from pathlib import Path
-from robot_runner import *
-from robot_runner.plugins import System
-
-HERE = Path(__file__).parent
-
-class Lamp(System):
-    def __init__(self, *, room):
-        super().__init__()
-        self.room = room
-    def make_safe(self, context):
-        (HERE / "made_safe").write_text(f"{self.room} {context.combination['Room']} {context.run_id} {context.robot}")
-
-class RobotRunnerConfig(ExperimentConfig):
-    experiment_name = "trial"
-    results_output_path = "results"
-    plugins = [Lamp(room=treatment("Room"))]
-"""
-TABLE = """
-    def create_run_table(self):
-        return RunTableModel([Factor("Room", ["kitchen", "hall"])])
-"""
-
 
 @pytest.fixture
 def experiment(write_config: Callable[..., Path]) -> Experiment:
@@ -68,14 +45,20 @@ def experiment(write_config: Callable[..., Path]) -> Experiment:
     return experiment
 
 
+def of_velocities(experiment: Experiment, robot: object, monkeypatch: pytest.MonkeyPatch) -> SystemsFile:
+    """Return the file of a run that has commanded a velocity of this robot, which is waited for shortly."""
+    monkeypatch.setattr(standby, "connect_robot", lambda _context: robot)
+    monkeypatch.setattr(commanded_topics, "_TELLING", 0.1)
+    monkeypatch.setattr(commanded_topics, "_REACHING", 0.2)
+    file = SystemsFile(experiment.folder)
+    file.begin("rosbridge://127.0.0.1:1", left(experiment))
+    file.add_commanded("/cmd_vel", "geometry_msgs/TwistStamped")
+    return file
+
+
 def left(experiment: Experiment, **changed: Any) -> dict[str, Any]:
     task = RunTask("r_2", 2, 2, 1, {"Room": "hall"}, 1, 7, 8, slot=3)
     return described_task(experiment, task) | changed
-
-
-def made_safe(experiment: Experiment) -> str:
-    path = experiment.config_path.parent / "made_safe"
-    return path.read_text() if path.exists() else ""
 
 
 def test_systems_are_made_safe_with_the_treatments_of_the_run_that_was_killed_and_once(experiment: Experiment) -> None:
@@ -185,12 +168,7 @@ class Deserted:
 def test_of_a_robot_that_is_not_there_any_more_it_is_told_that_nobody_took_the_command(
     experiment: Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(standby, "connect_robot", lambda _context: Deserted())
-    monkeypatch.setattr(commanded_topics, "_TELLING", 0.1)
-    monkeypatch.setattr(commanded_topics, "_REACHING", 0.2)
-    file = SystemsFile(experiment.folder)
-    file.begin("rosbridge://127.0.0.1:1", left(experiment))
-    file.add_commanded("/cmd_vel", "geometry_msgs/Twist")
+    of_velocities(experiment, Deserted(), monkeypatch)
     (found,) = see_to_what_is_left(experiment)
     assert found.problem.endswith("was done now, as far as it could be: nobody subscribes to /cmd_vel any more")
 
@@ -205,12 +183,7 @@ def test_nothing_but_a_velocity_is_commanded_whatever_somebody_has_written_into_
             with published.open("a") as file:
                 file.write(f"{topic} {message_type}\n")
 
-    monkeypatch.setattr(standby, "connect_robot", lambda _context: Drone())
-    monkeypatch.setattr(commanded_topics, "_TELLING", 0.1)
-    monkeypatch.setattr(commanded_topics, "_REACHING", 0.2)
-    file = SystemsFile(experiment.folder)
-    file.begin("rosbridge://127.0.0.1:1", left(experiment))
-    file.add_commanded("/cmd_vel", "geometry_msgs/TwistStamped")
+    file = of_velocities(experiment, Drone(), monkeypatch)
     file.add_commanded("/takeoff", "std_msgs/Empty")
     see_to_what_is_left(experiment)
     assert set(published.read_text().splitlines()) == {"/cmd_vel geometry_msgs/TwistStamped"}

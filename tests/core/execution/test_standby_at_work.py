@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.core.execution.lamp import HEAD, TABLE, made_safe
 from tests.waiting import wait_until
 
 import robot_runner.core.execution.standby as standby_module
@@ -32,33 +33,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.config.experiment import Experiment
-
-HEAD = """\
-from pathlib import Path
-from robot_runner import *
-from robot_runner.plugins import System
-
-HERE = Path(__file__).parent
-
-class Lamp(System):
-    def __init__(self, *, room):
-        super().__init__()
-        self.room = room
-    def claims(self, robot):
-        return ()
-    def make_safe(self, context):
-        (HERE / "made_safe").write_text(f"{self.room} {context.combination['Room']}")
-
-class RobotRunnerConfig(ExperimentConfig):
-    experiment_name = "trial"
-    results_output_path = "results"
-    workers = 2
-    plugins = [Lamp(room=treatment("Room"))]
-"""
-TABLE = """
-    def create_run_table(self):
-        return RunTableModel([Factor("Room", ["kitchen", "hall"])])
-"""
 
 
 class Told:
@@ -175,7 +149,7 @@ def test_a_system_is_made_safe_with_the_treatments_of_its_own_run(write_config: 
     experiment = prepare_or_refuse(write_config("", head=HEAD, table=TABLE))
     with after_death(experiment):
         pass
-    assert (experiment.config_path.parent / "made_safe").read_text(encoding="utf-8") == "kitchen kitchen"
+    assert made_safe(experiment) == "kitchen kitchen r_1 None"
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
@@ -187,7 +161,7 @@ def test_systems_are_made_safe_although_the_folder_of_the_experiment_was_removed
     gone = experiment.config_path.parent / "gone"
     with after_death(experiment):
         pass
-    assert (experiment.config_path.parent / "made_safe").read_text(encoding="utf-8") == "kitchen kitchen"
+    assert made_safe(experiment) == "kitchen kitchen r_1 None"
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
@@ -198,7 +172,7 @@ def test_where_the_standby_was_killed_while_it_made_a_system_safe_its_work_is_do
     began = time.monotonic()
     with after_death(experiment, began=Care.STANDBY):  # nobody holds its lock
         assert time.monotonic() - began < standby_module.LONGEST
-    assert (experiment.config_path.parent / "made_safe").read_text(encoding="utf-8") == "kitchen kitchen"
+    assert made_safe(experiment) == "kitchen kitchen r_1 None"
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")

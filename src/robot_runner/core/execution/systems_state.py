@@ -116,10 +116,10 @@ class LeftSystems:
 
 
 class SystemsFile:
-    """Tells whoever comes next that the systems of the run at a slot are not safe yet; it is gone once they are.
+    """A file that tells the next execution which systems of a run are not safe yet; it is removed once they are.
 
-    What cannot be written is left: no file is worth a run that fails, and it takes a kill of all who stand by to need
-    it.
+    Where it cannot be written, the run goes on without it: it is needed only where all processes that stand by are
+    killed.
 
     Args:
         folder: of the experiment, at the slot.
