@@ -17,9 +17,11 @@ from tests.ros.real_graph import over
 from tests.ros.ros1_master import RUDE
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.execution.standby import locked_by
 from robot_runner.core.links import commanded_topics
 from robot_runner.core.links.commanded_topics import keep_commanding_zero
 from robot_runner.core.links.connect import open_robot
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.testing.rosbridge_server import RosbridgeServer
 
 if TYPE_CHECKING:
@@ -191,6 +193,17 @@ def two_robots(graph: str) -> Iterator[dict[str, tuple[str, Robot]]]:
         }
 
 
+def leave_driving(experiment: Experiment, both: dict[str, tuple[str, Robot]]) -> None:
+    """Kill both runs, their keepers, those who stand by, and the orchestrator, while both robots drive."""
+    robots, folder = [robot for _, robot in both.values()], ExperimentFolder.found_at(experiment.folder)
+    wait_until(lambda: all(robot.moves() for robot in robots), "both of them drive")
+    # One that is forked only now would not be killed.
+    wait_until(lambda: all(locked_by(folder.at_slot(slot)) for slot in (1, 2)), "somebody stands by for each")
+    kill_together(experiment.processes())
+    experiment.end()
+    assert [robot.stood_still() for robot in robots] == [False, False], "nobody has stopped them"
+
+
 @over("dds", "ros1", "ros2", "rosbridge")
 @pytest.mark.long
 def test_robots_that_nobody_was_left_to_stop_are_stopped_by_the_next_execution_before_anything_else(
@@ -201,12 +214,9 @@ def test_robots_that_nobody_was_left_to_stop_are_stopped_by_the_next_execution_b
         config.write_text(TWO_ROBOTS.format(**{name: link for name, (link, _) in both.items()}))
         robots = [robot for _, robot in both.values()]
         experiment = start(config=config)
-        wait_until(lambda: all(robot.moves() for robot in robots), "both of them drive")
-        kill_together(experiment.processes())  # both runs, their keepers and who stands by, and the orchestrator
-        experiment.end()
+        leave_driving(experiment, both)
         (tmp_path / "killed").touch()
         (tmp_path / "begun").unlink()
-        assert [robot.stood_still() for robot in robots] == [False, False], "nobody has stopped them"
         again = start("", "--only", "r_1", config=config)
         again.wait_for("begun")
         assert not any(robot.moves() for robot in robots), "both stand still before the experiment begins"
@@ -218,6 +228,30 @@ def test_robots_that_nobody_was_left_to_stop_are_stopped_by_the_next_execution_b
             assert f"{said}; that was done now" in told
             assert not robot.moves()
         again.nobody_is_left()
+
+
+@over("dds", "ros1", "rosbridge")
+@pytest.mark.long
+def test_robots_that_a_killed_experiment_left_moving_are_stopped_before_another_one_that_uses_them_begins(
+    graph: str, start: Callable[..., Experiment], tmp_path: Path
+) -> None:
+    config = tmp_path / "config.py"
+    with two_robots(graph) as both:
+        config.write_text(TWO_ROBOTS.format(**{name: link for name, (link, _) in both.items()}))
+        robots = [robot for _, robot in both.values()]
+        experiment = start(config=config)
+        leave_driving(experiment, both)
+        (tmp_path / "killed").touch()
+        (tmp_path / "begun").unlink()
+        config.write_text(config.read_text().replace('"trial"', '"another"'))
+        another = start("", "--only", "r_1", config=config)
+        another.wait_for("begun")
+        assert not any(robot.moves() for robot in robots), "both stand still before the other experiment begins"
+        assert another.end() == 0, another.output
+        told = " ".join(another.output.split())
+        for link, _ in both.values():
+            assert f"({link}), and nobody was left to make its systems safe; its robot was told to stand still" in told
+        assert not any((tmp_path / "results" / "trial").glob(".to_make_safe*"))
 
 
 #: A robot that hears its commands, in a process of its own.

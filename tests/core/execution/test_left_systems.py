@@ -17,7 +17,7 @@ from tests.core.execution.lamp import HEAD, TABLE, made_safe
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError, RobotRunnerError
 from robot_runner.core.execution import standby
-from robot_runner.core.execution.left_systems import may_be_moving, see_to_what_is_left
+from robot_runner.core.execution.left_systems import may_be_moving, see_to_what_is_left, see_to_what_others_left
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.systems_state import SystemsFile
 from robot_runner.core.execution.task import RunTask
@@ -233,6 +233,40 @@ def test_this_execution_goes_on_holding_its_robot_once_that_was_made_safe(
     assert found.problem.endswith("that was done now")
     assert made_safe(experiment) == f"hall hall r_2 {robot}"
     assert f"{claim} is in use by the experiment 'trial'" in refused.stderr
+
+
+def test_systems_of_another_experiment_are_left_to_its_next_execution_and_its_robot_is_told_to_stand_still(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heard = experiment.config_path.with_name("heard")
+
+    class Robot(Deserted):
+        def publish(self, topic: str, message_type: str, message: object) -> None:
+            heard.write_text(topic)
+
+    file = of_velocities(experiment, Robot(), monkeypatch)
+    file.begin("rosbridge://127.0.0.1:1", left(experiment), ["Lamp"])
+    file.add_commanded("/cmd_vel", "geometry_msgs/TwistStamped")
+    other = replace(experiment, folder=ExperimentFolder(experiment.folder.root.parent / "other"))
+    claims = ["robot:rosbridge localhost:1"]
+    (found,) = see_to_what_others_left(other, [experiment.folder.root], claims)
+    assert heard.read_text() == "/cmd_vel"
+    assert made_safe(experiment) == ""
+    assert "its robot was told to stand still now" in found.problem
+    assert found.fix == "Look where it stands, and start that experiment again, which makes Lamp safe."
+    assert len(may_be_moving(experiment.folder)) == 1
+    assert len(see_to_what_is_left(experiment)) == 1
+    assert made_safe(experiment) == "hall hall r_2 rosbridge://127.0.0.1:1"
+
+
+@pytest.mark.parametrize("claims", [["robot:domain 7"], ["serial:/dev/ttyUSB0"], []])
+def test_a_robot_of_another_experiment_that_is_not_claimed_is_left_alone(
+    experiment: Experiment, claims: list[str]
+) -> None:
+    SystemsFile(experiment.folder).begin("rosbridge://127.0.0.1:1", left(experiment))
+    gone = experiment.folder.root.parent / "gone"
+    assert see_to_what_others_left(experiment, [experiment.folder.root, gone], claims) == []
+    assert len(may_be_moving(experiment.folder)) == 1
 
 
 def test_of_a_robot_whose_commands_are_not_known_it_is_not_said_that_it_was_made_safe(

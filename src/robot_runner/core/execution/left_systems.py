@@ -11,7 +11,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import fields, replace
 from pathlib import Path
@@ -41,6 +41,7 @@ from robot_runner.core.execution.task import RunTask
 from robot_runner.core.execution.worker import task_of
 from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND
 from robot_runner.core.links.connect import is_simulated, robot_on_graph
+from robot_runner.core.plugin import System
 from robot_runner.core.storage.claim_locks import HeldClaims
 from robot_runner.core.storage.guarded_files import remove
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -71,17 +72,65 @@ def see_to_what_is_left(experiment: Experiment) -> list[Finding]:
     return [*(each for each in found if each is not None), *_made_safe_late(experiment)]
 
 
+def see_to_what_others_left(experiment: Experiment, roots: Iterable[Path], claims: Iterable[str]) -> list[Finding]:
+    """Have robots that killed executions of other experiments left moving stand still, before this one uses them.
+
+    Their systems are not known here: their own experiment's next execution makes them safe.
+
+    Args:
+        experiment: that claims the robots by now.
+        roots: the folders of the experiments that had claimed something before.
+        claims: of this experiment.
+
+    Raises:
+        ExecutionError: a robot cannot be told to stand still.
+    """
+    ours, late, findings = [*claims], [], []
+    for root in roots:
+        for slot, left in _left_in(ExperimentFolder.found_at(root)):
+            claim = _claim_of(left)
+            if claim is not None and any(may_be_one(claim, each) for each in ours):
+                late.append((_late_standby(experiment, slot, left, ()), slot, left))
+    for standby, _, _ in late:
+        standby.begin(None)
+    for standby, slot, left in late:
+        standby.wait()
+        findings.append(_finding_of_other(standby, slot, left))
+        standby.state.close()
+    if any(each.is_error for each in findings):
+        raise ExecutionError.of_findings(errors_first(findings))
+    return findings
+
+
+def _finding_of_other(standby: Standby, slot: ExperimentFolder, left: LeftSystems) -> Finding:
+    where = f"{slot.root}: {left.run_id}"
+    if standby.state.care is not Care.MADE_SAFE:
+        reason = standby.state.reason or "the process that was to do it died"
+        problem = f"{MAY_BE_MOVING}: {left.in_words}; it cannot be told to stand still now: {reason}"
+        return Finding.error(where, problem, STOP_BY_HAND)
+    fix = "Look where it stands."
+    if left.systems:
+        systems = sorted(left.systems)
+        SystemsFile(slot).begin(left.robot, left.task, systems)  # they are still to be made safe
+        fix = f"Look where it stands, and start that experiment again, which makes {enumerated(systems)} safe."
+    return Finding.warning(where, f"{left.in_words}; its robot was told to stand still now", fix)
+
+
+def _left_in(folder: ExperimentFolder) -> list[tuple[ExperimentFolder, LeftSystems]]:
+    slots = map(folder.at_slot, folder.used_slots())
+    return [(slot, left) for slot in slots if (left := SystemsFile(slot).left()) is not None]
+
+
 def _made_safe_late(experiment: Experiment) -> list[Finding]:
     """Make safe, all at once, what runs of a killed execution have left, as nobody was left who would have."""
-    slots = map(experiment.folder.at_slot, experiment.folder.used_slots())
-    found = [(slot, left) for slot in slots if (left := SystemsFile(slot).left()) is not None]
+    found = _left_in(experiment.folder)
     late, findings = [], []
     with ExitStack() as held:
         for slot, left in found:
             if refusal := _refused(experiment, left, held):
                 findings.append(refusal)
             else:
-                late.append((_late_standby(experiment, slot, left), left))
+                late.append((_late_standby(experiment, slot, left, made_safe_of_their_own(experiment)), left))
         for standby, _ in late:
             standby.begin(None)
         for standby, left in late:
@@ -108,11 +157,8 @@ def told_if_refused() -> Iterator[list[Finding]]:
 
 def _refused(experiment: Experiment, left: LeftSystems, held: ExitStack) -> Finding | None:
     """Return who uses the robot of that run by now; else claim it, where this execution has not."""
-    if left.robot is None or is_simulated(left.robot):
-        return None
-    try:
-        claim = f"robot:{robot_on_graph(left.robot)}"
-    except LinkError:  # one that cannot be reached at all says so as it is made safe
+    claim = _claim_of(left)
+    if claim is None:
         return None
     ours = held_claims(Claims(experiment.parameters, experiment.plugins, experiment.events), experiment.model)
     # Not even looked at: a process that closes a file which it has locked loses its lock.
@@ -126,11 +172,22 @@ def _refused(experiment: Experiment, left: LeftSystems, held: ExitStack) -> Find
     return None
 
 
-def _late_standby(experiment: Experiment, slot: ExperimentFolder, left: LeftSystems) -> Standby:
-    """Return who makes the systems safe that a run has left, with its robot and its treatments."""
+def _claim_of(left: LeftSystems) -> str | None:
+    """Return what tells the robot of a run from others; None where it is none that is shared."""
+    if left.robot is None or is_simulated(left.robot):
+        return None
+    with suppress(LinkError):  # one that cannot be reached at all says so as it is made safe
+        return f"robot:{robot_on_graph(left.robot)}"
+    return None
+
+
+def _late_standby(
+    experiment: Experiment, slot: ExperimentFolder, left: LeftSystems, systems: Sequence[System]
+) -> Standby:
+    """Return who makes systems safe that a run has left, and its robot stand still, with its treatments."""
     of_run = replace(experiment, folder=slot, parameters=experiment.parameters.but(robot=left.robot))
     task = _task_of(experiment, left)
-    standby = Standby(made_safe_of_their_own(experiment), of_run, task)
+    standby = Standby(systems, of_run, task)
     for each in standby.systems:
         with suppress(Exception):  # one that cannot be built then says in its `make_safe` what it lacks
             bind(each, task.combination)
@@ -169,8 +226,7 @@ def _finding(standby: Standby, left: LeftSystems) -> Finding:
 
 def may_be_moving(folder: ExperimentFolder) -> list[Finding]:
     """Return that a robot may be moving, for each run that was killed with all who would have made its systems safe."""
-    slots = map(folder.at_slot, folder.used_slots())
-    left = [each for slot in slots if (each := SystemsFile(slot).left()) is not None]
+    left = [each for _, each in _left_in(folder)]
     if not left or holder_of(folder.lock) is not None or goes_on(folder.root):
         return []
     fix = "Start the experiment again, which does it before anything else, or stop it by hand."

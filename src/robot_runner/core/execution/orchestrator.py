@@ -6,8 +6,9 @@ import gc
 import logging
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from robot_runner.core.config.claims import Claims, held_claims
@@ -21,7 +22,7 @@ from robot_runner.core.execution.begun_experiment import prepared_treatments
 from robot_runner.core.execution.executor import places_of
 from robot_runner.core.execution.inherited import note_open_files
 from robot_runner.core.execution.interruption import Interruption
-from robot_runner.core.execution.left_systems import goes_on
+from robot_runner.core.execution.left_systems import goes_on, see_to_what_others_left, told_if_refused
 from robot_runner.core.execution.notices import (
     ExperimentFinished,
     ExperimentStarted,
@@ -103,12 +104,22 @@ def execute_experiment(
     claims = Claims(experiment.parameters, experiment.plugins, experiment.events)
     held = held_claims(claims, experiment.model)
     name = experiment.parameters.experiment_name
+    earlier: dict[Path, None] = {}
+
+    def is_at_work(root: Path) -> bool:
+        earlier[root] = None
+        return goes_on(root)
+
     with (
         Interruption() as interruption,
-        HeldClaims(held, name, experiment.folder.root, wait if waits_for_claims else None, goes_on) as holding,
-        ProgressManager(experiment, resumption, probe if probed else None, prepare) as progress,
+        HeldClaims(held, name, experiment.folder.root, wait if waits_for_claims else None, is_at_work) as holding,
+        ExitStack() as opened,
     ):
-        told = (*findings, *holding.findings)
+        with told_if_refused() as seen_to:
+            seen_to.extend(see_to_what_others_left(experiment, earlier, held))
+            progress = ProgressManager(experiment, resumption, probe if probed else None, prepare)
+            opened.enter_context(progress)
+        told = (*findings, *holding.findings, *seen_to)
         return _Orchestrator(experiment, progress, interruption, observer, claims).execute(told)
 
 
