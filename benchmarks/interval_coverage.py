@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -17,6 +18,7 @@ from robot_runner.analysis.statistics.descriptive import describe, quiet
 from robot_runner.analysis.statistics.effect_sizes import (
     cliffs_delta,
     cohens_d,
+    f_of_p_value,
     omega_squared,
     paired_rank_biserial,
 )
@@ -110,10 +112,26 @@ def _of_d(
     below = stats.nct.cdf(found.t_value, found.freedom, _D * model.spread / found.error)
     covered = np.asarray((below >= 0.025) & (below <= 0.975))
     for place in range(20):  # the product's interval is that one
-        figures = [float(each[place]) for each in (*found, model.spread)]
-        told = cohens_d(*figures)
+        estimate, error, freedom, own = (float(each[place]) for each in (*found, model.spread))
+        told = cohens_d(estimate, error, freedom, own)
         _agree(told.interval if told else None, _D, bool(covered[place]))
     return covered
+
+
+def _of_d_apart(
+    name: str, size: int, random: np.random.Generator, count: int, *, design: NullDesign, d: float
+) -> NDArray[np.bool_]:
+    """Return whether the interval of d holds the true one where runs tell more of the spread than of the difference."""
+    own = replace(design, blocks=size) if design.blocks else replace(design, runs=size)
+    own = replace(own, distribution=name)
+    values = own.draw(random, count // _ONE_BY_ONE) + d * np.array([cell[0] == 0 for _, cell, _ in own.rows()])
+    layout, covered = _estimated(own, values).layout, []
+    for each in values:
+        model = CellMeans.of_values(layout, each)
+        estimate, error, freedom = map(float, model.difference(_PAIR))
+        told = cohens_d(estimate, error, freedom, float(model.spread), model.spread_parts)
+        covered.append(told is not None and told.interval is not None and _holds(told.interval, d))
+    return np.array(covered)
 
 
 def _of_omega(
@@ -123,26 +141,26 @@ def _of_omega(
     design = NullDesign((3,), 1 if blocks else size, (1, 1, spread), name, blocks=size if blocks else 0)
     variance = (2 + spread**2) / 3
     effects = np.array([-1.0, 0.0, 1.0]) * math.sqrt(1.5 * variance * 0.25)
-    values = design.draw(random, count) + effects[[cell[0] for _, cell, _ in design.rows()]]
-    model = _estimated(design, values)
-    with quiet():
+    values = design.draw(random, count // _ONE_BY_ONE) + effects[[cell[0] for _, cell, _ in design.rows()]]
+    true, covered = 0.25 / 1.25, []  # a quarter of the spread's square is a fifth of the sum of both
+    layout = _estimated(design, values).layout
+    for each in values:
+        model = CellMeans.of_values(layout, each)
         (effect,) = model.effects()
-    freedom = (effect.freedom[0], effect.freedom[1])
-    f_value = stats.f.isf(effect.p_value, *freedom)
-    # A quarter of the spread's square is a fifth of the sum of both.
-    true, scale = 0.25, effect.variance / model.spread**2 / (f_value * freedom[0])
-    below = stats.ncf.cdf(f_value, *freedom, true / scale)
-    covered = np.asarray((below >= 0.05) & (below <= 0.95))
-    for place in range(20):
-        figures = [float(each[place]) for each in (effect.variance, model.spread)]
-        of = (float(freedom[0][place]), float(freedom[1][place]))
-        told = omega_squared(float(f_value[place]), of, *figures, alpha=0.05, is_partial=False)
-        _agree(told.interval if told else None, true / (1 + true), bool(covered[place]))
-    return covered
+        freedom = (float(effect.freedom[0]), float(effect.freedom[1]))
+        of_runs = (float(effect.variance), float(model.spread), model.spread_parts)
+        f_value = f_of_p_value(float(effect.p_value), freedom)
+        told = omega_squared(f_value, freedom, *of_runs, alpha=0.05, is_partial=False)
+        covered.append(told is not None and told.interval is not None and _holds(told.interval, true))
+    return np.array(covered)
+
+
+def _holds(interval: Interval, true: float) -> bool:
+    return interval.low <= true <= interval.high
 
 
 def _agree(interval: Interval | None, true: float, covered: bool) -> None:
-    if interval is None or (interval.low <= true <= interval.high) is not covered:
+    if interval is None or _holds(interval, true) is not covered:
         raise ValueError(f"the interval is {interval}, and {true} is {'' if covered else 'not '}covered")
 
 
@@ -255,6 +273,19 @@ _INTERVALS = (
         partial(_of_d, blocks=True),
         others=_skewed((88, 93), (82, 88), (78, 84)),
         why=_NOT_NORMAL,
+    ),
+    *(
+        _Covered(
+            f"Cohen's d of {d:g}, {words}",
+            partial(_of_d_apart, design=design, d=d),
+            (93.5, 99.0),
+            names=("normal",),
+        )
+        for design, words in (
+            (NullDesign((2,), 4, blocks=5), "in blocks (n) of four runs"),
+            (NullDesign((4,), 5), "of four treatments"),
+        )
+        for d in (_D, 3.0)
     ),
     _Covered(
         "omega squared of 0.2 (90 %)",

@@ -363,6 +363,15 @@ def test_the_standard_error_of_g_is_that_of_its_distribution():
     assert np.mean(found[:, 1] ** 2) == pytest.approx(found[:, 0].var(), rel=0.06)
 
 
+def test_the_average_of_large_effects_in_few_runs_is_not_drawn_towards_none(lab):
+    # By its own variance, a g that is larger by chance counts less: the average of ten of 3 was 2.6 by simulation.
+    folders = [lab({"Video": 23.0, "Network": 20.0}, runs=5, seed=seed) for seed in range(8)]
+    (effect,) = meta_analyse(*folders).measure("Energy").effects
+    plain = np.mean([each.g for each in effect.experiments])
+    assert effect.standardised.random.estimate == pytest.approx(plain, rel=0.02)
+    assert effect.standardised.common.estimate == pytest.approx(plain, rel=0.02)
+
+
 @pytest.mark.parametrize("covariates", [[], ["Warmth"]])
 def test_hedges_g_of_few_blocks_of_many_runs_is_hardly_less_than_the_d_of_the_report(make_folder, covariates):
     # Three days tell their own variance with two degrees of freedom, and the standard deviation of a run with hundreds.

@@ -6,6 +6,7 @@ import hashlib
 import json
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 from tests.analysis.made_experiment import make_experiment
 
@@ -13,6 +14,7 @@ from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.planning.registered import registered
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.storage.registration import write_registration
 
 if TYPE_CHECKING:
@@ -25,14 +27,28 @@ CONFIG = "# the config\n"
 PLAN = AnalysisPlan("Energy").as_mapping()
 
 
-def registered_experiment(root: Path, change: Callable[[dict[str, Any]], object], **registration: Any) -> Registered:
-    """Return what is told of an experiment that was registered, with its manifest changed."""
-    folder = make_experiment(
-        root / "made",
-        [Factor("Task", ["Video", "Network"]), Factor("Speed", [1, 2])],
-        lambda treatments, repetition: {"Energy": 10.0 * treatments["Speed"] + repetition},
-        analysis=PLAN,
-    )
+def registered_experiment(
+    root: Path,
+    change: Callable[[dict[str, Any]], object],
+    report: dict[str, Any] | None = None,
+    made: dict[str, Any] | None = None,
+    **registration: Any,
+) -> Registered:
+    """Return what is told of an experiment that was registered, with its manifest changed.
+
+    Args:
+        root: of its folder.
+        change: of the manifest.
+        report: how its report is asked for.
+        made: what is made otherwise.
+        registration: what it has otherwise.
+    """
+    given: dict[str, Any] = {
+        "values": lambda treatments, repetition: {"Energy": 10.0 * treatments["Speed"] + repetition},
+        "analysis": PLAN,
+    }
+    factors = [Factor("Task", ["Video", "Network"]), Factor("Speed", [1, 2])]
+    folder = make_experiment(root / "made", factors, **given | (made or {}))
     folder.config.mkdir()
     (folder.config / "study.py").write_text(CONFIG, encoding="utf-8")
     manifest = json.loads(folder.manifest.read_text(encoding="utf-8"))
@@ -54,7 +70,7 @@ def registered_experiment(root: Path, change: Callable[[dict[str, Any]], object]
     change(manifest)
     folder.manifest.write_text(json.dumps(manifest), encoding="utf-8")
     results = load_results(folder.root)
-    found = registered(results, analyse(results))
+    found = registered(results, analyse(results, **(report or {})))
     assert found is not None
     return found
 
@@ -76,6 +92,11 @@ BATCHES = [
     ("change", "told"),
     [
         (lambda each: each.update(seed=8, design={**each["design"], "shuffle": True}), "the seed of the order is 8"),
+        (lambda each: each.update(seed=8), "whether the order is randomised: no, and yes was registered"),
+        (
+            lambda each: each.update(analysis=AnalysisPlan("Energy", doubtful=Doubtful.REFUSE).as_mapping()),
+            "doubtful of the analysis plan: refuse, and keep was registered",
+        ),
         (lambda each: each["design"].update(repetitions=5), "repetitions: 5, and 3 was registered"),
         (lambda each: each["design"].update(blocks="Task"), "blocks of the order: Task, and none was registered"),
         (
@@ -98,7 +119,7 @@ BATCHES = [
     ],
 )
 def test_a_deviation_is_told(tmp_path: Path, change: Callable[[dict[str, Any]], object], told: str) -> None:
-    found = registered_experiment(tmp_path, change, **({"design": _shuffled()} if "seed" in told else {}))
+    found = registered_experiment(tmp_path, change, **({"design": _shuffled()} if "order is" in told else {}))
     assert any(told in each for each in found.deviations), found.deviations
     assert len(found.deviations) == 1
 
@@ -135,3 +156,35 @@ def test_a_registration_that_does_not_count_is_told(
     assert problem in found.problem
     assert problem in found.sentence
     assert found.deviations == ()
+
+
+#: Asked for a report of a plan with covariates; and what of it deviates.
+REPORTS: list[tuple[dict[str, Any], tuple[str, ...]]] = [
+    ({}, ("measures tested that were not planned: CPU",)),
+    ({"measures": ["Energy", "Time", "Voltage"]}, ()),
+    ({"measures": ["Voltage"]}, ("planned measures that this report leaves out: Energy, Time",)),
+    (
+        {"alpha": 0.01},
+        ("this report does not follow the plan, as its level of significance or its correction is another",),
+    ),
+    ({"plan": AnalysisPlan("Energy")}, ("this report follows a plan that was given for it, and not the experiment's",)),
+]
+
+
+@pytest.mark.parametrize(("report", "told"), REPORTS)
+def test_of_a_report_exactly_what_was_not_planned_is_told(
+    tmp_path: Path, report: dict[str, Any], told: tuple[str, ...]
+) -> None:
+    names = ("Energy", "Time", "Voltage", "CPU")
+    random = np.random.default_rng(1)
+    plan = AnalysisPlan("Energy", secondary="Time", covariates="Voltage").as_mapping()
+    measured = {"measures": list(names), "analysis": plan}
+    found = registered_experiment(
+        tmp_path,
+        lambda manifest: None,
+        report,
+        made={**measured, "values": lambda *_: dict(zip(names, random.normal(size=4).tolist(), strict=True))},
+        analysis=plan,
+        measures=[{"name": name, "unit": ""} for name in names],
+    )
+    assert found.deviations == told

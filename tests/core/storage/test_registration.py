@@ -110,6 +110,15 @@ def test_differences_are_told_in_words() -> None:
     assert told(analysis__alpha=0.01) == ["alpha of the analysis plan: 0.01, and 0.05 was registered"]
     stated = {"statement": "It costs.", "measure": "Energy", "factors": ["Task"]}
     assert told(analysis__hypotheses=[stated]) == ["the hypothesis 'It costs.' was not registered"]
+    registered = copy.deepcopy(CONTENT)
+    registered["analysis"]["hypotheses"] = [stated]
+    assert list(differences(registered, CONTENT)) == ["the hypothesis 'It costs.' was registered, and is gone"]
+    claimed = copy.deepcopy(registered)
+    claimed["analysis"]["hypotheses"] = [{**stated, "factors": ["Speed"]}]
+    assert list(differences(registered, claimed)) == [
+        "the hypothesis 'It costs.' claims something else than was registered"
+    ]
+    assert told(measures=[{"name": "Energy", "unit": "kJ"}]) == ["Energy is in kJ, and J was registered"]
     assert told(measures=[]) == ["the measure Energy was registered, and the run table has no column for it"]
     more = [*CONTENT["measures"], {"name": "CPU", "unit": "%"}]
     assert told(measures=more) == ["the run table has measures that were not registered: CPU"]

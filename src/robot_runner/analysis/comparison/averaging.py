@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from scipy import special, stats
 
-from robot_runner.analysis.comparison.combined import CombinedEffect, CombinedMeasure, EffectIn, MetaAnalysis, combine
+from robot_runner.analysis.comparison.combined import (
+    CombinedEffect,
+    CombinedMeasure,
+    EffectIn,
+    MetaAnalysis,
+    combine,
+    label_of_effect,
+)
 from robot_runner.analysis.comparison.combined_document import conclusion_of_effect
 from robot_runner.analysis.comparison.compared import Side
 from robot_runner.analysis.comparison.harmonising import (
@@ -28,12 +35,11 @@ from robot_runner.analysis.comparison.matching import differing_circumstances, n
 from robot_runner.analysis.results import Results, results_of
 from robot_runner.analysis.run_frame import several
 from robot_runner.analysis.statistics.batch_strata import comparable
+from robot_runner.analysis.statistics.cell_moments import freedom_of
 from robot_runner.analysis.statistics.descriptive import out_of_range, quiet
 from robot_runner.analysis.statistics.experiment_statistics import SEARCHED
-from robot_runner.analysis.statistics.lenth_test import LenthModel
 from robot_runner.analysis.statistics.lost_runs import failures_in_words
 from robot_runner.analysis.statistics.post_hoc import adjusted
-from robot_runner.analysis.statistics.surface_model import SurfaceModel
 from robot_runner.analysis.statistics.tested import Interval, NotComputed
 from robot_runner.analysis.statistics.tests import AnyModel, planned_model_of
 from robot_runner.core.design.analysis_plan import Correction, Estimand
@@ -89,8 +95,7 @@ def meta_analyse(
     findings += found
     findings += [finding for of in (unit_findings, value_findings) for each in chosen for finding in of(each, alike)]
     findings += [Finding.warning(each.name, why) for each in alike if (why := failures_in_words(each.results))]
-    if errors := [each for each in findings if each.is_error]:
-        raise AnalysisError.of_findings(errors)
+    AnalysisError.refuse(each for each in findings if each.is_error)
     factors = [name for each in alike for name in each.design.factors]
     return MetaAnalysis(
         tuple(Side(each.name, each.results.name, each.results.folder, len(each.results.done)) for each in alike),
@@ -114,12 +119,8 @@ class _Question(NamedTuple):
     """A difference or contrast that experiments are asked for."""
 
     factor: str
-    weights: tuple[tuple[str, float], ...]
+    weights: Mapping[str, float]
     statement: str = ""
-
-    @property
-    def effect(self) -> CombinedEffect:
-        return CombinedEffect(self.factor, dict(self.weights), self.statement, ())
 
 
 def _combined(choice: MeasureChoice, experiments: Sequence[Experiment], alpha: float) -> CombinedMeasure:
@@ -133,12 +134,13 @@ def _combined(choice: MeasureChoice, experiments: Sequence[Experiment], alpha: f
             telling.append(found)
     effects: list[CombinedEffect] = []
     for question in _questions(choice, experiments, telling, missing):
-        answers = tuple(answer for each in telling if (answer := _answer(question, each, alpha)) is not None)
+        answers = _answers(question, telling, alpha)
         if len(answers) < _FEWEST:
             known = f"only {answers[0].experiment} tells of it" if answers else "no experiment tells of it"
-            missing.append(NotComputed(f"average of {question.effect.label}", f"{known}: two are needed."))
+            what = f"average of {label_of_effect(question.weights, question.statement)}"
+            missing.append(NotComputed(what, f"{known}: two are needed."))
             continue
-        effects.append(_averaged(replace(question.effect, experiments=answers), alpha))
+        effects.append(_averaged(question, answers, alpha))
     if not effects and not missing:
         missing.append(NotComputed(f"effects on {choice.name}", "no two experiments vary the same factor."))
     names = {each.name: each for each in experiments}
@@ -182,9 +184,9 @@ def _questions(
             why = f"{len(levels)} treatments make {math.comb(len(levels), 2):,} pairs: name contrasts in a plan."
             missing.append(NotComputed(f"pairs of {factor}", why))
             continue
-        yield from (_Question(factor, ((one, 1.0), (other, -1.0))) for one, other in combinations(levels, 2))
+        yield from (_Question(factor, {one: 1.0, other: -1.0}) for one, other in combinations(levels, 2))
     asked = {
-        (each.factor, frozenset(each.weights)): each
+        (each.factor, frozenset(each.weights.items())): each
         for experiment in reversed(experiments)
         for each in _planned(experiment, choice)
     }
@@ -195,16 +197,32 @@ def _planned(experiment: Experiment, choice: MeasureChoice) -> Iterator[_Questio
     """Yield the contrasts of several treatments that hypotheses of an experiment's plan name."""
     names = experiment.new_names
     for hypothesis in experiment.results.plan.hypotheses if experiment.results.plan else ():
-        weights = tuple((names.get(name, name), weight) for name, weight in (hypothesis.contrast or {}).items())
-        is_pair = sorted(weight for _, weight in weights) == [-1.0, 1.0]
+        weights = {names.get(name, name): weight for name, weight in (hypothesis.contrast or {}).items()}
+        is_pair = sorted(weights.values()) == [-1.0, 1.0]
         if weights and not is_pair and hypothesis.measure == choice.columns.get(experiment.name):
             (factor,) = hypothesis.factors
             yield _Question(names.get(factor, factor), weights, hypothesis.statement)
 
 
-def _answer(question: _Question, of: _Estimated, alpha: float) -> EffectIn | None:
+def _answers(question: _Question, telling: Sequence[_Estimated], alpha: float) -> list[EffectIn]:
+    """Return what experiments say of a difference, with the variances of g at its average, weighted by numbers of runs.
+
+    At its own, a g that is larger by chance would count less, and the average of large effects in few runs be too small
+    (Hedges, Estimation of effect size from a series of independent experiments, Psychological Bulletin 92, 1982; in R
+    `metafor::escalc(vtype = "AV")`). That is so of runs of their own; within blocks, where errors and standard
+    deviations are small together, both hang on g in opposite ways, and the average is right with its own.
+    """
+    first = [answer for each in telling if (answer := _answer(question, each, alpha)) is not None]
+    known = [each.g for each in first if each.g is not None]
+    if len(known) < len(first) or not known:
+        return first
+    average = sum(each.runs * g for each, g in zip(first, known, strict=True)) / sum(each.runs for each in first)
+    return [answer for each in telling if (answer := _answer(question, each, alpha, average)) is not None]
+
+
+def _answer(question: _Question, of: _Estimated, alpha: float, average: float | None = None) -> EffectIn | None:
     """Return what an experiment says of a difference; None where it lacks a treatment, or nothing varies there."""
-    factor, weights = question.factor, dict(question.weights)
+    factor, weights = question.factor, question.weights
     if factor not in of.data.factors or not set(weights) <= set(of.data.levels(factor)):
         return None
     with quiet():
@@ -213,9 +231,9 @@ def _answer(question: _Question, of: _Estimated, alpha: float) -> EffectIn | Non
     if not (error > 0 and freedom > 0 and math.isfinite(freedom) and spread > 0):
         return None
     reach = error * float(stats.t.ppf(1 - alpha / 2, freedom))
-    own = None if isinstance(of.model, LenthModel | SurfaceModel) else of.model.spread_freedom
-    own = freedom if own is None else own
-    g, g_error = hedges_g(estimate, error, own, spread)
+    own = freedom_of(of.model.spread_parts) if of.model.spread_parts else freedom
+    is_alone = of.data.known.is_plain and not of.data.is_blocked
+    g, g_error = hedges_g(estimate, error, own, spread, average if is_alone else None)
     return EffectIn(
         of.experiment,
         int(of.data.frame[factor].astype(str).isin(list(weights)).sum()),
@@ -231,7 +249,9 @@ def _answer(question: _Question, of: _Estimated, alpha: float) -> EffectIn | Non
     )
 
 
-def hedges_g(difference: float, error: float, freedom: float, spread: float) -> tuple[float, float] | tuple[None, None]:
+def hedges_g(
+    difference: float, error: float, freedom: float, spread: float, average: float | None = None
+) -> tuple[float, float] | tuple[None, None]:
     """Return Hedges' g of a difference, and its standard error.
 
     The difference is divided by the standard deviation that the report divides it by, and freed of its bias; the
@@ -243,6 +263,7 @@ def hedges_g(difference: float, error: float, freedom: float, spread: float) -> 
         error: its standard error.
         freedom: the degrees of freedom of the standard deviation.
         spread: the standard deviation.
+        average: the g that the variance is that of; None for its own.
 
     Returns:
         Nothing with a single degree of freedom, of which g has no mean.
@@ -253,11 +274,10 @@ def hedges_g(difference: float, error: float, freedom: float, spread: float) -> 
     correction = math.exp(logarithm) * math.sqrt(2 / freedom)
     g = correction * difference / spread
     share = 1 - (freedom - 2) / (freedom * correction**2)
-    return g, math.sqrt((error / spread) ** 2 + share * g**2)
+    return g, math.sqrt((error / spread) ** 2 + share * (g if average is None else average) ** 2)
 
 
-def _averaged(effect: CombinedEffect, alpha: float) -> CombinedEffect:
-    told = effect.experiments
+def _averaged(question: _Question, told: Sequence[EffectIn], alpha: float) -> CombinedEffect:
     difference = combine(
         [each.estimate for each in told], [each.error for each in told], [each.freedom for each in told], alpha=alpha
     )
@@ -266,15 +286,14 @@ def _averaged(effect: CombinedEffect, alpha: float) -> CombinedEffect:
     if len(sizes) == len(told):
         g, g_error = zip(*sizes, strict=True)
         standardised = combine(g, g_error, [each.g_freedom for each in told], alpha=alpha)
-    return replace(effect, difference=difference, standardised=standardised)
+    return CombinedEffect(*question, tuple(told), difference, standardised)
 
 
 def _judged(effects: Sequence[CombinedEffect], choice: MeasureChoice, alpha: float) -> Iterator[CombinedEffect]:
     """Yield the effects with adjusted p-values and conclusions."""
-    p_values = [each.difference.random.p_value for each in effects if each.difference is not None]
+    p_values = [each.difference.random.p_value for each in effects]
     after = iter(adjusted([each for each in p_values if each is not None], Correction.HOLM))
     for each in effects:
-        is_tested = each.difference is not None and each.difference.random.p_value is not None
-        p_value = next(after) if is_tested else None
+        p_value = None if each.difference.random.p_value is None else next(after)
         judged = replace(each, adjusted_p_value=p_value, is_significant=None if p_value is None else p_value < alpha)
         yield replace(judged, conclusion=conclusion_of_effect(judged, choice.name, choice.unit, alpha))

@@ -99,7 +99,8 @@ class EffectIn:
         estimate: the difference of means (or the contrast), in the unit of the measure.
         error: its standard error, with `freedom` degrees of freedom (Welch, Satterthwaite).
         interval: at 1 - alpha.
-        g: Hedges' g; `g_error` its standard error; None with a single degree of freedom.
+        g: Hedges' g; None with a single degree of freedom.
+        g_error: its standard error, at the average g of all; within blocks at its own.
         g_freedom: the degrees of freedom of that; infinite where the standard deviation is known no better than the
             error of the difference is.
     """
@@ -125,7 +126,7 @@ class CombinedEffect:
         weights: the weight of each treatment's mean.
         statement: the hypothesis of a plan that names the contrast; empty for a pair.
         experiments: those that tell of it.
-        difference: in the unit of the measure; None where fewer than two experiments tell of it.
+        difference: in the unit of the measure.
         standardised: Hedges' g; None where an experiment has none.
         adjusted_p_value: of the random-effects average, after Holm, for the number of effects on this measure.
         is_significant: whether it is below alpha; None where there is none.
@@ -136,8 +137,8 @@ class CombinedEffect:
     weights: Mapping[str, float]
     statement: str
     experiments: tuple[EffectIn, ...]
-    difference: Combined | None = None
-    standardised: Combined | None = None
+    difference: Combined
+    standardised: Combined | None
     adjusted_p_value: float | None = None
     is_significant: bool | None = None
     conclusion: str = ""
@@ -145,7 +146,12 @@ class CombinedEffect:
     @property
     def label(self) -> str:
         """The effect in words, as in `Video less Network`, or the hypothesis."""
-        return self.statement or " less ".join(self.weights)
+        return label_of_effect(self.weights, self.statement)
+
+
+def label_of_effect(weights: Mapping[str, float], statement: str) -> str:
+    """Return an effect in words, as in `Video less Network`, or the hypothesis that names it."""
+    return statement or " less ".join(weights)
 
 
 @dataclass(frozen=True, slots=True)

@@ -85,11 +85,10 @@ def _brief(found: MetaAnalysis) -> Iterator[Block]:
 
 
 def _card(measure: CombinedMeasure, effect: CombinedEffect) -> Card:
-    random = None if effect.difference is None else effect.difference.random
-    value = with_unit(None if random is None else random.estimate, difference_unit(measure.unit))
-    note = "" if random is None else shown_interval(random.interval)
+    random = effect.difference.random
+    value = with_unit(random.estimate, difference_unit(measure.unit))
     tone = Tone.GOOD if effect.is_significant else Tone.NOTE
-    return Card(value, f"{measure.name}: {effect.label}", note, tone)
+    return Card(value, f"{measure.name}: {effect.label}", shown_interval(random.interval), tone)
 
 
 def _circumstances(found: MetaAnalysis) -> Iterator[Block]:
@@ -131,8 +130,7 @@ def _measures(found: MetaAnalysis) -> Iterator[Part]:
             blocks.append(_averages(found, measure))
         for effect in measure.effects:
             blocks += [Paragraph(effect.conclusion, lead=effect.label), effect_table(found, measure, effect)]
-            if effect.difference is not None:
-                blocks.append(Gallery((_forest(found, measure, effect, effect.difference),)))
+            blocks.append(Gallery((_forest(found, measure, effect),)))
         blocks += not_computed(measure.not_computed)
         yield Part(f"effects-{measure.name}", measure.label, tuple(blocks))
 
@@ -158,11 +156,8 @@ def _averages(found: MetaAnalysis, measure: CombinedMeasure) -> Table:
 
 def _lines(effect: CombinedEffect) -> Iterator[ForestLine]:
     found, sizes = effect.difference, effect.standardised
-    weights = [None] * len(effect.experiments) if found is None else found.random_weights
-    for each, weight in zip(effect.experiments, weights, strict=True):
+    for each, weight in zip(effect.experiments, found.random_weights, strict=True):
         yield ForestLine(each.experiment, each.estimate, each.interval, weight, each.runs, each.p_value, each.g)
-    if found is None:
-        return
     for label, which in ((_RANDOM, "random"), (_COMMON, "common")):
         pooled = getattr(found, which)
         g = None if sizes is None else getattr(sizes, which).estimate
@@ -188,7 +183,7 @@ def effect_table(found: MetaAnalysis, measure: CombinedMeasure, effect: Combined
     return build_table(f"effect {one_word(measure.name)} {effect.label}", caption, tuple(_lines(effect)), fields, note)
 
 
-def _forest(found: MetaAnalysis, measure: CombinedMeasure, effect: CombinedEffect, combined: Combined) -> FigureBlock:
+def _forest(found: MetaAnalysis, measure: CombinedMeasure, effect: CombinedEffect) -> FigureBlock:
     label = labelled(f"Difference of {measure.name}", difference_unit(measure.unit))
     return FigureBlock(
         f"forest {one_word(measure.name)} {effect.label}",
@@ -196,7 +191,7 @@ def _forest(found: MetaAnalysis, measure: CombinedMeasure, effect: CombinedEffec
         f"{100 * (1 - found.alpha):g} % confidence intervals; diamonds: averages over them; bar: where the effect in a "
         "further experiment is expected.",
         f"Forest plot of {effect.label}: {effect.conclusion}",
-        lambda: draw_forest(tuple(_lines(effect)), value_label=label, average=combined.random.estimate),
+        lambda: draw_forest(tuple(_lines(effect)), value_label=label, average=effect.difference.random.estimate),
         is_wide=True,
     )
 
@@ -208,14 +203,12 @@ _WORDS = {3: "Three", 4: "Four"}
 
 def conclusion_of_effect(effect: CombinedEffect, measure: str, unit: str, alpha: float) -> str:
     """Return what an effect is on average, how far experiments differ, and what a further one may find."""
+    return " ".join(_sentences(effect, measure, difference_unit(unit), alpha))
+
+
+def _sentences(effect: CombinedEffect, measure: str, unit: str, alpha: float) -> Iterator[str]:
     found = effect.difference
-    if found is None:
-        return "The experiments could not be combined."
-    return " ".join(_sentences(effect, found, measure, difference_unit(unit), alpha))
-
-
-def _sentences(effect: CombinedEffect, found: Combined, measure: str, unit: str, alpha: float) -> Iterator[str]:
-    yield _average(effect, found, measure, unit)
+    yield _average(effect, measure, unit)
     yield _variation(found, unit, alpha)
     if found.prediction is not None and effect.is_significant and found.prediction.low <= 0 <= found.prediction.high:
         between = _between(found.prediction, unit)
@@ -230,8 +223,8 @@ def _sentences(effect: CombinedEffect, found: Combined, measure: str, unit: str,
         yield what_so_many_tell(len(effect.experiments))
 
 
-def _average(effect: CombinedEffect, found: Combined, measure: str, unit: str) -> str:
-    random, count = found.random, counted(len(effect.experiments), "experiment")
+def _average(effect: CombinedEffect, measure: str, unit: str) -> str:
+    random, count = effect.difference.random, counted(len(effect.experiments), "experiment")
     size = with_unit(random.estimate, unit)
     if random.interval is None or random.p_value is None or effect.adjusted_p_value is None:
         return f"All {count} found the same, {size}, so that chance has no measure."

@@ -66,11 +66,6 @@ class Bound:
         """Return the bound in the unit of the measure, where the first experiment has this mean."""
         return abs(mean) * self.value / _PERCENT if self.is_relative else self.value
 
-    @property
-    def holds_all_proportions(self) -> bool:
-        """Whether no proportions, from 0 to 1, differ by more, so that nothing follows from their being within it."""
-        return not self.is_relative and self.value >= 1
-
     def __str__(self) -> str:
         return f"{self.value:g} %" if self.is_relative else f"{self.value:g}"
 
@@ -84,7 +79,7 @@ def why_vain(bound: Bound | None, unit: str, *, are_answers: bool) -> str:
     """
     if bound is None:
         return ""
-    if are_answers and bound.holds_all_proportions:
+    if are_answers and not bound.is_relative and bound.value >= 1:
         return (
             "no proportions differ by more than 1, so that the bound says nothing: give one below 1, or a percentage."
         )

@@ -189,10 +189,16 @@ def _of_runs(results: Results) -> Iterator[str]:
 
 
 def _of_analysis(statistics: ExperimentStatistics, results: Results) -> Iterator[str]:
-    if results.plan is None:
-        return
-    if not statistics.is_planned:
-        yield "the level of significance or the correction of this report is not the plan's"
-    unplanned = [each.name for each in statistics.measures if not each.is_planned and each.test is not None]
-    if statistics.is_planned and unplanned:
-        yield f"measures tested that were not planned: {listed(unplanned)}"
+    plan = results.plan
+    if not statistics.is_planned and statistics.plan is not None:
+        yield "this report follows a plan that was given for it, and not the experiment's"
+    elif not statistics.is_planned and plan is not None:
+        yield "this report does not follow the plan, as its level of significance or its correction is another"
+    elif plan is not None:
+        planned = (*plan.measures, *plan.secondary)
+        tested = [each.name for each in statistics.measures if each.test is not None]
+        if unplanned := [name for name in tested if name not in {*planned, *plan.covariates}]:
+            yield f"measures tested that were not planned: {listed(unplanned)}"
+        shown = {each.name for each in statistics.measures}
+        if left_out := [name for name in planned if name in results.columns and name not in shown]:
+            yield f"planned measures that this report leaves out: {listed(left_out)}"

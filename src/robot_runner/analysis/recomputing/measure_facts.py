@@ -209,9 +209,6 @@ def _compared(
         _effect(each, effect_keys[each.factors], tested[each.factors], checked.get(each.factors, ""), used)
         for each in measure.test.effects
     ]
-    known = [each for each in effects if each is not None]
-    if len(known) < len(effects):
-        return None
     levels = _levels(model)
     of = "means" if choices.estimand is Estimand.RANK else "ranks"
     by_statement = {each.statement: each for each in hypotheses}
@@ -226,7 +223,7 @@ def _compared(
         is_extended=used.is_extended,
         dropped=tuple(run for run in data.frame[RUN_ID] if run not in rest),
         left_out=_left_out(used, model),
-        effects=tuple(known),
+        effects=tuple(effects),
         tested=tested_table(measure, of),
         pairs=tuple(_paired(each, effect_keys[each.factors], of, used) for each in measure.post_hoc),
         contrasts=tuple(
@@ -277,12 +274,10 @@ def _levels(model: Model) -> dict[str, list[str]]:
     return {name: list(of) for name, of in (model.layout if isinstance(model, CellMeans) else model).factors.items()}
 
 
-def _effect(effect: Effect, key: str, tested: str, checked: str, data: MeasureData) -> TestedEffect | None:
-    """Return an effect with the procedures that test it; None where these are not known."""
+def _effect(effect: Effect, key: str, tested: str, checked: str, data: MeasureData) -> TestedEffect:
+    """Return an effect with the procedures that test it."""
     has_check = effect.check is not None and effect.check.p_value is not None
     test, check = tested.removesuffix(_BOOTSTRAP), checked.removesuffix(_BOOTSTRAP) if has_check else ""
-    if test not in _PROCEDURES or (has_check and check not in _PROCEDURES):
-        return None
     return TestedEffect(
         key=key,
         label=effect.label,

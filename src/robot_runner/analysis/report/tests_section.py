@@ -84,6 +84,8 @@ def _planned(material: Material) -> str:
     if not statistics.is_planned and statistics.plan is not None:
         choices = "; ".join(choices_in_words(statistics.plan, material.results.unit))
         return f"{level} The plan was given for this report{f' ({choices})' * bool(choices)}: all of it is exploratory."
+    if not statistics.is_planned and material.results.plan is not None:
+        return f"{level} The experiment's plan has another level or correction: all of this report is exploratory."
     if not statistics.is_planned:
         return f"{level} Nothing was fixed for the analysis before the experiment: all of it is exploratory."
     rest = f" Exploratory: {listed(exploratory)}." if exploratory else ""

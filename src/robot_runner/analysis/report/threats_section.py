@@ -111,7 +111,8 @@ def _plan(material: Material) -> Threats:
         yield "The plan of the analysis was changed", text, Tone.WARNING
     if not statistics.is_planned and statistics.measures and len(material.done):
         text = "Measures and tests were chosen after the fact: p-values are those of an exploration."
-        yield "Nothing was fixed beforehand", text, Tone.NOTE
+        is_fixed = material.results.plan is not None
+        yield "The plan was not followed" if is_fixed else "Nothing was fixed beforehand", text, Tone.NOTE
     missed = [*statistics.not_computed, *(each for measure in statistics.measures for each in measure.not_computed)]
     if missed:
         yield "Not everything could be computed", listed(dict.fromkeys(each.what for each in missed)), Tone.NOTE

@@ -16,6 +16,7 @@ import numpy as np
 
 from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.analysed_design import VALUE, MeasureData
+from robot_runner.analysis.statistics.cell_moments import SpreadPart
 from robot_runner.analysis.statistics.contrasts import Contrast, Tested, rounding_of
 from robot_runner.analysis.statistics.covariate_design import AdjustmentError, Covariate, CovariateDesign
 from robot_runner.analysis.statistics.effect_coding import Factors, Term
@@ -43,8 +44,8 @@ class AdjustedMeans:
         centre: the mean of all runs, at the mean of their covariates.
         spread: the standard deviation that differences are divided by: that of unadjusted values.
         residual_spread: the standard deviation of what the model leaves unexplained.
-        spread_freedom: the degrees of freedom of `spread` within blocks; None of runs of their own, of which it is as
-            well known as differences are.
+        spread_parts: the parts of the variance that is `spread` squared within blocks; none of runs of their own, of
+            which it is as well known as differences are.
         is_within: whether the means of blocks are taken away, as all factors differ within blocks.
         first_slope: the place of the first covariate among the coefficients.
         slopes_p_value: of the test that slopes are the same for all treatments; None where the runs do not tell.
@@ -61,7 +62,7 @@ class AdjustedMeans:
     centre: float
     spread: float
     residual_spread: float
-    spread_freedom: float | None
+    spread_parts: tuple[SpreadPart, ...]
     is_within: bool
     first_slope: int
     slopes_p_value: float | None
@@ -166,7 +167,7 @@ def _fitted(design: CovariateDesign, statistic: Statistic) -> AdjustedMeans | No
         float(np.mean(adjusted - design.effects[:, 1:] @ fit.beta[first : first + count])),
         spread,
         left,
-        design.spread_freedom(unadjusted) if design.is_within else None,
+        design.spread_parts(unadjusted) if design.is_within else (),
         is_within=design.is_within,
         first_slope=design.base.shape[1],
         slopes_p_value=_equal_slopes(design),

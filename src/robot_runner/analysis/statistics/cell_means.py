@@ -10,7 +10,7 @@ import numpy as np
 
 from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.cell_layout import ALONE
-from robot_runner.analysis.statistics.cell_moments import NOT_AVERAGED, AveragedOut
+from robot_runner.analysis.statistics.cell_moments import NOT_AVERAGED, AveragedOut, SpreadPart
 from robot_runner.analysis.statistics.contrasts import (
     DRAWS,
     MOST_FLIPPED,
@@ -130,14 +130,28 @@ class CellMeans:
         return np.asarray(np.sqrt(self._unit_variance + self.averaged_out.variance))
 
     @property
-    def spread_freedom(self) -> float | None:
-        """The degrees of freedom of `spread`; None of runs of their own: it is as well known as differences are."""
+    def spread_parts(self) -> tuple[SpreadPart, ...]:
+        """The parts of the variance that is `spread` squared; none where it is as well known as differences are.
+
+        That is so of two combinations of runs of their own, and of trimmed means, of which parts are not simulated.
+        """
         if not self.layout.is_blocked:
-            return None
-        count = self.moments.errors.shape[-1]
-        cells = count - 1 if count > 1 and not self.layout.between else count
-        freedom = float(cells * np.sum(self.layout.sizes - 1))
-        return self.averaged_out.freedom_with(float(self._unit_variance), freedom)
+            if len(self.layout.sizes) <= _PAIR or self.estimand is not Estimand.MEAN:
+                return ()
+            variances = self.moments.errors[:, 0, 0] * self.layout.variance_per_error(self.estimand)
+            shares = zip(variances / len(variances), self.moments.freedom, strict=True)
+            return tuple(SpreadPart(float(share), float(freedom)) for share, freedom in shares)
+        cells, freedom = self.moments.errors.shape[-1], float(np.sum(self.layout.sizes - 1))
+        whole = float(self._unit_variance)
+        if cells == 1:
+            return self.averaged_out.beside(SpreadPart(whole, freedom))
+        if not self.layout.between:
+            return self.averaged_out.beside(SpreadPart(whole, (cells - 1) * freedom))
+        # Cells of a block have what it is as a whole in common.
+        sizes = self.layout.variance_per_error(self.estimand)
+        of_blocks = float(np.mean(np.einsum("gcd->g", self.moments.errors) * sizes)) / cells**2
+        rest = SpreadPart(max(0.0, whole - of_blocks), (cells - 1) * freedom)
+        return self.averaged_out.beside(SpreadPart(of_blocks, freedom), rest)
 
     @property
     def _unit_variance(self) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -56,6 +57,18 @@ def moments_of_strata(values: Floats, counts: Numbers, shares: Floats, estimand:
     return Moments(means[..., None], errors[..., None, None], freedom)
 
 
+class SpreadPart(NamedTuple):
+    """An independent part of the variance of a run, with its degrees of freedom."""
+
+    variance: float
+    freedom: float
+
+
+def freedom_of(parts: Sequence[SpreadPart]) -> float:
+    """Return the degrees of freedom of the sum of the parts (Satterthwaite 1946)."""
+    return sum(part.variance for part in parts) ** 2 / sum(part.variance**2 / part.freedom for part in parts)
+
+
 class AveragedOut(NamedTuple):
     """What of the variance of a run the means of units leave out: the share 1 - 1 / n of that within a unit.
 
@@ -65,15 +78,9 @@ class AveragedOut(NamedTuple):
     variance: Floats
     freedom: float
 
-    def freedom_with(self, own: float, freedom: float) -> float:
-        """Return the degrees of freedom of the variance of a run, of which means have their own (Satterthwaite 1946).
-
-        Args:
-            own: the variance of means.
-            freedom: its degrees of freedom.
-        """
-        beyond = float(self.variance)
-        return (own + beyond) ** 2 / (own**2 / freedom + beyond**2 / self.freedom) if beyond else freedom
+    def beside(self, *own: SpreadPart) -> tuple[SpreadPart, ...]:
+        """Return the parts of the variance of a run, of which the means of units have their own."""
+        return (*own, SpreadPart(float(self.variance), self.freedom)) if self.variance else own
 
 
 #: Of runs that are not averaged.

@@ -12,7 +12,7 @@ import pandas as pd
 
 from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.cell_layout import relative_ranks
-from robot_runner.analysis.statistics.cell_moments import AveragedOut, averaged_out
+from robot_runner.analysis.statistics.cell_moments import AveragedOut, SpreadPart, averaged_out
 from robot_runner.analysis.statistics.effect_coding import Factors, Term
 from robot_runner.analysis.statistics.linear_model import estimable_terms
 from robot_runner.analysis.statistics.robust_covariance import RobustFit, fit_robustly
@@ -191,12 +191,12 @@ class CovariateDesign:
             return math.sqrt(own + float(beyond.variance))
         return float(np.sqrt(np.sum(fit.residuals**2) / freedom))
 
-    def spread_freedom(self, fit: RobustFit) -> float:
-        """Return the degrees of freedom of the spread within blocks."""
+    def spread_parts(self, fit: RobustFit) -> tuple[SpreadPart, ...]:
+        """Return the parts of the variance within blocks."""
         if self._unit is None:
-            return float(len(fit.residuals) - len(fit.beta) - self._swept_blocks)
+            return (SpreadPart(self.spread(fit) ** 2, float(len(fit.residuals) - len(fit.beta) - self._swept_blocks)),)
         own, freedom, beyond = self._of_units(fit, self._unit)
-        return beyond.freedom_with(own, freedom)
+        return beyond.beside(SpreadPart(own, freedom))
 
     def _of_units(self, fit: RobustFit, unit: Numbers) -> tuple[float, float, AveragedOut]:
         """Return the variance of the means of runs that share their block and combination, its freedom, and the rest.

@@ -18,6 +18,7 @@ import numpy as np
 from scipy import optimize, special, stats
 
 from robot_runner.analysis.arrays import Floats
+from robot_runner.analysis.statistics.cell_moments import SpreadPart
 from robot_runner.analysis.statistics.descriptive import bootstrap_interval
 from robot_runner.analysis.statistics.tested import EffectSize, Interval, Magnitude
 
@@ -27,6 +28,10 @@ _MOST_STEPS = 1000  # each twice as long as the one before: past the largest num
 #: half a minute.
 _MOST_NONCENTRAL = 1e11
 _LEAST_FOR_SPREAD = 2
+#: Of a larger sum of squares, in standard errors, Student's interval of its root agrees to five digits.
+_MOST_BY_QUADRATURE = 1e5
+#: Quantiles of the normal distribution; beyond, nothing is left.
+_NORMAL = np.linspace(-8.0, 8.0, 161)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,19 +59,29 @@ _VARGHA = _Thresholds((0.06, 0.14, 0.21), "Vargha and Delaney, A Critique and Im
 
 
 def cohens_d(
-    difference: float, error: float, freedom: float, spread: float, *, level: float = _LEVEL, name: str = "Cohen's d"
+    difference: float,
+    error: float,
+    freedom: float,
+    spread: float,
+    parts: Sequence[SpreadPart] = (),
+    *,
+    level: float = _LEVEL,
+    name: str = "Cohen's d",
 ) -> EffectSize | None:
     """Return a difference in standard deviations.
 
-    Its interval inverts the noncentral t distribution at the t-test of the difference (Cumming and Finch 2001; with
-    unequal spreads Delacre et al., Why Hedges' g*s based on the non-pooled standard deviation should be reported with
-    Welch's t-test, 2021), so that it leaves out 0 exactly where the test is significant.
+    Where the standard deviation is as well known as the difference, the interval inverts the noncentral t distribution
+    at the t-test of the difference (Cumming and Finch 2001; with unequal spreads Delacre et al., Why Hedges' g*s based
+    on the non-pooled standard deviation should be reported with Welch's t-test, 2021). Else it is made of the interval
+    of the difference and that of the standard deviation. Either way it leaves out 0 exactly where the test is
+    significant.
 
     Args:
         difference: of two means.
         error: its standard error.
         freedom: the degrees of freedom of that.
         spread: the standard deviation.
+        parts: what its square is the sum of; none where it is as well known as the difference is.
         level: the confidence.
         name: what it is called.
 
@@ -79,37 +94,57 @@ def cohens_d(
     """
     if not (spread > 0 and error > 0 and math.isfinite(freedom)):
         return None
-    ends = noncentralities_of_t(difference / error, freedom, level)
-    scale = error / spread
-    interval = None if ends is None else Interval(ends[0] * scale, ends[1] * scale, level, "noncentral t")
+    if not _is_known_apart(parts, freedom):
+        ends = noncentralities_of_t(difference / error, freedom, level)
+        scale = error / spread
+        interval = None if ends is None else Interval(ends[0] * scale, ends[1] * scale, level, "noncentral t")
+    else:
+        reach = error * float(stats.t.isf((1 - level) / 2, freedom))
+        limits = (difference - reach, difference, difference + reach)
+        interval = Interval(*_ratio_ends(limits, parts, level), level, "MOVER-R")
     return _COHEN_D.size(name, difference / spread, interval)
 
 
 def omega_squared(
-    f_value: float, freedom: tuple[float, float], variance: float, spread: float, *, alpha: float, is_partial: bool
+    f_value: float,
+    freedom: tuple[float, float],
+    variance: float,
+    spread: float,
+    parts: Sequence[SpreadPart] = (),
+    *,
+    alpha: float,
+    is_partial: bool,
 ) -> EffectSize | None:
     """Return omega squared: the share of an effect in the variance of the effect and of chance, freed of its bias.
 
-    The effect is that on the means of all combinations, each of which counts the same. The interval inverts the
-    noncentral F distribution at the test of the effect (Steiger 2004), at 1 - 2 alpha: it leaves out 0 exactly where
-    the test, which looks at one side, is significant.
+    The effect is that on the means of all combinations, each of which counts the same. Where the standard deviation is
+    as well known as effects are, the interval inverts the noncentral F distribution at the test of the effect (Steiger
+    2004); else it is made as that of Cohen's d is. It is one of 1 - 2 alpha: so it leaves out 0 exactly where the test,
+    which looks at one side, is significant.
 
     Args:
         f_value: of the test; infinite where its p-value is 0 in floating-point numbers.
         freedom: its degrees of freedom.
         variance: the mean of the squared effects on all combinations.
         spread: the standard deviation.
+        parts: what its square is the sum of; none where it is as well known as effects are.
         alpha: the level of significance.
         is_partial: whether other factors' effects are left out of account.
     """
     if not (spread > 0 and f_value > 0 and variance > 0):
         return None
     ratio = variance / spread**2
-    scale = ratio / (f_value * freedom[0])
     level = 1 - 2 * alpha
-    ends = noncentralities_of_f(f_value, freedom, level)
-    shares = None if ends is None else [end * scale / (1 + end * scale) for end in ends]
-    interval = None if shares is None else Interval(shares[0], shares[1], level, "noncentral F")
+    ends, method = None, "noncentral F"
+    if not _is_known_apart(parts, freedom[1]):
+        noncentralities = noncentralities_of_f(f_value, freedom, level)
+        ends = noncentralities and tuple(end * ratio / (f_value * freedom[0]) for end in noncentralities)
+    elif math.isfinite(f_value):
+        scale = math.sqrt(variance / (f_value * freedom[0]))
+        low, middle, high = (scale * each for each in _norm_limits(f_value, freedom, level))
+        ends, method = tuple(end**2 for end in _ratio_ends((low, middle, high), parts, level)), "MOVER-R"
+    shares = None if ends is None else [end / (1 + end) for end in ends]
+    interval = None if shares is None else Interval(shares[0], shares[1], level, method)
     value = max(0.0, 1 - 1 / f_value) * ratio
     name = "partial omega squared" if is_partial else "omega squared"
     return _COHEN_OMEGA.size(name, value / (1 + value), interval)
@@ -127,6 +162,71 @@ def f_of_p_value(p_value: float, freedom: tuple[float, float]) -> float:
     """
     share = float(special.betaincinv(freedom[1] / 2, freedom[0] / 2, p_value))
     return freedom[1] * (1 - share) / (freedom[0] * share) if share > 0 else math.inf
+
+
+def _is_known_apart(parts: Sequence[SpreadPart], freedom: float) -> bool:
+    """Return whether a standard deviation is known otherwise than what is divided by it, and not only as well."""
+    telling = [part for part in parts if part.variance > 0]
+    return len(telling) > 1 or any(part.freedom > freedom for part in telling)
+
+
+def _ratio_ends(limits: tuple[float, float, float], parts: Sequence[SpreadPart], level: float) -> tuple[float, float]:
+    """Return the interval of a difference over a standard deviation, which is independent of it.
+
+    Limits of both are put together by the method of variance estimates recovery for ratios (Donner and Zou,
+    Closed-form confidence intervals for functions of the normal mean and standard deviation, Statistical Methods in
+    Medical Research 21, 2012); those of the variance, a sum, are modified large-sample ones (Graybill and Wang,
+    Confidence intervals on nonnegative linear combinations of variances, JASA 75, 1980).
+
+    Args:
+        limits: the interval of the difference, with the difference in its middle.
+        parts: the independent parts of the variance.
+        level: the confidence.
+    """
+    tail = (1 - level) / 2
+    square = sum(part.variance for part in parts)
+    above = [part.variance * (part.freedom / float(stats.chi2.ppf(tail, part.freedom)) - 1) for part in parts]
+    below = [part.variance * (1 - part.freedom / float(stats.chi2.isf(tail, part.freedom))) for part in parts]
+    spread, largest, smallest = map(math.sqrt, (square, square + math.hypot(*above), square - math.hypot(*below)))
+
+    def low_end(difference: float, low: float) -> float:
+        product = difference * spread
+        limit = largest if low > 0 else smallest
+        steepness, height = limit * (2 * spread - limit), low * (2 * difference - low)
+        root = math.sqrt(max(0.0, product**2 - steepness * height))
+        return height / (product + root) if difference > 0 else (product - root) / steepness
+
+    low, difference, high = limits
+    return low_end(difference, low), -low_end(-difference, -high)
+
+
+def _norm_limits(f_value: float, freedom: tuple[float, float], level: float) -> tuple[float, float, float]:
+    """Return the interval of the size of several contrasts together, in standard errors, with the median in its middle.
+
+    It inverts the distribution of F for a size that is fixed in units of the measure, where a noncentrality is one in
+    units of the unknown error: of a single contrast it is Student's interval, as far from 0 as that is.
+    """
+    count, rest = freedom
+    tail = (1 - level) / 2
+    if f_value * count > _MOST_BY_QUADRATURE:
+        middle, reach = math.sqrt(f_value * count - count + 1), float(stats.t.isf(tail, rest))
+        return middle - reach, middle, middle + reach
+    variance = stats.chi2.ppf(stats.norm.cdf(_NORMAL), rest) / rest  # over its true value, at quantiles
+    weights = stats.norm.pdf(_NORMAL) * (_NORMAL[1] - _NORMAL[0])
+
+    def at(share: float) -> float:
+        if stats.f.cdf(f_value, *freedom) <= share:
+            return 0.0  # even without any effect so large an F is likely enough
+
+        def below(size: float) -> float:
+            chances = stats.ncx2.cdf(f_value * count * variance, count, size**2 * variance)
+            return float(weights @ chances) - share
+
+        start = math.sqrt(f_value * count)
+        found = _root(below, start, 1.0, least=0.0)
+        return start if found is None else found
+
+    return at(1 - tail), at(0.5), at(tail)
 
 
 def noncentralities_of_t(t_value: float, freedom: float, level: float) -> tuple[float, float] | None:

@@ -137,9 +137,7 @@ def analyse(
 
 def _checked(plan: AnalysisPlan, results: Results) -> AnalysisPlan:
     columns = [name for name in (results.repetition, results.block) if name is not None]
-    findings = list(plan.findings([*results.factors, *columns], results.measures))
-    if findings:
-        raise AnalysisError.of_findings(findings)
+    AnalysisError.refuse(plan.findings([*results.factors, *columns], results.measures))
     return plan
 
 

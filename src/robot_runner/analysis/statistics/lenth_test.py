@@ -19,6 +19,7 @@ from itertools import combinations
 import numpy as np
 
 from robot_runner.analysis.arrays import Floats, Numbers
+from robot_runner.analysis.statistics.cell_moments import SpreadPart
 from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.effect_coding import Factors, Term
@@ -111,6 +112,11 @@ class LenthModel:
     def spread(self) -> Floats:
         """Nothing: no run was repeated, so that no standard deviation of runs is known."""
         return np.full(self.values.shape[:-1], math.nan)
+
+    @property
+    def spread_parts(self) -> tuple[SpreadPart, ...]:
+        """Nothing, as there is no spread."""
+        return ()
 
     @property
     def _halves(self) -> Floats:

@@ -19,7 +19,7 @@ from scipy import optimize, stats
 from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, MeasureData
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS
-from robot_runner.analysis.statistics.cell_moments import NOT_AVERAGED, AveragedOut, averaged_out
+from robot_runner.analysis.statistics.cell_moments import NOT_AVERAGED, AveragedOut, SpreadPart, averaged_out
 from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
 from robot_runner.analysis.statistics.effect_coding import Factors, Term
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, NoVariation, TestMethod
@@ -100,13 +100,17 @@ class FittedModel:
         return math.sqrt(self.fit.scale * (1 + ratio) + float(self.averaged_out.variance))
 
     @property
-    def spread_freedom(self) -> float | None:
-        """The degrees of freedom of `spread`; None with blocks in it: it is as well known as differences are."""
-        if self._has_between:
-            return None
+    def spread_parts(self) -> tuple[SpreadPart, ...]:
+        """The parts of the variance that is `spread` squared; none where no degrees of freedom are left."""
         every = self.exog if self.blocks is None else self._with_blocks
-        freedom = float(len(self.exog) - np.linalg.matrix_rank(every))
-        return self.averaged_out.freedom_with(self.fit.scale, freedom)
+        within = SpreadPart(self.fit.scale, float(len(self.exog) - np.linalg.matrix_rank(every)))
+        if not self._has_between:
+            return self.averaged_out.beside(within)
+        if min(within.freedom, self._freedom_between) < 1:
+            return ()
+        share = float(np.mean(1 / np.unique(np.asarray(self.blocks), return_counts=True)[1]))
+        of_means = SpreadPart(self.fit.scale * (self.fit.ratio + share), self._freedom_between)
+        return self.averaged_out.beside(of_means, within._replace(variance=within.variance * (1 - share)))
 
     @cached_property
     def _has_between(self) -> bool:
@@ -153,6 +157,11 @@ class FittedModel:
             return float(len(self.exog) - self.exog.shape[1])
         if not self._is_between_blocks(factors):
             return float(len(self.exog) - np.linalg.matrix_rank(self._with_blocks))
+        return self._freedom_between
+
+    @cached_property
+    def _freedom_between(self) -> float:
+        assert self.blocks is not None  # noqa: S101 - degrees of freedom between blocks were asked for
         between = sum(self.factors.size(each) for each in self.terms if self._is_between_blocks(each))
         return float(len(set(self.blocks)) - self._taken_between - between)
 

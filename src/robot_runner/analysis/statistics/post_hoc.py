@@ -248,7 +248,7 @@ def _standardised(model: AnyModel, found: tuple[float, float, float], choices: C
     """Yield how much a difference is in standard deviations; nothing where ranks are compared."""
     if choices.estimand is not Estimand.RANK:
         name = "robust d" if choices.estimand is Estimand.TRIMMED_MEAN else "Cohen's d"
-        size = cohens_d(*found, float(model.spread), level=1 - choices.alpha, name=name)
+        size = cohens_d(*found, float(model.spread), model.spread_parts, level=1 - choices.alpha, name=name)
         if size is not None:
             yield size
 

@@ -19,7 +19,7 @@ import numpy as np
 from scipy import stats
 
 from robot_runner.analysis.arrays import Floats, Numbers
-from robot_runner.analysis.statistics.cell_moments import NOT_AVERAGED, AveragedOut
+from robot_runner.analysis.statistics.cell_moments import NOT_AVERAGED, AveragedOut, SpreadPart
 from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
 from robot_runner.analysis.statistics.effect_coding import Factors, Term
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, NoVariation, TestMethod
@@ -145,11 +145,14 @@ class StrataModel:
         return np.asarray(np.sqrt(share / self.plot_size + self.averaged_out.variance))
 
     @property
-    def spread_freedom(self) -> float | None:
-        """The degrees of freedom of `spread`; None of two strata: it is as well known as differences are."""
-        if len(self.fits) > 1:
-            return None
-        return self.averaged_out.freedom_with(float(self.fits[0].mean_square), self.fits[0].freedom)
+    def spread_parts(self) -> tuple[SpreadPart, ...]:
+        """The parts of the variance that is `spread` squared."""
+        within = SpreadPart(float(self.fits[-1].mean_square), self.fits[-1].freedom)
+        between = SpreadPart(float(self.fits[0].mean_square) / self.plot_size, self.fits[0].freedom)
+        if len(self.fits) == 1 or not math.isfinite(between.variance):
+            return self.averaged_out.beside(within)
+        left = within._replace(variance=within.variance * (1 - 1 / self.plot_size))
+        return self.averaged_out.beside(between, left)
 
     def effects(self) -> Iterator[EffectTest]:
         """Yield the test of each effect."""

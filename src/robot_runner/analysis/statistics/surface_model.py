@@ -19,6 +19,7 @@ import numpy as np
 from scipy import stats
 
 from robot_runner.analysis.arrays import Floats, Numbers
+from robot_runner.analysis.statistics.cell_moments import SpreadPart
 from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
 from robot_runner.analysis.statistics.strata_model import StratumFit, fit_stratum
 from robot_runner.analysis.statistics.tested import EffectTest, Interval, NotComputed, TestMethod
@@ -159,6 +160,11 @@ class SurfaceModel:
     def spread(self) -> Floats:
         """The standard deviation of what the surface leaves unexplained."""
         return np.sqrt(self.fit.mean_square)
+
+    @property
+    def spread_parts(self) -> tuple[SpreadPart, ...]:
+        """Nothing: it is as well known as effects are."""
+        return ()
 
     def effects(self) -> Iterator[EffectTest]:
         """Yield the test of each factor by all its terms, then of each interaction."""

@@ -45,6 +45,7 @@ from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.analysed_design import MeasureData
+    from robot_runner.analysis.statistics.cell_moments import SpreadPart
     from robot_runner.analysis.statistics.contrasts import Contrast
 
 #: All that is fitted to a measure.
@@ -73,6 +74,10 @@ class Model(Protocol):
     @property
     def spread(self) -> float:
         """The standard deviation that differences are divided by."""
+
+    @property
+    def spread_parts(self) -> tuple[SpreadPart, ...]:
+        """What its square is the sum of; nothing where it is as well known as differences are."""
 
     def effects(self) -> Iterator[EffectTest]:
         """Yield the test of each effect."""
@@ -194,7 +199,13 @@ def _effect(model: AnyModel, found: EffectTest, beside: EffectTest | None, choic
             f_value = f_of_p_value(p_value, (both[0], both[1]))
         is_partial = len(levels_of(model)) > 1
         size = omega_squared(
-            f_value, (both[0], both[1]), variance, float(model.spread), alpha=choices.alpha, is_partial=is_partial
+            f_value,
+            (both[0], both[1]),
+            variance,
+            float(model.spread),
+            model.spread_parts,
+            alpha=choices.alpha,
+            is_partial=is_partial,
         )
     return Effect(
         factors=found.factors,

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_runner.core.design.analysis_plan import AnalysisPlan
+from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.design.precision import rule_in_words, rules_of_mapping
 from robot_runner.core.errors import DesignError, StorageError
 from robot_runner.core.storage.file_shapes import RegistrationFile
@@ -126,7 +127,8 @@ def differences(registered: Mapping[str, Any], now: Mapping[str, Any]) -> Iterat
     """
     if "design" in now:
         yield from _design_differences(registered["design"], now["design"])
-    if "seed" in now and registered["design"].get("shuffle") and now["seed"] != registered["seed"]:
+    is_random = registered["design"].get("shuffle") and now.get("design", {}).get("shuffle", True)
+    if "seed" in now and is_random and now["seed"] != registered["seed"]:
         yield f"the seed of the order is {now['seed']}, and {registered['seed']} was registered"
     if "analysis" in now:
         yield from _plan_differences(registered["analysis"], now["analysis"])
@@ -193,7 +195,8 @@ def _full(plan: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
     if plan is None:
         return None
     try:
-        return json.loads(json.dumps(AnalysisPlan.of_mapping(plan).as_mapping()))  # type: ignore[no-any-return]
+        every = {"doubtful": Doubtful.KEEP.value, **AnalysisPlan.of_mapping(plan).as_mapping()}
+        return json.loads(json.dumps(every))  # type: ignore[no-any-return]
     except DesignError:  # of another version: it is compared as it stands
         return plan
 
