@@ -7,8 +7,12 @@ from pathlib import Path
 
 import pytest
 from tests.analysis.experiment_folders import two_tasks
+from tests.analysis.importing.foreign_folder import make_earlier_folder
 from tests.replication.small_experiment import CONFIG
 
+from robot_runner.analysis.importing.adoption import adopt
+from robot_runner.analysis.importing.description import ImportDescription
+from robot_runner.analysis.importing.understanding import understand
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.journal import Journal
 from robot_runner.replication.config_lines import ConfigLines
@@ -94,6 +98,30 @@ def test_a_folder_without_config_is_explained_as_far_as_it_goes(tmp_path):
     value, facts = _facts(tmp_path / "made", "r_1", "Energy")
     assert value.value == 1.0
     assert "Config" not in facts
+
+
+@pytest.mark.long
+def test_of_an_imported_run_nothing_is_said_of_who_executed_it_where_and_when(tmp_path):
+    earlier = make_earlier_folder(tmp_path / "earlier")
+    adopt(understand(earlier, ImportDescription()), tmp_path / "ours")
+    facts = dict(explain_run(tmp_path / "ours", "run_1").facts)
+    assert set(facts) == {"Status", "Place", "Imported"}
+    assert facts["Place"] == "run 2 of 4, in the order of run_table.csv"
+    assert facts["Imported"].endswith("from run_table.csv of earlier: where and by what it was executed is not known")
+    assert _facts(tmp_path / "ours", "run_1", "task")[1]["From"] == "run_table.csv, which was imported"
+    _, of_measure = _facts(tmp_path / "ours", "run_1", "energy_J")
+    assert of_measure["From"] == "`robot-runner import`"
+    assert {"Plugin", "Published"}.isdisjoint(of_measure)
+
+
+def test_a_column_that_somebody_added_by_hand_is_told_as_that_and_as_no_measure(tmp_path):
+    two_tasks(tmp_path / "made", (1.0, 2.0), (3.0, 4.0), name="made")
+    table = tmp_path / "made" / "run_table.csv"
+    header, *rows = table.read_text("utf-8").splitlines()
+    table.write_text("\n".join([f"{header},Note", *(f"{row},it rained" for row in rows), ""]), encoding="utf-8")
+    value, facts = _facts(tmp_path / "made", "r_1", "Note")
+    assert (value.role, value.value) == ("extra", "it rained")
+    assert facts == {"From": "a column that somebody added to run_table.csv by hand"}
 
 
 @pytest.mark.parametrize(("run", "name", "near"), [("r_11", "Energy", "'r_1'"), ("r_1", "Enrgy", "'Energy'")])

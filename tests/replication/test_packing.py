@@ -16,9 +16,13 @@ from pathlib import Path
 
 import pytest
 from tests.analysis.experiment_folders import two_tasks
+from tests.analysis.importing.foreign_folder import make_earlier_folder
 from tests.linked_environment import is_locked_environment
 from tests.replication.small_experiment import RUNS, SECRET, home
 
+from robot_runner.analysis.importing.adoption import adopt
+from robot_runner.analysis.importing.description import ImportDescription
+from robot_runner.analysis.importing.understanding import understand
 from robot_runner.core.config.authors import Author
 from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.lock import ExperimentLock
@@ -214,6 +218,24 @@ def test_a_file_whose_name_is_no_text_stays_behind_and_is_told(copied, tmp_path)
     assert [each.name for each in packed.left_out] == [r"runs/r_1/caf\udce9.txt"]
     assert [r"caf\udce9" in each.why for each in packed.not_searched] == [True]
     assert json.loads(_text(packed.path, "package.json"))["left_out"][0]["name"] == packed.left_out[0].name
+
+
+@pytest.mark.long
+def test_results_that_were_imported_are_not_said_to_be_executed_with_robot_runner(tmp_path):
+    earlier = make_earlier_folder(tmp_path / "earlier")
+    adopt(understand(earlier, ImportDescription()), tmp_path / "ours")
+    packed = _pack(tmp_path / "ours", tmp_path / "ours.zip")
+    for name in ("README.md", ".zenodo.json", "CITATION.cff", "ro-crate-metadata.json", "datapackage.json"):
+        assert "executed with Robot Runner" not in _text(packed.path, name), name
+        assert "Robot Runner executed" not in _text(packed.path, name), name
+    readme = _text(packed.path, "README.md")
+    assert "imported into Robot Runner" in readme
+    assert "nobody can execute it again" in readme
+    assert "robot-runner replicate" not in readme
+    crate = json.loads(_text(packed.path, "ro-crate-metadata.json"))["@graph"]
+    (action,) = (each for each in crate if each["@type"] == "CreateAction")
+    assert action["name"] == "Import of earlier"
+    assert action["actionStatus"].endswith("CompletedActionStatus")
 
 
 @pytest.mark.long

@@ -114,8 +114,7 @@ class DeclaredDesign:
                 findings.append(Finding.error(where, f"a {design_in_words(kind)} takes the column of its {part}", fix))
         for part, check in _CHECKS.items():
             findings += check(plain[part], where) if part in plain and part in parts.others else ()
-        if findings:
-            raise AnalysisError.of_findings(findings)
+        AnalysisError.refuse(findings)
         ranges = {name: (float(low), float(high)) for name, (low, high) in plain.get("ranges", {}).items()}
         base = {name: str(text) for name, text in plain.get("base", {}).items()}
         return cls(kind, columns, plain.get("washout", False), base, ranges)
@@ -211,12 +210,9 @@ def with_declared_design(results: Results, declared: DeclaredDesign, whence: str
         problem = f"the experiment has a design of its own, a {design_in_words(str(own))}"
         raise AnalysisError(problem, where=whence, fix="Leave [design] out: the report follows that one.")
     allowed = [name for name in results.runs.columns if name in results.columns and name not in results.measures]
-    findings = list(_unknown(declared, allowed, results, whence))
-    if not findings:
-        factors = [name for name in results.factors if name not in declared.names]
-        findings = list(structure_findings(declared, results.runs.astype("str"), factors, whence))
-    if findings:
-        raise AnalysisError.of_findings(findings)
+    AnalysisError.refuse(_unknown(declared, allowed, results, whence))
+    factors = [name for name in results.factors if name not in declared.names]
+    AnalysisError.refuse(structure_findings(declared, results.runs.astype("str"), factors, whence))
     manifest = {**results.manifest, "design": {**design, "facts": declared.facts(whence)}}
     return replace(results, manifest=manifest)
 

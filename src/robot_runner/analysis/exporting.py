@@ -25,7 +25,7 @@ from robot_runner.analysis.sample_files import SampleFile, split_unit
 from robot_runner.analysis.samples import read_samples
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.storage.guarded_files import make_folder, open_to_read, open_to_write, read_text, replace
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.core.storage.table_schema import data_package, file_resource, table_resource
 
 if TYPE_CHECKING:
@@ -62,11 +62,9 @@ def export_results(
         StorageError: a file cannot be written.
     """
     target = results.folder / "export" if folder is None else folder.expanduser()
-    try:
+    with storage_errors(target, "made"):
         if folder is not None:
             target.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise storage_error(target, "made", error) from error
     make_folder(target / "samples", results.folder if folder is None else target)
     written = list(_copied_table(results, target))
     for table, frame in tables.items():
@@ -122,10 +120,8 @@ def _copied_table(results: ExperimentFacts, target: Path) -> Iterator[Path]:
 
 def _copies_for_spreadsheets(folder: Path, target: Path) -> Iterator[Path]:
     into = target / "spreadsheets"
-    try:
+    with storage_errors(into, "made"):
         into.mkdir(exist_ok=True)
-    except OSError as error:
-        raise storage_error(into, "made", error) from error
     for source in (folder / "run_table.csv", *sorted((folder / "report" / "tables").glob("*.csv"))):
         write_for_spreadsheets(source, into / source.name, folder)
         yield into / source.name

@@ -17,7 +17,7 @@ from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.core.errors import AnalysisError, StorageError, did_you_mean
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.storage.guarded_files import LINE_LIMIT, open_text, open_to_read, read_json, require_file
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import storage_errors
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -98,7 +98,7 @@ def run_files(folder: ExperimentFolder, run_ids: Iterable[str]) -> dict[tuple[st
     """
     found: dict[tuple[str, str], dict[str, Path]] = {}
     for run_id in run_ids:
-        try:
+        with storage_errors(folder.run(run_id), "read"):
             run = folder.run(run_id)
             # A config writes into the run's own folder, as those of the earlier tools do.
             for path in sorted(path for path in run.glob("*.csv") if not path.is_dir()):
@@ -107,8 +107,6 @@ def run_files(folder: ExperimentFolder, run_ids: Iterable[str]) -> dict[tuple[st
             for path in sorted(run.glob("*/*.csv")):
                 require_file(path, folder.root)
                 found.setdefault((path.parent.name, path.name), {})[run_id] = path
-        except OSError as error:
-            raise storage_error(folder.run(run_id), "read", error) from error
     return found
 
 

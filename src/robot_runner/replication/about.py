@@ -24,7 +24,7 @@ class About:
         name: the experiment's.
         authors: each a mapping with `name`, `orcid`, `affiliation`, `affiliation_url`.
         licence: an SPDX identifier or a URL.
-        date: when the experiment ended last, or began where it did not end (UTC).
+        date: when the experiment ended last, or began where it did not end, or was imported (UTC).
 
     Example:
         >>> about = About("naps", ({"name": "Ada Lovelace"},), "CC-BY-4.0", None, "2026-01-31T12:00:00Z")
@@ -48,13 +48,13 @@ class About:
         citation: str | None = None,
     ) -> Self:
         """Return what the manifest says, which took it from the config; what is given here counts instead."""
-        last = last_execution(manifest)
+        last, imported = last_execution(manifest), imported_facts(manifest) or {}
         return cls(
             str(manifest.get("experiment_name", "experiment")),
             tuple(author.as_mapping() for author in authors) or tuple(manifest.get("authors") or ()),
             licence or manifest.get("licence"),
             citation or manifest.get("citation"),
-            str(last.get("finished_at") or last.get("started_at") or "1980-01-01T00:00:00Z"),
+            str(last.get("finished_at") or last.get("started_at") or imported.get("at") or "1980-01-01T00:00:00Z"),
         )
 
     @property
@@ -74,11 +74,9 @@ class About:
 
     def described(self, manifest: Mapping[str, Any]) -> str:
         """Return what the package is, in one sentence."""
-        version = manifest.get("software", {}).get("robot_runner", "")
-        return (
-            f"Replication package of the experiment {self.name}, executed with Robot Runner {version}: "
-            "config, run table, raw data, circumstances."
-        )
+        is_executed = imported_facts(manifest) is None
+        holds = "config, run table, raw data, circumstances" if is_executed else "run table, raw data"
+        return f"Replication package of the experiment {self.name}, {_came_about(manifest)}: {holds}."
 
     def findings(self) -> Iterator[Finding]:
         """Yield what others will miss, each with what to write into the config or to pass to the command."""
@@ -103,12 +101,21 @@ class About:
 _README = """\
 # {name}
 
-A replication package of an experiment executed with Robot Runner {version}.
+A replication package of an experiment {came_about}.
 
 {facts}
 
 ## Replicate it
 
+{replicating}
+
+## What is in it
+
+| file | holds |
+|---|---|
+{rows}
+"""
+_REPLICATING = """\
 Nothing of the package is executed before it has been verified and you have said yes.
 
 ```console
@@ -124,19 +131,28 @@ Or in a container:
 
 ```console
 {commands}
-```
-
-## What is in it
-
-| file | holds |
-|---|---|
-{rows}
-"""
+```"""
+_NO_CONFIG = (
+    "It has no config: nobody can execute it again. `robot-runner verify PACKAGE.zip` says whether it is whole."
+)
 _NOT_IN_IT = """
 ## What is not in it
 
 {items}
 """
+
+
+def imported_facts(manifest: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return when results were imported, and from what; None where Robot Runner executed the runs."""
+    if manifest.get("origin") != "imported":
+        return None
+    facts = manifest.get("imported")
+    return facts if isinstance(facts, dict) else {}
+
+
+def _came_about(manifest: Mapping[str, Any]) -> str:
+    done = "executed with" if imported_facts(manifest) is None else "imported into"
+    return f"{done} Robot Runner {manifest.get('software', {}).get('robot_runner', '')}"
 
 
 def readme(about: About, manifest: Mapping[str, Any], names: Sequence[str], left_out: Sequence[LeftOut]) -> str:
@@ -148,20 +164,23 @@ def readme(about: About, manifest: Mapping[str, Any], names: Sequence[str], left
         names: the files of the package.
         left_out: what is not in it.
     """
+    imported = imported_facts(manifest)
     facts = {
         "Authors": about.authors_in_words,
         "Licence": about.licence,
         "Cite": about.citation,
-        "Robot": manifest.get("robot") or "none, or as the config says",
-        "Seed": str(manifest.get("seed")),
+        "Robot": imported is None and (manifest.get("robot") or "none, or as the config says"),
+        "Seed": imported is None and str(manifest.get("seed")),
+        "Imported": imported and f"{imported.get('at')} from {imported.get('table')} of {imported.get('from')}",
         "Commit of the config": shown_commit(last_execution(manifest).get("repository")),
     }
     present = {*names, *(f"{name.partition('/')[0]}/" for name in names), CRATE, SUMS}
+    commands = "\n".join(f"$ {command}" for command in container_commands(about.name, "."))
     text = _README.format(
         name=about.name,
-        version=manifest.get("software", {}).get("robot_runner", ""),
+        came_about=_came_about(manifest),
         facts="\n".join(f"- {what}: {text}" for what, text in facts.items() if text),
-        commands="\n".join(f"$ {command}" for command in container_commands(about.name, ".")),
+        replicating=_REPLICATING.format(commands=commands) if "config/" in present else _NO_CONFIG,
         rows="\n".join(f"| `{name}` | {holds} |" for name, holds in DESCRIBED.items() if name in present),
     )
     items = "\n".join(f"- `{each.name}`: {each.why}" for each in left_out)

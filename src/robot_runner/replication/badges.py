@@ -205,8 +205,7 @@ def badges_of(path: Path) -> tuple[str, tuple[BadgeLine, ...]]:
     """
     if path.is_file() or (path / DESCRIPTION).is_file():
         with open_package(path) as package:
-            if package.faults:
-                raise PackageError.of_findings(package.faults)
+            PackageError.refuse(package.faults)
             return _of_text(read_text_of(package, BADGES))
     files = ExperimentFolder.found_at(path)
     manifest, columns = read_manifest(files.manifest), read_schema(files.schema)

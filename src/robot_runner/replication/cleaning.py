@@ -22,7 +22,7 @@ from typing import IO, BinaryIO, cast
 
 from robot_runner.core.errors import Finding
 from robot_runner.core.storage.guarded_files import open_to_read
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.core.words import one_line
 from robot_runner.replication.contents import LeftOut, PackedFile
 from robot_runner.replication.named_secrets import Grammar
@@ -283,14 +283,12 @@ class Cleaning:
         """
         if any(fnmatch(file.name, pattern) for pattern in self.keep):
             return _unchanged(file.path)
-        try:
+        with storage_errors(file.path, "read"):
             if not is_binary(file.path):
                 return self._cleaned(file, None)
             if encoding := wide_encoding(file.path):
                 return self._cleaned(file, encoding)
             searched = Search(file.path, self.redactor)
-        except OSError as error:
-            raise storage_error(file.path, "read", error) from error
         self.unread += [LeftOut(file.name, one_line(why)) for why in searched.unread]
         if searched.found:
             found = in_words(searched.found)

@@ -18,7 +18,7 @@ from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.manifest import last_execution
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 from robot_runner.core.words import counted, shown_commit
-from robot_runner.replication.about import NO_LICENCE, About
+from robot_runner.replication.about import NO_LICENCE, About, imported_facts
 from robot_runner.replication.contents import (
     CRATE,
     DESCRIBED,
@@ -238,14 +238,15 @@ class _Crate:
         inputs = [name for name in parts if name.startswith("config/") or name == REQUIREMENTS]
         results = [name for name in ("run_table.csv", "journal.jsonl", "manifest.json") if name in parts]
         failed = sum(run.has_failed for run in self._executed)
-        error = None if ended else "The experiment did not come to its end."
+        imported, name = imported_facts(self._manifest), self._about.name
+        error = None if ended or imported is not None else "The experiment did not come to its end."
         error = f"{counted(failed, 'run')} failed." if failed else error
         last = max((run.ended_at for run in self._executed if run.ended_at), default=None)
         return self._entity(
             _EXPERIMENT,
             "CreateAction",
-            name=f"Execution of {self._about.name}",
-            description=f"Robot Runner executed the runs of {self._about.name}.",
+            name=f"{'Execution' if imported is None else 'Import'} of {name}",
+            description=f"Robot Runner {'executed' if imported is None else 'imported'} the runs of {name}.",
             startTime=iso_stamp(executions[0].get("started_at")),
             endTime=iso_stamp(ended or last),  # where it was killed, as far as it had come
             agent=list(authors),

@@ -16,10 +16,11 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.registration import read_registration
 from robot_runner.core.storage.run_table_reading import read_run_table
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, ColumnRole, TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import shown_commit, shown_duration
+from robot_runner.replication.about import imported_facts
 from robot_runner.replication.config_lines import ConfigLines
 from robot_runner.replication.run_history import RunHistory
 
@@ -87,10 +88,9 @@ class _Explaining:
         self._run_id, self._row = run_id, rows.row(place)
         self._run_ids = [rows.run_id(each) for each in range(len(rows))]
         self._history = RunHistory.read(self._files.journal, run_id)
-        try:
+        with storage_errors(self._files.config, "read"):
             self._lines = ConfigLines(root, self._manifest.get("config") or {})
-        except OSError as error:
-            raise storage_error(self._files.config, "read", error) from error
+        self._imported = imported_facts(self._manifest)
 
     def explain(self, names: Sequence[str]) -> RunExplanation:
         extra = {name: None for name in self._history.measures if name not in self._row}
@@ -107,7 +107,8 @@ class _Explaining:
         )
 
     def _explained(self, name: str) -> Explanation:
-        column = self._columns.get(name) or ColumnDescription(name=name, role=ColumnRole.MEASURE)
+        role = ColumnRole.MEASURE if name in self._history.measures else ColumnRole.EXTRA
+        column = self._columns.get(name) or ColumnDescription(name=name, role=role)
         value = self._row[name] if name in self._row else self._history.measures[name]["value"]
         facts = {
             ColumnRole.MEASURE: self._measure_facts,
@@ -134,6 +135,10 @@ class _Explaining:
         yield "Place", f"run {self._run_ids.index(self._run_id) + 1} of {len(self._run_ids)}, {self._order()}"
         if self._mark(WARM_UP):
             yield "Warm-up", "the run was executed and kept, and is not analysed"
+        if self._imported is not None:  # host, software and times of the journal are those of the import
+            came = f"at {self._imported.get('at')} from {self._imported.get('table')} of {self._imported.get('from')}"
+            yield "Imported", f"{came}: where and by what it was executed is not known"
+            return
         yield "Executed", self._executed()
         yield from self._attempt_facts()
         yield from history.steps
@@ -176,7 +181,8 @@ class _Explaining:
     def _order(self) -> str:
         design = self._manifest.get("design") or {}
         if design.get("source") not in {None, "config"}:
-            return f"in the order of {design['source']}, which was written by hand"
+            by_hand = ", which was written by hand" if self._imported is None else ""
+            return f"in the order of {design['source']}{by_hand}"
         batch = self._batch or {}
         order = batch if batch.get("batch", 1) > 1 else {**design, "seed": self._manifest.get("seed")}
         blocks = f" within blocks of {order['blocks']}" if order.get("blocks") else ""
@@ -273,12 +279,15 @@ class _Explaining:
         yield from self._owner_facts(owner, column.name)
         yield "Aggregation", column.description
         yield "Raw data", ", ".join(self._raw_files(owner))
-        yield "Published", self._published(column.name)
+        yield "Published", "" if self._imported is not None else self._published(column.name)
         if published and _plain(self._row.get(column.name, published["value"])) != _plain(published["value"]):
             yield "Edited", f"the journal has {published['value']!r}: the table was changed by hand since"
         yield from (("Doubt", doubt) for doubt in self._history.doubts.get(owner, ()) if doubt not in doubts)
 
     def _owner_facts(self, owner: str, measure: str) -> Iterator[tuple[str, str]]:
+        if owner == "import" and self._imported is not None:
+            yield "From", "`robot-runner import`"
+            return
         if owner == OPERATOR_OWNER:
             yield "From", "a person, who was asked before the run"
             return
@@ -324,7 +333,8 @@ class _Explaining:
         elif column.role is ColumnRole.REPETITION:
             yield "Treatments", f"1 to {design.get('repetitions')}"
         if design.get("source") not in {None, "config"}:
-            yield "From", f"{design['source']}, which was written by hand before the first run"
+            came = "imported" if self._imported is not None else "written by hand before the first run"
+            yield "From", f"{design['source']}, which was {came}"
         if column.role is ColumnRole.FACTOR:
             yield "Assumed", self._assumed(column.name)
             bound = [f"{name} of {owner}" for owner, name, factor, _ in self._history.bound if factor == column.name]

@@ -89,8 +89,6 @@ def needed_runs(differences: Sequence[Mapping[str, Any]], alpha: float, *, is_re
         alpha: the level of significance.
         is_relative: whether the bound is a percentage of the first mean, which is not known exactly either.
     """
-    if not differences:
-        return "there are no runs of the same combination"
     undecided = [each for each in differences if each["verdict"] == "undecided"]
     fewest = min(min(each["first_n"], each["second_n"]) for each in undecided or differences)
     there_are = f"there {'is' if fewest == 1 else 'are'} {counted(fewest, 'run')} a combination"

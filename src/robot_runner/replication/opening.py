@@ -17,7 +17,7 @@ from pathlib import Path
 
 from robot_runner.core.errors import Finding, PackageError
 from robot_runner.core.storage.guarded_files import open_to_read, read_bytes
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import storage_error, storage_errors
 from robot_runner.replication.contents import DESCRIPTION, DESKTOP_FILES, SUMS, fault_of_name
 from robot_runner.replication.plain_zip import Progress
 from robot_runner.replication.redaction import chunks_of
@@ -117,7 +117,7 @@ def unpack(package: OpenPackage, target: Path, progress: Progress = lambda _, __
         _refuse_other(package, target)
         return
     beside = target.with_name(f".{target.name}.{os.getpid()}.tmp")
-    try:
+    with storage_errors(target, "written"):
         target.parent.mkdir(parents=True, exist_ok=True)
         _refuse_without_room(package, target.parent)
         beside.mkdir()
@@ -126,8 +126,6 @@ def unpack(package: OpenPackage, target: Path, progress: Progress = lambda _, __
             beside.rename(target)
         finally:
             shutil.rmtree(beside, ignore_errors=True)
-    except OSError as error:
-        raise storage_error(target, "written", error) from error
 
 
 def _write(package: OpenPackage, folder: Path, progress: Progress) -> None:
@@ -161,7 +159,7 @@ def _refuse_without_room(package: OpenPackage, folder: Path) -> None:
 def _unpacked(root: Path) -> OpenPackage:
     sizes: dict[str, int] = {}
     faults: list[Finding] = []
-    try:
+    with storage_errors(root, "read"):
         for path in sorted(Path(top, name) for top, folders, files in os.walk(root) for name in (*folders, *files)):
             try:
                 name, status = path.relative_to(root).as_posix(), path.lstat()
@@ -173,17 +171,12 @@ def _unpacked(root: Path) -> OpenPackage:
                 sizes[name] = status.st_size
             elif not stat.S_ISDIR(status.st_mode):
                 faults.append(_fault(root, name, _LINK if stat.S_ISLNK(status.st_mode) else _NOT_REGULAR))
-    except OSError as error:
-        raise storage_error(root, "read", error) from error
     return OpenPackage(root, sizes, tuple(faults), partial(_blocks_of_file, root))
 
 
 def _blocks_of_file(root: Path, name: str) -> Iterator[bytes]:
-    try:
-        with open_to_read(root / name, root) as file:
-            yield from chunks_of(file)
-    except OSError as error:
-        raise storage_error(root / name, "read", error) from error
+    with storage_errors(root / name, "read"), open_to_read(root / name, root) as file:
+        yield from chunks_of(file)
 
 
 def _zipped(path: Path, archive: zipfile.ZipFile) -> OpenPackage:

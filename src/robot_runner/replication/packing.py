@@ -20,7 +20,7 @@ from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.core.storage.table_columns import ColumnDescription, TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import listed
@@ -148,11 +148,8 @@ def file_sha256(path: Path) -> str:
     Raises:
         StorageError: it cannot be read.
     """
-    try:
-        with open_to_read(path) as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise storage_error(path, "read", error) from error
+    with storage_errors(path, "read"), open_to_read(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _refuse(files: ExperimentFolder, target: Path) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple, TypeAlias
 
 from robot_runner.core.storage.guarded_files import open_to_read
-from robot_runner.core.storage.system_refusals import fsync_file, fsync_folder, storage_error
+from robot_runner.core.storage.system_refusals import fsync_file, fsync_folder, storage_error, storage_errors
 
 #: Called with the number of bytes that are done, and with that of all.
 Progress: TypeAlias = "Callable[[int, int], None]"
@@ -99,12 +99,9 @@ def looks_like_a_bomb(path: Path, size: int) -> bool:
     if size <= _SMALL:
         return False
     deflated, packed = zlib.compressobj(_LEVEL), 0
-    try:
-        with open_to_read(path) as file:
-            while packed * _MOST_TIMES_SMALLER < size and (block := file.read(_BLOCK)):
-                packed += len(deflated.compress(block))
-    except OSError as error:
-        raise storage_error(path, "read", error) from error
+    with storage_errors(path, "read"), open_to_read(path) as file:
+        while packed * _MOST_TIMES_SMALLER < size and (block := file.read(_BLOCK)):
+            packed += len(deflated.compress(block))
     return packed * _MOST_TIMES_SMALLER < size
 
 

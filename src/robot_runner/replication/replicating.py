@@ -25,7 +25,7 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import last_execution, read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import listed
@@ -136,8 +136,7 @@ def _environment(path: Path, manifest: Mapping[str, Any]) -> Mapping[str, Any]:
     }
     known = {name: manifest.get(name) for name in ("robot", "ros", "host", "programs")}
     found = {"python": software.get("python"), "packages": packages, "system": software.get("system"), **known}
-    if faults := shape_findings(str(path), "manifest", found, Environment, "Ask its authors for the original."):
-        raise PackageError.of_findings(faults)
+    PackageError.refuse(shape_findings(str(path), "manifest", found, Environment, "Ask its authors for the original."))
     return found
 
 
@@ -174,7 +173,8 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
     files = ExperimentFolder.found_at(root)
     manifest = read_manifest(files.manifest)
     config = _config(files, manifest)
-    _refuse_missing(root, manifest)
+    with storage_errors(root, "read"):
+        PackageError.refuse(missing_modules(root, manifest))
     settings = {_CLUSTER: "none", **original_settings(manifest), **deviations, _PATH: str(target)}
     if files.registration.exists():
         settings[_REGISTRATION] = str(files.registration)
@@ -210,24 +210,13 @@ def _config(files: ExperimentFolder, manifest: Mapping[str, Any]) -> Path:
     return path
 
 
-def _refuse_missing(root: Path, manifest: Mapping[str, Any]) -> None:
-    try:
-        findings = missing_modules(root, manifest)
-    except OSError as error:
-        raise storage_error(root, "read", error) from error
-    if findings:
-        raise PackageError.of_findings(findings)
-
-
 def _refuse_redacted(settings: Mapping[str, str]) -> None:
     problem = "the value was replaced when the experiment was packed"
-    findings = [
+    PackageError.refuse(
         Finding.error(f"--set {name}", problem, f"Give yours: --set {name}=...")
         for name, text in settings.items()
         if REDACTED in text
-    ]
-    if findings:
-        raise PackageError.of_findings(findings)
+    )
 
 
 def _facts(files: ExperimentFolder, manifest: Mapping[str, Any], deviations: Mapping[str, str]) -> dict[str, Any]:
@@ -291,7 +280,8 @@ def _settle_table(
     experiment: Experiment, files: ExperimentFolder, manifest: Mapping[str, Any], *, has_deviations: bool
 ) -> list[Finding]:
     """Make sure that the runs are the original ones; return a finding where the config plans others."""
-    layout = replace(experiment.table_layout(), has_exclusions=_has_exclusions(files))
+    has_exclusions = files.schema.exists() and TableLayout.of_schema(read_schema(files.schema)).has_exclusions
+    layout = replace(experiment.table_layout(), has_exclusions=has_exclusions)
     rows = read_run_table(files.run_table, layout)
     plan = experiment.model.plan(manifest["seed"])
     same_ids = [run.run_id for run in plan] == [rows.run_id(place) for place in range(len(rows))]
@@ -331,10 +321,6 @@ def _put_table(experiment: Experiment, rows: RunTableRows) -> None:
     """Write the original's runs as if by hand, all of them to be executed, those that were excluded there as well."""
     make_experiment_folder(experiment.folder.root)
     write_run_table(experiment.folder.run_table, rows.to_do_again())
-
-
-def _has_exclusions(files: ExperimentFolder) -> bool:
-    return files.schema.exists() and TableLayout.of_schema(read_schema(files.schema)).has_exclusions
 
 
 def working_files(root: Path, target: Path) -> Path | None:

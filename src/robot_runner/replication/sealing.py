@@ -17,7 +17,7 @@ from robot_runner.core.config.authors import Author
 from robot_runner.core.errors import Finding, PackageError
 from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.run_table_rows import RunTableRows
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.core.storage.table_columns import ColumnDescription
 from robot_runner.core.storage.table_schema import data_package, table_resource
 from robot_runner.replication import contents
@@ -128,12 +128,10 @@ class Sealing:
             PackageError.refuse(self.cleaning.refusals())
 
     def _blocks(self, file: PackedFile, blocks: Iterator[bytes]) -> Iterator[bytes]:
-        try:
+        with storage_errors(file.path, "read"):
             for block in blocks:
                 yield block
                 self._advance(len(block))
-        except OSError as error:
-            raise storage_error(file.path, "read", error) from error
 
     def _advance(self, count: int) -> None:
         total = sum(file.size for file in self.chosen.files)
@@ -142,15 +140,13 @@ class Sealing:
 
     def _add_wheel(self, distribution: InstalledDistribution) -> None:
         secrets, wheel = Counter[str](), io.BytesIO()
-        try:
+        with storage_errors(Path(distribution.name), "read"):
             files = wheel_of(distribution)
             for path in files.values():
                 with open_to_read(path) as file:
                     secrets += self.redactor.own.secrets_in(chunks_of(file), Grammar.MARKUP)
             if files and not secrets:
                 write_wheel(files, wheel)
-        except OSError as error:
-            raise storage_error(Path(distribution.name), "read", error) from error
         if not files or secrets:
             why = f"the package holds {in_words(secrets)}" if secrets else "the package's code cannot be found"
             self.left_out.append(LeftOut(f"wheel of {distribution.name}", why))
@@ -188,8 +184,7 @@ class Sealing:
             run_folders=self.run_folders,
         )
         folders = contents.folders_of(stored, self.run_folders)
-        if faults := [*crate_faults(crate, {*stored, *folders, contents.SUMS})]:
-            raise PackageError.of_findings(faults)
+        PackageError.refuse(crate_faults(crate, {*stored, *folders, contents.SUMS}))
         self._add_text(contents.CRATE, crate)
         sums = "".join(f"{file.sha256}  {name}\n" for name, file in sorted(stored.items()))
         self.archive.add(contents.SUMS, [sums.encode()])

@@ -145,9 +145,7 @@ def refuse_faults(verification: Verification) -> None:
     Raises:
         PackageError: something is wrong with it; carries every finding.
     """
-    errors = [finding for finding in verification.findings if finding.is_error]
-    if errors:
-        raise PackageError.of_findings(errors)
+    PackageError.refuse(finding for finding in verification.findings if finding.is_error)
 
 
 def _description(package: OpenPackage) -> Mapping[str, Any]:

@@ -16,7 +16,7 @@ from typing import Any, TextIO
 from robot_runner.core.errors import PackageError
 from robot_runner.core.execution.interruption import stop_signals_handled
 from robot_runner.core.storage.guarded_files import read_text
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.replication.contents import REQUIREMENTS, WHEELS
 from robot_runner.replication.distributions import installed_distributions, wheel_name, wheel_of, write_wheel
 
@@ -92,11 +92,9 @@ def make_comparison_environment(folder: Path) -> Path:
     if not is_complete(folder):
         ours = installed_distributions()[_OUR_NAME]
         wheel = folder.parent / wheel_name(ours)
-        try:
+        with storage_errors(wheel, "written"):
             folder.parent.mkdir(parents=True, exist_ok=True)
             write_wheel(wheel_of(ours), wheel)
-        except OSError as error:
-            raise storage_error(wheel, "written", error) from error
         fix = "Mend what is said there, or install the extra yourself: pip install 'robot-runner[analysis]'. "
         fix += "Then repeat the command: no run is executed again."
         try:
@@ -139,14 +137,12 @@ def _make(folder: Path, python: str, asked: Sequence[str], fix: str) -> None:
     has_pip = find_spec("pip") is not None and python == sys.executable
     inside = str(folder / "bin" / "python")
     pip = [sys.executable, "-m", "pip", "--python", inside] if has_pip else [inside, "-m", "pip"]
-    try:
+    with storage_errors(folder, "made"):
         folder.parent.mkdir(parents=True, exist_ok=True)
         log.unlink(missing_ok=True)
         _call([python, "-m", "venv", "--clear", *["--without-pip"] * has_pip, str(folder)], log, fix)
         _call([*pip, "install", *_NO_TALK, *asked], log, fix)
         (folder / _COMPLETE).touch()
-    except OSError as error:
-        raise storage_error(folder, "made", error) from error
 
 
 def _wanted_python(environment: Mapping[str, Any]) -> str:

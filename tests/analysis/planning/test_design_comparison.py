@@ -11,7 +11,11 @@ from robot_runner.analysis.planning.candidate_designs import RunTimes, candidate
 from robot_runner.analysis.planning.design_comparison import Asked, compare_designs
 from robot_runner.analysis.planning.power_analysis import Assumptions
 from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.numeric_range import Range
 from robot_runner.core.design.run_table_model import RunTableModel
+from robot_runner.designs.crossover import Crossover
+from robot_runner.designs.response_surface import CentralComposite
+from robot_runner.designs.squares import GraecoLatinSquare, LatinSquare
 
 FACTORS = [Factor(name, ["low", "high"]) for name in ("Speed", "Load", "Map", "Floor")]
 
@@ -72,6 +76,37 @@ def test_an_interaction_is_sought_among_designs_that_tell_it():
     designs, found = compared(RunTableModel(FACTORS, seed=7), times, question)
     assert "no test is called" in designs["one factor at a time"].problem
     assert designs[found.recommended].powers[0][0] == "interaction of Speed and Load on Energy"
+
+
+ADDED = "effects in part with interactions of blocks, which are taken to be none"
+SQUARED = "what goes beyond squares and interactions of two factors, which is taken to be none"
+THREE = {name: Factor(name, [1, 2, 3]) for name in ("Day", "Hour", "Operator", "Planner")}
+NUMBERS = [Factor("Speed", Range(0.1, 0.3)), Factor("Load", Range(0.0, 2.0))]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("factors", "design", "told"),
+    [
+        ([THREE["Day"], THREE["Hour"], THREE["Planner"]], LatinSquare("Day", "Hour"), ADDED),
+        (list(THREE.values()), GraecoLatinSquare("Day", "Hour", "Operator"), ADDED),
+        ([Factor("Robot", list("ABCDEF")), THREE["Hour"], THREE["Planner"]], Crossover("Robot", "Hour"), ADDED),
+        (NUMBERS, CentralComposite(), SQUARED),
+    ],
+    ids=["Latin square", "Graeco-Latin square", "crossover", "central composite"],
+)
+def test_a_design_that_takes_interactions_to_be_none_says_which(factors, design, told):
+    own = next(candidates_of(RunTableModel(factors, design=design), []))
+    (found,) = compare_designs([own], RunTimes(lambda _: 60.0, 0.0, {}), asked(36000.0)).designs
+    assert found.aliased == told
+    assert found.tells == (2 if told == SQUARED else 0)
+
+
+def test_a_covering_array_that_is_the_full_factorial_is_no_design_of_its_own():
+    names = [each.name for each in candidates_of(RunTableModel(FACTORS[:2]), [])]
+    assert "full factorial" in names
+    assert "covering array of pairs" not in names
+    assert "covering array of pairs" in [each.name for each in candidates_of(RunTableModel(FACTORS[:3]), [])]
 
 
 CONFIG = dedent("""

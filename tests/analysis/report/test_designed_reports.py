@@ -13,10 +13,12 @@ from tests.analysis.made_experiment import make_experiment
 from tests.analysis.report.agreement import disagreements
 from tests.long_cases import long_but
 
-from robot_runner.analysis import load_results
+from robot_runner.analysis import DeclaredDesign, load_results, with_declared_design
+from robot_runner.analysis.report.blocks import FigureBlock, Part
 from robot_runner.analysis.report.design_section import searched_part
 from robot_runner.analysis.report.material import Material
 from robot_runner.analysis.report.outcome_section import failed_pairs
+from robot_runner.analysis.report.surface_part import surface_parts
 from robot_runner.analysis.report.writing import ReportFormat, write_report
 from robot_runner.analysis.statistics.experiment_statistics import analyse
 from robot_runner.core.design.analysis_plan import AnalysisPlan
@@ -102,6 +104,27 @@ def test_a_surface_is_drawn_and_told(tmp_path: Path) -> None:
     for words in ("Response surface", "Its stationary point is", "lack of fit: F(", "Curvatures along its own axes"):
         assert words in page
     assert "Interaction of Speed and Load on Energy." not in page  # its lines would hang on few runs each
+
+
+@pytest.mark.parametrize(
+    ("middle", "signs"),
+    [(0.2, "points are runs, a dashed line the stationary point."), (0.9, "points are runs.")],
+)
+def test_a_surface_over_one_factor_is_described_as_the_curve_that_is_drawn(
+    tmp_path: Path, middle: float, signs: str
+) -> None:
+    def values(run: dict[str, Any], repetition: int) -> dict[str, Any]:
+        return {"Energy": 100 * (run["Speed"] - middle) ** 2 + repetition / 100}
+
+    folder = make_experiment(tmp_path / "experiment", [Factor("Speed", [0.1, 0.2, 0.3])], values)
+    declared = DeclaredDesign.of_mapping({"kind": "response_surface"})
+    results = with_declared_design(load_results(folder.root), declared, "the test")
+    material = Material(results, analyse(results))
+    (part,) = surface_parts(material, material.statistics.measure("Energy"))
+    assert isinstance(part, Part)
+    (figure,) = (block for block in part.blocks if isinstance(block, FigureBlock))
+    assert figure.caption == f"Response surface of Energy over Speed; {signs}"
+    assert figure.alternative == "Curve of Energy over Speed."
 
 
 def test_failures_are_told_by_pairs_of_treatments() -> None:

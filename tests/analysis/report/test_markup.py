@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.analysis.report.blocks import Cell, Chart, Code, Column, Document, Paragraph, Place, Section, Table
-from robot_runner.analysis.report.latex_signs import latex_text
 from robot_runner.analysis.report.rendering import (
     SafeNames,
     csv_of,
@@ -19,6 +18,7 @@ from robot_runner.analysis.report.rendering import (
     html_of,
     latex_label,
     latex_of,
+    latex_text,
     markdown_of,
     markdown_text,
 )

@@ -139,11 +139,9 @@ def _check_options(arguments: Namespace, *, is_meta: bool) -> None:
     given = ("--bound", "--rope", "--paired") if is_meta else ("--same",)
     where = "a meta-analysis" if is_meta else "a comparison of two experiments"
     fix = "Leave it out, or compare two experiments at a time." if is_meta else "Add --meta, or leave it out."
-    findings = [
+    UsageError.refuse(
         Finding.error(name, f"it is not for {where}", fix) for name in given if getattr(arguments, name.lstrip("-"))
-    ]
-    if findings:
-        raise UsageError.of_findings(findings)
+    )
 
 
 def _folders(targets: Sequence[str]) -> list[Path]:
@@ -159,8 +157,7 @@ def _folders(targets: Sequence[str]) -> list[Path]:
             folders.append(folder_of_target(target, []).root)
         except RobotRunnerError as error:
             findings += error.findings
-    if findings:
-        raise StorageError.of_findings(findings)
+    StorageError.refuse(findings)
     return folders
 
 

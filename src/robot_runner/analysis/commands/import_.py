@@ -205,8 +205,7 @@ def _make_sure(arguments: Namespace, understanding: Understanding) -> None:
         UsageError: it is not right, or nobody can be asked.
     """
     if arguments.yes:
-        if understanding.questions:
-            raise AnalysisError.of_findings(understanding.questions)
+        AnalysisError.refuse(understanding.questions)
         return
     if arguments.json or terminal_input() is None:
         fix = "Look at it with --dry-run, then add --yes."

@@ -36,7 +36,7 @@ from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.design.batches import GrownRunTableModel
 from robot_runner.core.errors import ConfigError
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.core.words import counted, listed
 
 if TYPE_CHECKING:
@@ -281,10 +281,8 @@ def _write(analysis: PowerAnalysis, folder: Path) -> None:
     }
     figure = draw_power(curves, analysis.search.power)
     text = json.dumps(analysis.as_mapping(), indent=2, ensure_ascii=False) + "\n"
-    try:
+    with storage_errors(folder, "written"):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "power.json").write_text(text, encoding="utf-8")
         for kind in (FigureFormat.SVG, FigureFormat.PNG):
             (folder / f"power.{kind.value}").write_bytes(figure_bytes(figure, kind))
-    except OSError as error:
-        raise storage_error(folder, "written", error) from error

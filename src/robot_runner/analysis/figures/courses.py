@@ -210,8 +210,6 @@ def draw_events(axes: Axes, events: Mapping[str, float], seconds: float) -> None
 
 def _is_high(axes: Axes, moment: float) -> bool:
     """Whether the first course in an axes is in its upper half at this moment, where a name would hide it."""
-    if not axes.lines:
-        return False
     times, values = (np.asarray(each, dtype=float) for each in axes.lines[0].get_data())
     near = values[np.abs(times - moment) <= 0.05 * max(float(np.ptp(times)), 1e-9)] if len(times) else values
     near = near[np.isfinite(near)]

@@ -14,7 +14,7 @@ from typing import BinaryIO
 from robot_runner.analysis.importing.units import MISSING, Unit, plain_cells, split_heading
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.storage.cells import number_of
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import storage_error, storage_errors
 
 _DELIMITERS = {",": "", ";": "semicolons", "\t": "tabs", "|": "bars"}
 _DECIMAL_COMMA = re.compile(r"(?<![0-9])-?[0-9]+,[0-9]+(?![0-9,])")
@@ -171,12 +171,9 @@ def dialect_of(path: Path) -> CsvDialect:
         StorageError: the file cannot be read.
         AnalysisError: it is not text.
     """
-    try:
-        with path.open("rb") as file:
-            head = file.read(_HEAD)
-            encoding = _encoding(head, file)
-    except OSError as error:
-        raise storage_error(path, "read", error) from error
+    with storage_errors(path, "read"), path.open("rb") as file:
+        head = file.read(_HEAD)
+        encoding = _encoding(head, file)
     text = head.decode(encoding, "replace")
     if "\0" in text:
         fix = "Name the CSV file that holds the runs: --table FILE."

@@ -199,9 +199,7 @@ def _check_design(said: ImportDescription, runs: Sequence[ForeignRun], roles: Co
 
     rows = [dict(run.treatments) for run in runs]
     factors = [name for name in roles.factors if name not in said.design.names]
-    findings = list(structure_findings(said.design, pd.DataFrame(rows), factors, f"{where}, design"))
-    if findings:
-        raise AnalysisError.of_findings(findings)
+    AnalysisError.refuse(structure_findings(said.design, pd.DataFrame(rows), factors, f"{where}, design"))
 
 
 def _table_path(root: Path, name: str | None) -> Path:

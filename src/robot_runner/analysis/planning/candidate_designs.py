@@ -95,8 +95,9 @@ def candidates_of(model: RunTableModel, hard: Sequence[str]) -> Iterator[Candida
             factor.name: next(each for each in factor.treatments if each is not INACTIVE) for factor in model.factors
         }
         yield Candidate("one factor at a time", partial(_designed, model, OneFactorAtATime(base=base)))
-        yield Candidate("covering array of pairs", partial(_designed, model, CoveringArray(strength=2)))
-        full = full_size(model.factors)
+        full = _count(model, FullFactorial()) or full_size(model.factors)
+        if _count(model, CoveringArray(strength=2)) < full:
+            yield Candidate("covering array of pairs", partial(_designed, model, CoveringArray(strength=2)))
         for words, kind, parameters in _models(model.factors):
             size = math.ceil(_COMBINATIONS_A_PARAMETER * parameters)
             if size < full:

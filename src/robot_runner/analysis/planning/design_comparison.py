@@ -30,6 +30,8 @@ _EXPERIMENTS = 2 * AT_ONCE
 #: Powers that differ by less than three standard errors of the simulation are taken to be alike.
 _ALIKE = 0.04
 _SEED = 20210525
+_BEYOND_SQUARES = "what goes beyond squares and interactions of two factors, which is taken to be none"
+_WITH_BLOCKS = "effects in part with interactions of blocks, which are taken to be none"
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +188,10 @@ def _structure(study: Study, repetitions: int) -> tuple[KnownDesign, int]:
     known, count = design.known, len(design.factors)
     if known.is_plain:
         return known, 3
+    if known.is_surface:
+        return known, 2
+    if _adds_blocks(known):
+        return known, 0
     pairs = count * (count - 1) // 2
     clear = [term for term in known.terms if not any(len(alias) <= len(term) for alias in known.aliases.get(term, ()))]
     if sum(len(term) == 2 for term in clear) == pairs:  # noqa: PLR2004 - interactions of two factors
@@ -195,7 +201,14 @@ def _structure(study: Study, repetitions: int) -> tuple[KnownDesign, int]:
     return known, int(is_clear and known.has_interactions)
 
 
+def _adds_blocks(known: KnownDesign) -> bool:
+    """Return whether a design (a square, a crossover, incomplete blocks) takes blocks and treatments to add up."""
+    return bool(known.blocks) and not known.whole_plot
+
+
 def _aliased(known: KnownDesign, tells: int, factors: int) -> str:
+    if known.is_surface or _adds_blocks(known):
+        return _BEYOND_SQUARES if known.is_surface else _WITH_BLOCKS
     if known.is_plain or factors == 1:
         return "nothing"
     if known.is_one_at_a_time:

@@ -129,11 +129,9 @@ def _standing_table(name: str, caption: str, standings: Sequence[Standing]) -> T
         number("Runs left out", lambda each: len(each.left_out)),
         p_value("p", "p_value"),
         p_value(without, "p_value_without"),
-        field("Verdict", lambda each: Cell(each.stands, words[each.stands], _tone(each.stands))),
+        field(
+            "Verdict", lambda each: Cell(each.stands, words[each.stands], Tone.GOOD if each.stands else Tone.WARNING)
+        ),
     )
     note = "p-values of hypotheses are adjusted; all other tables are of the analysis as it was planned."
     return build_table(name, caption, standings, fields, note)
-
-
-def _tone(stands: bool | None) -> Tone:
-    return Tone.GOOD if stands else Tone.WARNING

@@ -118,18 +118,16 @@ def surface_figure(material: Material, measure: MeasureStatistics) -> FigureBloc
     if len(axes) < _PAIR:
         values = pd.to_numeric(material.done[measure.name], errors="coerce").tolist()
         heights = surface.at({names[0]: axes[0].numbers})
-        draw = partial(draw_curve, axes[0], heights, values, label)
+        kind, sign, draw = "Curve", "a dashed line", partial(draw_curve, axes[0], heights, values, label)
     else:
         along, across = np.meshgrid(axes[0].numbers, axes[1].numbers)
         everywhere = {name: np.full_like(along, value) for name, value in fixed.items()}
         heights = surface.at(everywhere | {names[0]: along, names[1]: across})
-        draw = partial(draw_contours, axes[0], axes[1], heights, label)
-    caption = (
-        f"Response surface of {label} over {enumerated(names)}; points are runs, a cross the stationary point.{held}"
-    )
-    return FigureBlock(
-        f"surface {measure.name}", caption, f"Contours of {measure.name} over {enumerated(names)}.", draw
-    )
+        kind, sign, draw = "Contours", "a cross", partial(draw_contours, axes[0], axes[1], heights, label)
+    over = f"over {enumerated(names)}"
+    stationary = f", {sign} the stationary point" if point else ""
+    caption = f"Response surface of {label} {over}; points are runs{stationary}.{held}"
+    return FigureBlock(f"surface {measure.name}", caption, f"{kind} of {measure.name} {over}.", draw)
 
 
 def _axis(material: Material, name: str, stationary: float | None) -> Axis:

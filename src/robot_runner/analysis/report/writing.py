@@ -22,7 +22,7 @@ from robot_runner.analysis.statistics.experiment_statistics import OnStep, analy
 from robot_runner.core.storage.guarded_files import make_folder, replace
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.safe_write import write_beside_and_rename
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import storage_errors
 
 if TYPE_CHECKING:
     from robot_runner.analysis.report.blocks import Document
@@ -99,10 +99,8 @@ def report_folder(experiment: Path, output: Path | None) -> tuple[Path, Path]:
         StorageError: the folder cannot be made.
     """
     if output is not None:
-        try:
+        with storage_errors(output, "made"):
             output.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise storage_error(output, "made", error) from error
         return output, output
     return experiment, ExperimentFolder(experiment).report
 

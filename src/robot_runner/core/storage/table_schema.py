@@ -244,7 +244,7 @@ def data_package(experiment: str, resources: list[dict[str, Any]]) -> dict[str, 
         "profile": "data-package",
         "name": _slug(experiment).strip("-") or "experiment",
         "title": experiment,
-        "description": f"Results of the experiment {experiment}, executed with Robot Runner.",
+        "description": f"Results of the experiment {experiment}, as Robot Runner keeps them.",
         "resources": resources,
     }
 

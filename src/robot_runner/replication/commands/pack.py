@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.text import Text
 
@@ -145,7 +145,8 @@ def execute(arguments: Namespace) -> int:
         packed = pack(folder, target, packing, show, ask)
     signature = sign(target, key) if key else None
     if arguments.json:
-        print_json({**_as_json(packed), "signature": str(signature) if signature else None})
+        told = {"path": str(packed.path), "findings": as_json(packed.findings)}
+        print_json({**asdict(packed), **told, "signature": str(signature) if signature else None})
     else:
         _print(output(), packed, signature, has_asked=arguments.hashes)
         if packed.findings:
@@ -241,7 +242,3 @@ def _place(found: Replaced) -> str:
     lines = ", ".join(map(str, found.lines[:_SHOWN_LINES]))
     more = ", ..." if len(found.lines) > _SHOWN_LINES else ""
     return f"{found.name}, line{'s' if len(found.lines) > 1 else ''} {lines}{more}" if lines else found.name
-
-
-def _as_json(packed: Packed) -> dict[str, Any]:
-    return {**asdict(packed), "path": str(packed.path), "findings": as_json(packed.findings)}
