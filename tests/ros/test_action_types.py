@@ -9,8 +9,8 @@ import pytest
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding
-from robot_runner.ros.ros1_actions import Ros1ActionTypes
-from robot_runner.ros.ros2_actions import Ros2ActionTypes
+from robot_runner.ros.ros1_actions import ros1_action_types
+from robot_runner.ros.ros2_actions import ros2_action_types
 from robot_runner.ros.shapes import completed
 from robot_runner.ros.type_catalogue import TypeCatalogue
 
@@ -26,8 +26,8 @@ def dig(folder, text):
 
 def test_an_action_file_is_read_for_both_generations(tmp_path):
     folder = dig(tmp_path, "# where\nHole[] holes\n---\nuint8 DONE=1\nuint8 code\n---\n# nothing is told\n")
-    for generation, types in ((1, Ros1ActionTypes), (2, Ros2ActionTypes)):
-        found = types.of(TypeCatalogue.of(generation, None, [folder]), "garden_msgs/Dig")
+    for generation, types in ((1, ros1_action_types), (2, ros2_action_types)):
+        found = types(TypeCatalogue.of(generation, None, [folder]), "garden_msgs/Dig")
         assert found.goal.names == ("holes",)
         assert found.result.names == ("code",)
         assert found.feedback.names == ()
@@ -63,7 +63,7 @@ def test_a_wrong_action_file_is_named_with_its_fault(tmp_path, text, problem):
 )
 def test_the_actions_of_nav2_are_those_of_the_distribution(distro, result):
     for action in ("NavigateToPose", "NavigateThroughPoses"):
-        assert Ros2ActionTypes.of(TypeCatalogue.of(2, distro), f"nav2_msgs/{action}").result.names == result
+        assert ros2_action_types(TypeCatalogue.of(2, distro), f"nav2_msgs/{action}").result.names == result
 
 
 def test_digests_of_ros_1_are_those_of_its_own_packages():
@@ -76,7 +76,7 @@ def test_digests_of_ros_1_are_those_of_its_own_packages():
 
 def test_an_unknown_action_is_refused_with_the_nearest():
     with pytest.raises(LinkError, match="there is no action type 'nav2_msgs/NavigateToPos'") as refused:
-        Ros2ActionTypes.of(TypeCatalogue.of(2), "nav2_msgs/NavigateToPos")
+        ros2_action_types(TypeCatalogue.of(2), "nav2_msgs/NavigateToPos")
     assert refused.value.fix == "Did you mean 'nav2_msgs/NavigateToPose'?"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
 
 import pytest
 import yaml
@@ -11,6 +12,7 @@ from tests.ros.recordings import BEGIN_NS, scans_of_ros2
 from robot_runner.core.errors import PluginError
 from robot_runner.core.links.robot import Encoding, Qos
 from robot_runner.ros.bag_file import new_bag
+from robot_runner.ros.opened_bag import OpenedBag
 from robot_runner.ros.recorded_bag import RecordedBag
 
 TEXT = bytes([0, 1, 0, 0, 3, 0, 0, 0]) + b"hi\0"
@@ -71,6 +73,45 @@ def test_a_definition_that_cannot_be_read_keeps_only_its_topic_away(tmp_path):
             "Leave /add/_service_event out: topics=['/chatter'], or record a bag that holds the definition."
         )
         assert [topic.name for topic in opened.chosen(["/chatter"])] == ["/chatter"]
+
+
+#: As rosbag2 writes a type that is described in IDL, with those that it is made of.
+PAIR = """\
+{rule}
+IDL: my_interfaces/msg/Pair
+// written by hand
+#include "my_interfaces/msg/Half.idl"
+
+module my_interfaces {{ module msg {{
+  struct Pair {{ my_interfaces::msg::Half left; my_interfaces::msg::Half right; }};
+}}; }};
+
+{rule}
+IDL: my_interfaces/msg/Half
+#ifndef HALF
+#define HALF
+module my_interfaces {{ module msg {{ struct Half {{ long number; }}; }}; }};
+#endif
+"""
+
+
+def test_a_type_that_is_described_in_several_files_of_idl_is_read(tmp_path):
+    from mcap.writer import Writer
+
+    path = tmp_path / "pairs.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("my_interfaces/msg/Pair", "ros2idl", PAIR.format(rule="=" * 80).encode())
+        channel = writer.register_channel("/pair", "cdr", schema)
+        writer.add_message(channel, 1, bytes([0, 1, 0, 0, 3, 0, 0, 0, 4, 0, 0, 0]), 1)
+        writer.finish()
+    assert found(path) == ({"/pair": 1}, {})
+    bag = OpenedBag(path)
+    with closing(bag):
+        ((connection, _, data),) = bag.messages(bag.connections)
+        pair = bag.deserialised(connection.msgtype, data)
+    assert (pair.left.number, pair.right.number) == (3, 4)
 
 
 def test_messages_that_are_none_of_ros_are_named(tmp_path):

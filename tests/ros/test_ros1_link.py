@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import re
 import subprocess
 import sys
@@ -91,6 +92,29 @@ class TestMessages:
         cls = message_class("std_msgs/Duration")
         message = completed(shape_of(cls), {"data": {"sec": -2, "nanosec": 500_000_000}}, where="test")
         assert as_mapping(as_message(cls, message)) == {"data": {"sec": -2, "nanosec": 500_000_000}}
+
+    def test_a_type_that_is_generated_here_leaves_no_folder_no_path_and_nothing_for_the_end(self, tmp_path):
+        # In a process of its own: a type is generated once, and what the process ends with is counted.
+        generating = textwrap.dedent("""
+            import atexit, os, sys, tempfile
+            from pathlib import Path
+            from robot_runner.ros.ros1_types import message_class, shape_of
+
+            message_class("actionlib_tutorials/FibonacciGoal")  # whatever is imported for the first of them
+            path, importers, at_end = [*sys.path], {*sys.path_importer_cache}, atexit._ncallbacks()
+            made = message_class("actionlib_tutorials/FibonacciActionGoal")
+            assert not any(made.__module__.startswith(each) for each in ("actionlib", "robot_runner")), made
+            assert sys.path == path
+            assert {*sys.path_importer_cache} == importers
+            assert atexit._ncallbacks() == at_end
+            assert not [*Path(tempfile.gettempdir()).iterdir()]
+            assert shape_of(made).names == ("header", "goal_id", "goal")
+            os._exit(0)  # as a run does
+        """)
+        environment = {**os.environ, "TMPDIR": str(tmp_path)}
+        done = subprocess.run([sys.executable, "-c", generating], capture_output=True, env=environment, check=False)
+        assert done.returncode == 0, done.stderr.decode()
+        assert not [*tmp_path.iterdir()]
 
     @pytest.mark.parametrize(
         ("name", "fix"),

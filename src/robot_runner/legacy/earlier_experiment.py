@@ -75,7 +75,6 @@ class _Signal:
         """Do nothing."""
 
     def is_set(self) -> bool:
-        """Return that it is not."""
         return False
 
 
@@ -269,7 +268,6 @@ class EarlierExperiment:
         return self._design
 
     def _emit(self, event: RobotRunnerEvents, context: RobotRunnerContext | None = None) -> list[Any]:
-        """Call the callbacks of an event; returns what each returned."""
         heard = [each.callback for each in self._session.subscriptions if each.event is event]
         if not heard and event is not RobotRunnerEvents.START_RUN:  # which makes the run's folder
             return []

@@ -32,8 +32,6 @@ _CLOCK_SHARE = 0.01
 
 
 class _LocalRails(Meter[Readings]):
-    """The files of some rails of this machine."""
-
     def __init__(self, host: FileHost, rails: Sequence[Rail]) -> None:
         self._host = host
         self._rails = rails

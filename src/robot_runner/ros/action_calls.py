@@ -10,7 +10,7 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
-from robot_runner.core.errors import LinkError, nearest
+from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.core.links.goals import GoalStatus
 from robot_runner.core.links.robot import GraphEndpoint, Message, Subscription
 from robot_runner.core.words import enumerated
@@ -56,8 +56,7 @@ def missing_action(action: str, action_type: str, known: Mapping[str, str]) -> L
     if true:
         problem = f"the action is of the type {true}, not {action_type}"
         return LinkError(problem, where=action, fix=f"Name the type {true!r}.")
-    near = nearest(action, known)
-    fix = f"Did you mean {near!r}?" if near else "Start the node that offers it."
+    fix = did_you_mean(action, known, "Start the node that offers it.")
     return LinkError(f"there is no action {action!r}", where=action, fix=fix)
 
 

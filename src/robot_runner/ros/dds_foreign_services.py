@@ -280,8 +280,6 @@ class ForeignServices:
 
 
 class _Client:
-    """The client of one service."""
-
     def __init__(
         self, services: ForeignServices, session: Session, capture: PacketCapture, service: str, service_type: str
     ) -> None:
@@ -326,5 +324,4 @@ class _Client:
         return self._services.answer(identity, deadline)
 
     def response_of(self, data: bytes) -> dict[str, Any]:
-        """Return the response that a reply carries."""
         return self._session.types.deserialise(self._response.type_name, data, Encoding.CDR)

@@ -154,8 +154,6 @@ class DdsTransport:
 
 
 class _Publisher:
-    """Publishes one topic."""
-
     def __init__(self, session: Session, topic: str, message_type: str, qos: Qos) -> None:
         self._session = session
         self._topic = topic
@@ -249,14 +247,12 @@ class _Subscription:
         self._check_offers()
 
     def open(self) -> None:
-        """Begin to receive."""
         self._asked = self._policies()
         self._source = self._reading()
         self._session.reception.serve(self._source)
 
     @property
     def is_open(self) -> bool:
-        """Whether messages are received."""
         return bool(self._source.is_open)
 
     def explain(self) -> str:

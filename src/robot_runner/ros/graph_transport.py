@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from robot_runner.core.errors import LinkError, nearest
 from robot_runner.core.events.context import Clock
@@ -99,6 +99,21 @@ class TopicSubscription(Protocol):
 
     def close(self) -> None:
         """Leave the topic."""
+
+
+class ClosedBy(NamedTuple):
+    """A subscription or an offer that ends by calling a function, and says `advice` where no message came."""
+
+    leave: Callable[[], object]
+    advice: str = ""
+
+    def explain(self) -> str:
+        """Return the advice."""
+        return self.advice
+
+    def close(self) -> None:
+        """Call the function."""
+        self.leave()
 
 
 class Transport(Protocol):

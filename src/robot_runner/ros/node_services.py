@@ -1,63 +1,14 @@
-"""The services that nodes of ROS 2 offer for their parameters and their life cycle: their types, and calls of them.
-
-Source: rcl_interfaces and lifecycle_msgs 1.2 (Humble) and later, which are the same in these; tf2_msgs of noetic.
-"""
+"""Calls of the services that nodes of ROS 2 offer for their parameters and their life cycle."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import suppress
-from types import MappingProxyType
 from typing import Any
 
-from robot_runner.core.errors import LinkError, nearest
+from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import Message, RobotLink
 from robot_runner.core.words import enumerated
-
-_PARAMETERS = {
-    "GetParameters": "string[] names\n---\nrcl_interfaces/ParameterValue[] values\n",
-    "SetParameters": "rcl_interfaces/Parameter[] parameters\n---\nrcl_interfaces/SetParametersResult[] results\n",
-    "SetParametersAtomically": (
-        "rcl_interfaces/Parameter[] parameters\n---\nrcl_interfaces/SetParametersResult result\n"
-    ),
-    "ListParameters": "string[] prefixes\nuint64 depth\n---\nrcl_interfaces/ListParametersResult result\n",
-    "DescribeParameters": "string[] names\n---\nrcl_interfaces/ParameterDescriptor[] descriptors\n",
-    "GetParameterTypes": "string[] names\n---\nuint8[] types\n",
-}
-#: Of ROS 1, dynamic_reconfigure 1.7.
-_RECONFIGURE = {
-    "BoolParameter.msg": "string name\nbool value\n",
-    "IntParameter.msg": "string name\nint32 value\n",
-    "StrParameter.msg": "string name\nstring value\n",
-    "DoubleParameter.msg": "string name\nfloat64 value\n",
-    "GroupState.msg": "string name\nbool state\nint32 id\nint32 parent\n",
-    "Config.msg": (
-        "BoolParameter[] bools\nIntParameter[] ints\nStrParameter[] strs\nDoubleParameter[] doubles\n"
-        "GroupState[] groups\n"
-    ),
-    "Reconfigure.srv": "Config config\n---\nConfig config\n",
-}
-_LIFE_CYCLE = {
-    "ChangeState": "lifecycle_msgs/Transition transition\n---\nbool success\n",
-    "GetState": "---\nlifecycle_msgs/State current_state\n",
-    "GetAvailableStates": "---\nlifecycle_msgs/State[] available_states\n",
-    "GetAvailableTransitions": "---\nlifecycle_msgs/TransitionDescription[] available_transitions\n",
-}
-
-#: The text of each definition by its file's name, for each generation of ROS; type stores lack them.
-NODE_TYPES: Mapping[int, Mapping[str, str]] = MappingProxyType(
-    {
-        1: {
-            "tf2_msgs/TFMessage.msg": "geometry_msgs/TransformStamped[] transforms\n",
-            **{f"dynamic_reconfigure/{name}": text for name, text in _RECONFIGURE.items()},
-        },
-        2: {
-            **{f"rcl_interfaces/{name}.srv": text for name, text in _PARAMETERS.items()},
-            **{f"lifecycle_msgs/{name}.srv": text for name, text in _LIFE_CYCLE.items()},
-        },
-    }
-)
 
 
 class NodeNotReadyError(LinkError):
@@ -90,9 +41,8 @@ def call_node(link: RobotLink, node: str, service_type: str, request: Message, *
         known = _nodes_with(link, service)
         if known is None or full in known:
             raise
-        near = nearest(full, known)
         others = f"here there is {enumerated(sorted(known))}" if known else "here there is none"
-        fix = f"Did you mean {near!r}?" if near else f"Start it, or correct its name: {others}."
+        fix = did_you_mean(full, known, f"Start it, or correct its name: {others}.")
         raise NodeNotReadyError(f"there is no {what} {full!r}", where=full, fix=fix) from error
 
 

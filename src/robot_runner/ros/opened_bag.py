@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 _INSTALL = "Install it: pip install 'robot-runner[bag]'."
 #: Separates the definitions of several files of IDL, as rosbag2 writes them into MCAP.
 _RULE = "=" * 80 + "\n"
+#: Lines such as `#include`, which the parser of rosbags does not know; what they name is written beside.
+_DIRECTIVE = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
 
 
 class OpenedBag:
@@ -132,6 +135,7 @@ def _parsed(message_type: str, text: str, kind: Any) -> Mapping[str, Any]:
 
     if kind is MessageDefinitionFormat.MSG:
         return get_types_from_msg(text, message_type)
+    text = _DIRECTIVE.sub("", text)
     if not text.startswith(f"{_RULE}IDL: "):
         return get_types_from_idl(text)
     files = (part.partition("\n")[2] for part in text.split(_RULE)[1:])

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Protocol, runtime_checkable
 
-from robot_runner.core.errors import LinkError, nearest
+from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.core.links.robot import Message, RobotLink
 from robot_runner.core.words import enumerated
 from robot_runner.ros.node_services import call_node, full_node
@@ -240,8 +240,7 @@ class ServerParameters:
         found = []
         for name in names:
             if name not in there:
-                near = nearest(name, there)
-                fix = f"Did you mean {near!r}?" if near else "See that the node reads a parameter of this name."
+                fix = did_you_mean(name, there, "See that the node reads a parameter of this name.")
                 found.append((f"{self._key(node, name)} was not set before, and ROS 1 does not tell who reads it", fix))
         live = _reconfigurable(self._link, [self._key(node, name) for name in names])
         if len(live) < len(names) and full in self._link.nodes():
@@ -350,6 +349,4 @@ def _description(name: str, told: Message) -> ParameterDescription:
 
 
 def _unknown(node: str, name: str, known: Sequence[str]) -> LinkError:
-    near = nearest(name, known)
-    fix = f"Did you mean {near!r}?" if near else _DECLARED
-    return LinkError(f"the node has no parameter {name!r}", where=node, fix=fix)
+    return LinkError(f"the node has no parameter {name!r}", where=node, fix=did_you_mean(name, known, _DECLARED))

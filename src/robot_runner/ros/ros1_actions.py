@@ -61,18 +61,14 @@ _PATIENCE = 1.5
 _RESULT_SECONDS = 3.0
 
 
-class Ros1ActionTypes(ActionTypes):
-    """What an action of ROS 1 is made of."""
-
-    @classmethod
-    def of(cls, types: GraphTypes, action_type: str) -> Ros1ActionTypes:
-        """Look them up among the types of its topics; raise a `LinkError` where there are none."""
-        try:
-            parts = ("Goal", "Result", "Feedback")
-            return cls(*(part_of(types.shape(f"{action_type}Action{part}"), part.lower()) for part in parts))
-        except LinkError as error:
-            problem = f"there is no action type {action_type!r}: {error.problem}"
-            raise LinkError(problem, where=action_type, fix=error.fix.replace(_GOAL_ENDING, "")) from error
+def ros1_action_types(types: GraphTypes, action_type: str) -> ActionTypes:
+    """Look up among the types of its topics what an action is made of; raise a `LinkError` where there are none."""
+    try:
+        parts = ("Goal", "Result", "Feedback")
+        return ActionTypes(*(part_of(types.shape(f"{action_type}Action{part}"), part.lower()) for part in parts))
+    except LinkError as error:
+        problem = f"there is no action type {action_type!r}: {error.problem}"
+        raise LinkError(problem, where=action_type, fix=error.fix.replace(_GOAL_ENDING, "")) from error
 
 
 class Ros1Actions:
@@ -81,9 +77,9 @@ class Ros1Actions:
     def __init__(self, transport: Transport) -> None:
         self._transport = transport
 
-    def types(self, action_type: str) -> Ros1ActionTypes:
+    def types(self, action_type: str) -> ActionTypes:
         """Return what an action is made of."""
-        return Ros1ActionTypes.of(self._transport.types, action_type)
+        return ros1_action_types(self._transport.types, action_type)
 
     def actions(self) -> dict[str, str]:
         """Return the type of each action whose states somebody tells, and whose goals somebody takes, by full name."""
@@ -117,8 +113,6 @@ class Ros1Actions:
 
 
 class _Client:
-    """Sends goals to one action."""
-
     _numbers = itertools.count(1)
 
     def __init__(self, transport: Transport, action: str, action_type: str) -> None:
@@ -274,7 +268,6 @@ class _Served:
         self._status = _advertised(self._open, transport, action + _STATUS, _STATUS_TYPE)
 
     def close(self) -> None:
-        """Offer it no more."""
         self._server.close()
         self._is_closed.set()
         if self._thread is not threading.current_thread():

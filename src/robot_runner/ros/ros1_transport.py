@@ -6,7 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
@@ -88,10 +88,19 @@ class Ros1Transport:
             raise missing("service", service, known, where=f"ros1 {self._master.uri}", fix=_START)
         return as_mapping(call_service(service, uri, cls, as_message(cls._request_class, request), timeout=timeout))
 
-    def serve(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> _Offer:
+    def serve(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> ExitStack:
         """Offer a service; rospy tells the caller that a request failed, and no more."""
         self._check_free(service)
-        return _Offer(self._rospy, service, service_class(service_type), answer)
+        cls, offer = service_class(service_type), ExitStack()
+
+        def respond(request: Any) -> Any:
+            return as_message(cls._response_class, answer(as_mapping(request)))
+
+        # Without a handler rospy would print what the answer raises; the link has logged it already.
+        register = partial(self._rospy.Service, service, cls, respond, error_handler=lambda *_: None)
+        offered = within(register, where=service, doing="registering the service")
+        offer.callback(within, offered.shutdown, where=service, doing="withdrawing the service")
+        return offer
 
     def topics(self) -> Mapping[str, str]:
         """Return the type of each topic that has a publisher or a subscriber."""
@@ -280,23 +289,3 @@ class _Subscription:
 
     def _decode(self, data: bytes) -> dict[str, Any]:
         return as_mapping(self._cls().deserialize(data))
-
-
-class _Offer:
-    """A service that is offered."""
-
-    def __init__(self, rospy: Any, service: str, cls: Any, answer: Callable[[Message], Message]) -> None:
-        self._service = service
-
-        def respond(request: Any) -> Any:
-            return as_message(cls._response_class, answer(as_mapping(request)))
-
-        # Without a handler rospy would print what the answer raises; the link has logged it already.
-        self._offered = within(
-            partial(rospy.Service, service, cls, respond, error_handler=lambda *_: None),
-            where=service,
-            doing="registering the service",
-        )
-
-    def close(self) -> None:
-        within(self._offered.shutdown, where=self._service, doing="withdrawing the service")

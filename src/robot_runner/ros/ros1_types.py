@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import re
+import shutil
+import sys
+import threading
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from functools import lru_cache, partial
 from importlib import import_module
+from types import SimpleNamespace
 from typing import Any
 
 from robot_runner.core.errors import LinkError
@@ -14,6 +19,8 @@ from robot_runner.ros.shapes import BYTE_KINDS, ROS1_KINDS, UNBOUNDED, Field, Sh
 
 _FIELD = re.compile(r"([\w/]+)(\[(\d*)\])?")
 _STAMPS = {"time": "Time", "duration": "Duration"}
+
+_generating = threading.Lock()
 
 
 def message_class(message_type: str) -> Any:
@@ -40,7 +47,28 @@ def _class_from_text(message_type: str) -> Any:
         text = TypeCatalogue.of(1).definition(message_type)
     except (ImportError, LinkError):
         return None
-    made: Mapping[str, Any] = import_module("genpy.dynamic").generate_dynamic(message_type, text)
+    return _generated(message_type, text)
+
+
+def _generated(message_type: str, text: str) -> Any:
+    """Return the class that genpy makes of a definition.
+
+    genpy imports each type from a folder of its own on Python's path, and has `atexit` remove it: a run's process ends
+    without that. Nobody needs the folder once the type is imported, so it is removed at once.
+    """
+    dynamic: Any = import_module("genpy.dynamic")
+    folders: list[str] = []
+    with _generating:
+        at_exit, dynamic.atexit = dynamic.atexit, SimpleNamespace(register=lambda _, folder: folders.append(folder))
+        try:
+            made: Mapping[str, Any] = dynamic.generate_dynamic(message_type, text)
+        finally:
+            dynamic.atexit = at_exit
+            for folder in folders:
+                shutil.rmtree(folder, ignore_errors=True)
+                with suppress(ValueError):
+                    sys.path.remove(folder)
+                sys.path_importer_cache.pop(folder, None)
     return made[message_type]
 
 

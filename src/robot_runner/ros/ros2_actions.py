@@ -57,17 +57,13 @@ def uuid_of(key: str) -> dict[str, bytes]:
     return {"uuid": bytes.fromhex(key)}
 
 
-class Ros2ActionTypes(ActionTypes):
-    """What an action of ROS 2 is made of."""
-
-    @classmethod
-    def of(cls, types: GraphTypes, action_type: str) -> Ros2ActionTypes:
-        """Look them up among the types of its services and its feedback; raise a `LinkError` where there are none."""
-        return cls(
-            part_of(types.request(f"{action_type}_SendGoal"), "goal"),
-            part_of(types.response(f"{action_type}_GetResult"), "result"),
-            part_of(types.shape(f"{action_type}_FeedbackMessage"), "feedback"),
-        )
+def ros2_action_types(types: GraphTypes, action_type: str) -> ActionTypes:
+    """Look up among its services and its feedback what an action is made of; raise a `LinkError` for an unknown one."""
+    return ActionTypes(
+        part_of(types.request(f"{action_type}_SendGoal"), "goal"),
+        part_of(types.response(f"{action_type}_GetResult"), "result"),
+        part_of(types.shape(f"{action_type}_FeedbackMessage"), "feedback"),
+    )
 
 
 class Ros2Actions:
@@ -76,9 +72,9 @@ class Ros2Actions:
     def __init__(self, transport: Transport) -> None:
         self._transport = transport
 
-    def types(self, action_type: str) -> Ros2ActionTypes:
+    def types(self, action_type: str) -> ActionTypes:
         """Return what an action is made of."""
-        return Ros2ActionTypes.of(self._transport.types, action_type)
+        return ros2_action_types(self._transport.types, action_type)
 
     def actions(self) -> dict[str, str]:
         """Return the type of each action that is offered, by full name."""
@@ -101,8 +97,6 @@ class Ros2Actions:
 
 
 class _Client:
-    """Sends goals to one action."""
-
     def __init__(self, transport: Transport, graph: Ros2Actions, action: str, action_type: str) -> None:
         self._transport = transport
         self._graph = graph
@@ -231,7 +225,6 @@ class _Served:
             raise
 
     def close(self) -> None:
-        """Offer it no more."""
         self._server.close()
         self._open.close()
 

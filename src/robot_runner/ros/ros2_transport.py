@@ -6,6 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -104,9 +105,21 @@ class Ros2Transport:
             client = self._clients[key]
         return client.call(request, timeout)
 
-    def serve(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> _Offer:
+    def serve(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> ExitStack:
         """Offer a service; a request at which `answer` raises is not answered: services of ROS 2 cannot say so."""
-        return _Offer(self._node, self._graph, service, service_type, answer)
+        cls, offer = service_class(service_type), ExitStack()
+        self._node.settle(lambda: self._graph.service_type(service))
+        if self._graph.service_type(service) is not None:
+            raise already_offered(service)
+
+        def respond(request: Any, _response: Any) -> Any:
+            return as_message(cls.Response, answer(as_mapping(request)))
+
+        host = self._node.services()
+        offered = host.create_service(cls, service, respond, callback_group=ReentrantCallbackGroup())
+        offer.callback(host.destroy_service, offered)
+        self._node.until(lambda: self._graph.service_type(service), LONGEST_DISCOVERY)
+        return offer
 
     def publishers(self, topic: str) -> Iterable[GraphEndpoint]:
         """Return who publishes a topic."""
@@ -126,8 +139,6 @@ class Ros2Transport:
 
 
 class _Publisher:
-    """Publishes one topic."""
-
     def __init__(self, node: GraphNode, graph: Graph, topic: str, message_type: str, qos: Qos) -> None:
         self._node, self._graph, self._topic = node, graph, topic
         self._cls = message_class(message_type)
@@ -250,8 +261,6 @@ class _Subscription:
 
 
 class _Client:
-    """The client of one service."""
-
     def __init__(self, node: GraphNode, graph: Graph, service: str, service_type: str) -> None:
         self._node = node
         self._graph = graph
@@ -283,28 +292,6 @@ class _Client:
         true = self._graph.service_type(self._service)
         if true is not None and true != self._type:
             raise wrong_service_type(self._service, true, self._type)
-
-
-class _Offer:
-    """A service that is offered."""
-
-    def __init__(
-        self, node: GraphNode, graph: Graph, service: str, service_type: str, answer: Callable[[Message], Message]
-    ) -> None:
-        cls = service_class(service_type)
-        node.settle(lambda: graph.service_type(service))
-        if graph.service_type(service) is not None:
-            raise already_offered(service)
-
-        def respond(request: Any, _response: Any) -> Any:
-            return as_message(cls.Response, answer(as_mapping(request)))
-
-        self._host = node.services()
-        self._offered = self._host.create_service(cls, service, respond, callback_group=ReentrantCallbackGroup())
-        node.until(lambda: graph.service_type(service), LONGEST_DISCOVERY)
-
-    def close(self) -> None:
-        self._host.destroy_service(self._offered)
 
 
 def _check_types(topic: str, wanted: str, endpoints: Sequence[Any]) -> None:

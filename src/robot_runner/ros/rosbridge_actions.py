@@ -22,13 +22,13 @@ from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.robot import Message, Qos, Subscription
 from robot_runner.ros.action_calls import await_action
 from robot_runner.ros.graph_transport import Reception, Transport, already_offered
-from robot_runner.ros.ros2_actions import GOAL_NUMBERS, GOAL_STATES, STATUS_TOPIC, STATUS_TYPE, Ros2ActionTypes
+from robot_runner.ros.ros2_actions import GOAL_NUMBERS, GOAL_STATES, STATUS_TOPIC, STATUS_TYPE, ros2_action_types
 from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
 from robot_runner.ros.rosbridge_session import Session
 from robot_runner.ros.shapes import completed
 
 if TYPE_CHECKING:
-    from robot_runner.ros.action_server import Execution, GoalServer
+    from robot_runner.ros.action_server import ActionTypes, Execution, GoalServer
     from robot_runner.ros.rosbridge_types import Rosapi
     from robot_runner.ros.sent_goal import SentGoal
 
@@ -61,9 +61,9 @@ class RosbridgeActions:
         self._served: dict[str, _Served] = {}
         session.on_action = self._take
 
-    def types(self, action_type: str) -> Ros2ActionTypes:
+    def types(self, action_type: str) -> ActionTypes:
         """Return what an action is made of; a rosbridge does not tell it."""
-        return Ros2ActionTypes.of(self.transport.types, action_type)
+        return ros2_action_types(self.transport.types, action_type)
 
     def actions(self) -> dict[str, str]:
         """Return the type of each action that is offered, by full name; `*` where the server is too old to tell it."""
@@ -114,9 +114,7 @@ class RosbridgeActions:
 
 
 class _Client:
-    """Sends goals to one action."""
-
-    def __init__(self, graph: RosbridgeActions, action: str, action_type: str, types: Ros2ActionTypes) -> None:
+    def __init__(self, graph: RosbridgeActions, action: str, action_type: str, types: ActionTypes) -> None:
         self._graph = graph
         self._action = action
         self._type = action_type
@@ -285,7 +283,6 @@ class _Served:
         server.connect(self)
 
     def offer(self) -> None:
-        """Have the server offer it."""
         operation = {"op": "advertise_action", "action": self._action, "type": self._type.replace("/", "/action/", 1)}
         try:
             self._graph.session.request(operation, where=self._action)
@@ -294,7 +291,6 @@ class _Served:
         self._graph.wait_for_offer(self._action)
 
     def close(self) -> None:
-        """Offer it no more."""
         self._server.close()
         self._graph.withdraw(self._action)
         if self._graph.session.is_usable:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.ros.rosbridge_security import secure_socket, speaks_tls
-from robot_runner.ros.shapes import BYTE_KINDS, UNBOUNDED, Field, Shape
+from robot_runner.ros.shapes import BYTE_KINDS, STAMPS, UNBOUNDED, Field, Shape
 
 if TYPE_CHECKING:
     from cbor2 import CBORTag
@@ -127,9 +127,8 @@ class FrameReader:
         self._held -= sum(map(len, self._parts.pop(name).values()))
 
 
-_STAMPS = frozenset({"time", "duration"})
 _FLOATS = frozenset({"float32", "float64"})
-_NO_ELEMENTS = _STAMPS | {"string"}
+_NO_ELEMENTS = frozenset({*STAMPS, "string"})
 #: JSON has no spelling for NaN and the infinities, and a server writes null for all three.
 _NOT_A_NUMBER = math.nan
 
@@ -178,7 +177,7 @@ def _out(field: Field, value: Any) -> Any:
 def _out_one(kind: str | Shape, value: Any) -> Any:
     if isinstance(kind, Shape):
         return to_protocol(kind, value)
-    return {"secs": value["sec"], "nsecs": value["nanosec"]} if kind in _STAMPS else value
+    return {"secs": value["sec"], "nsecs": value["nanosec"]} if kind in STAMPS else value
 
 
 def _in(field: Field, value: Any, where: str) -> Any:
@@ -192,7 +191,7 @@ def _in(field: Field, value: Any, where: str) -> Any:
 def _in_one(kind: str | Shape, value: Any, where: str) -> Any:
     if isinstance(kind, Shape):
         return from_protocol(kind, value, where=where)
-    if kind in _STAMPS:
+    if kind in STAMPS:
         seconds = value["secs"] if "secs" in value else value["sec"]
         return {"sec": int(seconds), "nanosec": int(value["nsecs"] if "nsecs" in value else value["nanosec"])}
     if kind in _FLOATS:

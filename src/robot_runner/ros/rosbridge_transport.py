@@ -15,7 +15,14 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.links.commanded_topics import VELOCITIES
 from robot_runner.core.links.graph_names import missing
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos
-from robot_runner.ros.graph_transport import Reception, already_offered, check_type, is_hidden, wrong_service_type
+from robot_runner.ros.graph_transport import (
+    ClosedBy,
+    Reception,
+    already_offered,
+    check_type,
+    is_hidden,
+    wrong_service_type,
+)
 from robot_runner.ros.ros1_actions import Ros1Actions
 from robot_runner.ros.rosbridge_actions import RosbridgeActions
 from robot_runner.ros.rosbridge_callers import Callers
@@ -103,7 +110,7 @@ class RosbridgeTransport:
 
     def subscribe(
         self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
-    ) -> _Subscription:
+    ) -> ClosedBy:
         """Have `receive` called with each message, in the session's thread that calls back."""
         self._session.check_open(topic)
         with self._lock:
@@ -117,7 +124,7 @@ class RosbridgeTransport:
                 kept = known.join(receive)
                 for each in kept if qos is Qos.TRANSIENT_LOCAL else ():
                     receive(each)
-        return _Subscription(lambda: self._unsubscribe(known, receive))
+        return ClosedBy(lambda: self._unsubscribe(known, receive))
 
     def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
         """Call a service and return its response."""
@@ -135,7 +142,7 @@ class RosbridgeTransport:
             raise LinkError(f"the service failed: {reply.values}", where=service, fix="Look at the log of its node.")
         return from_protocol(self.types.response(service_type), reply.values or {}, where=service)
 
-    def serve(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> _Subscription:
+    def serve(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> ClosedBy:
         """Offer a service; requests are answered in threads of their own."""
         self._session.check_open(service)
         if service in self._answers or self._rosapi.service_type(service):
@@ -151,7 +158,7 @@ class RosbridgeTransport:
         except LinkError:
             del self._answers[service]
             raise
-        return _Subscription(partial(self._withdraw, service))
+        return ClosedBy(partial(self._withdraw, service))
 
     def publishers(self, topic: str) -> Iterable[GraphEndpoint]:
         """Return who publishes a topic. What the server publishes for all its clients is one."""
@@ -263,17 +270,6 @@ class RosbridgeTransport:
                 self._session.send({"op": "service_response", "service": service, "id": operation.get("id"), **outcome})
             except LinkError as error:
                 _logger.warning("the response of %s is lost: %s", service, error)
-
-
-class _Subscription:
-    """A subscription or an offer, which closes itself."""
-
-    def __init__(self, close: Callable[[], None]) -> None:
-        self.close = close
-
-    def explain(self) -> str:
-        """Say nothing: a rosbridge does not tell the publishers of a topic."""
-        return ""
 
 
 class _Publisher:

@@ -16,7 +16,7 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding, GraphEndpoint
 from robot_runner.ros.rosbridge_callers import Callers
 from robot_runner.ros.rosbridge_session import ANSWER, Reply, Session
-from robot_runner.ros.shapes import IDL_KINDS, ROS1_KINDS, UNBOUNDED, Field, Shape, plain_type
+from robot_runner.ros.shapes import IDL_KINDS, ROS1_KINDS, STAMPS, UNBOUNDED, Field, Shape, plain_type
 from robot_runner.ros.type_catalogue import STANDARD_DEFAULTS, TypeCatalogue
 from robot_runner.ros.type_store import ROS2_DISTROS, stored_name
 
@@ -260,9 +260,6 @@ class RosapiParameters:
         self._rosapi.told("delete_param", {"name": name})
 
 
-_STAMPS = frozenset({"time", "duration"})
-
-
 class RobotTypes:
     """What the types of one robot are made of; a `LinkError` says that neither the catalogue nor the robot knows one.
 
@@ -375,7 +372,7 @@ def _assembled(name: str, definitions: Sequence[Mapping[str, Any]], generation: 
     def field(own: str, label: str, told: str, count: int, under: frozenset[str]) -> Field:
         kind = kinds.get(told, plain_type(told))
         length = None if count < 0 else count or UNBOUNDED
-        if kind in _STAMPS or kind not in by_name or kind in under:
+        if kind in STAMPS or kind not in by_name or kind in under:
             return Field(label, kind, length, defaults.get((stored_name(own), label)))
         return Field(label, shape(kind, by_name[kind], under), length)
 

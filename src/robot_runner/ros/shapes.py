@@ -31,7 +31,7 @@ IDL_KINDS: Mapping[str, str] = MappingProxyType(
 _FLOATS: Mapping[str, float] = MappingProxyType({"float32": 3.4028234663852886e38, "float64": math.inf})
 _TEXTS = ("string", "wstring")
 #: The least and the greatest seconds: ROS 1 counts times as uint32 and durations as int32.
-_STAMPS: Mapping[str, tuple[int, int]] = MappingProxyType({"time": _INTEGERS["uint32"], "duration": _INTEGERS["int32"]})
+STAMPS: Mapping[str, tuple[int, int]] = MappingProxyType({"time": _INTEGERS["uint32"], "duration": _INTEGERS["int32"]})
 _SECOND_NS = 1_000_000_000
 _NANOSECONDS = (0, _SECOND_NS - 1)
 
@@ -228,7 +228,7 @@ def _default(field: Field, only_finite: bool) -> object:
 def _zero(kind: str | Shape) -> object:
     if isinstance(kind, Shape):
         return _message(kind, {}, only_finite=False)
-    return {"sec": 0, "nanosec": 0} if kind in _STAMPS else _ZEROS[kind]
+    return {"sec": 0, "nanosec": 0} if kind in STAMPS else _ZEROS[kind]
 
 
 def _many(field: Field, count: int | UpTo, given: object, only_finite: bool) -> object:
@@ -266,8 +266,8 @@ def _one(field: Field, given: object, only_finite: bool) -> object:
         return _float(kind, given, only_finite)
     if kind in _INTEGERS:
         return _integer(_INTEGERS[kind], given)
-    if kind in _STAMPS:
-        return _stamp(_STAMPS[kind], given)
+    if kind in STAMPS:
+        return _stamp(STAMPS[kind], given)
     return _text(field.limit, given) if kind in _TEXTS else _truth(given)
 
 

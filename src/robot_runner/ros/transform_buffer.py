@@ -8,7 +8,7 @@ import threading
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 
-from robot_runner.core.errors import Finding, LinkError, nearest
+from robot_runner.core.errors import Finding, LinkError, did_you_mean
 from robot_runner.core.events.context import Clock
 from robot_runner.core.links.robot import Message, Qos, Subscriber
 from robot_runner.core.words import enumerated
@@ -301,8 +301,6 @@ class TransformBuffer:
 
 
 def _unknown(frame: str, known: Sequence[str]) -> LinkError:
-    near = nearest(frame, known)
     there = f"frames are {enumerated(known)}" if known else "nobody has told of any frame yet"
     told = f"Look what is published on /tf and /tf_static, or in the robot's namespace: {there}."
-    fix = f"Did you mean {near!r}?" if near else told
-    return LinkError(f"there is no frame {frame!r}", where=_WHERE, fix=fix)
+    return LinkError(f"there is no frame {frame!r}", where=_WHERE, fix=did_you_mean(frame, known, told))

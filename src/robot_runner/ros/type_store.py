@@ -6,16 +6,14 @@ import ast
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError, did_you_mean
-from robot_runner.ros.action_types import action_parts, bundled_definitions, is_action_part, split_definition
+from robot_runner.ros.action_types import action_parts, is_action_part, split_definition
+from robot_runner.ros.bundled_types import bundled_definitions
 from robot_runner.ros.definition_files import definition_files, package_of
 from robot_runner.ros.message_codec import NodeKind
-from robot_runner.ros.node_services import NODE_TYPES
 from robot_runner.ros.shapes import plain_type
-from robot_runner.ros.simulators.simulator_types import simulator_types
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -23,15 +21,6 @@ if TYPE_CHECKING:
 #: The distributions whose types are known. All of ROS 1's noetic series have the same messages.
 ROS1_DISTROS = ("kinetic", "lunar", "melodic", "noetic")
 ROS2_DISTROS = ("foxy", "galactic", "humble", "iron", "jazzy", "kilted")
-
-#: Type stores hold messages only. These services are the same in all distributions of both generations.
-STANDARD_SERVICES = MappingProxyType(
-    {
-        "std_srvs/Empty": "---\n",
-        "std_srvs/SetBool": "bool data\n---\nbool success\nstring message\n",
-        "std_srvs/Trigger": "---\nbool success\nstring message\n",
-    }
-)
 
 #: What stands before each further definition where several are one text.
 _NEXT = re.compile(r"^=+\nMSG: *", re.MULTILINE)
@@ -58,14 +47,8 @@ def filled_store(generation: int, distro: str | None, extra: Sequence[Path]) -> 
     rosbags = _rosbags()
     store: Typestore = rosbags.get_typestore(_store_of(rosbags, generation, distro))
     definitions = _definitions(extra)
-    for name, text in STANDARD_SERVICES.items():
-        definitions.setdefault(f"{name}.srv", ("the standard services", text))
-    for name, text in NODE_TYPES[generation].items():
-        definitions.setdefault(name, ("the services of every node", text))
     for name, text in bundled_definitions(generation, distro or _LATEST).items():
-        definitions.setdefault(name, ("the standard actions", text))
-    for name, text in simulator_types(generation).items():
-        definitions.setdefault(name, ("the services of simulators", text))
+        definitions.setdefault(name, ("what is known without any ROS", text))
     found: dict[str, Any] = {}
     for name, (where, text) in definitions.items():
         found |= _parsed(rosbags, name, text, where, generation)

@@ -92,7 +92,6 @@ class _EmbeddedRobot:
         return SimulatedRobotLink(simulation, namespace=namespace)
 
     def open_clock(self, name: RobotName, *, resources: Resources, seed: int) -> Clock:
-        """Return the simulation's clock."""
         return _simulation(name, resources, seed).clock
 
     def open_serial_line(self, name: RobotName, *, resources: Resources, seed: int, namespace: str) -> SerialLine:
@@ -103,7 +102,6 @@ class _EmbeddedRobot:
         return SimulatedSerialLine(simulation, namespace=namespace)
 
     def open_host(self, name: RobotName, *, resources: Resources, seed: int, namespace: str) -> HostLink:
-        """Open a link to the robot's on-board computer."""
         simulation = _simulation(name, resources, seed)
         from robot_runner.simulator.simulated_devices import SimulatedHost  # noqa: PLC0415  # it imports MuJoCo
 

@@ -10,9 +10,9 @@ from robot_runner.core.errors import GoalRejectedError
 from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.robot import Message
 from robot_runner.ros.action_calls import missing_action
-from robot_runner.ros.action_server import Execution, GoalServer
+from robot_runner.ros.action_server import ActionTypes, Execution, GoalServer
 from robot_runner.ros.graph_transport import GraphTypes, already_offered
-from robot_runner.ros.ros2_actions import Ros2ActionTypes
+from robot_runner.ros.ros2_actions import ros2_action_types
 from robot_runner.ros.sent_goal import SentGoal
 from robot_runner.simulator.simulated_clock import ClockWorker, SimulatedClock
 
@@ -31,9 +31,9 @@ class SimulatedActions:
         self._offered = offered
         self._types = types
 
-    def types(self, action_type: str) -> Ros2ActionTypes:
+    def types(self, action_type: str) -> ActionTypes:
         """Return what an action is made of."""
-        return Ros2ActionTypes.of(self._types, action_type)
+        return ros2_action_types(self._types, action_type)
 
     def actions(self) -> dict[str, str]:
         """Return the type of each action that is offered, by full name."""
@@ -103,8 +103,6 @@ class SimulatedAction:
 
 
 class _Client:
-    """Sends goals to one action."""
-
     _numbers = itertools.count(1)
 
     def __init__(self, offered: dict[str, SimulatedAction], served: SimulatedAction) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos, RawMessage
 from robot_runner.ros.graph_link import GraphLink
-from robot_runner.ros.graph_transport import Reception, already_offered, check_type, wrong_service_type
+from robot_runner.ros.graph_transport import ClosedBy, Reception, already_offered, check_type, wrong_service_type
 from robot_runner.ros.shapes import Field, Shape, plain_type
 from robot_runner.simulator.simulated_actions import SimulatedActions
 from robot_runner.simulator.simulated_clock import STEP_NS
@@ -26,6 +26,8 @@ _STEP = STEP_NS / 1e9
 #: The shortest time that a simulated clock knows, s.
 _LEAST = 1e-9
 _NODE = "turtlebot3_node"
+#: What to do where no message came: the robot publishes all of its topics all the time.
+_SILENT = "Look at the condition, or give a longer timeout."
 
 # The types that the embedded robot takes and answers with are known without any ROS package.
 _VECTOR = Shape("geometry_msgs/Vector3", tuple(Field(axis, "float64") for axis in "xyz"))
@@ -117,7 +119,7 @@ class SimulatedTransport:
 
     def subscribe(
         self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
-    ) -> _Subscription:
+    ) -> ClosedBy:
         """Have `receive` called with each message, at the rate of the real robot, while the clock is slept on.
 
         Commands are heard as on a graph, so that they can be recorded.
@@ -132,10 +134,10 @@ class SimulatedTransport:
             receive(_Reception(message_type, message, clock.now_ns))
 
         if published is not None:
-            return _Subscription(published.listen(listener).close)
+            return ClosedBy(published.listen(listener).close, _SILENT)
         subscribers, key = self._simulation.command_subscribers.setdefault(topic, {}), object()
         subscribers[key] = listener
-        return _Subscription(partial(subscribers.pop, key, None))  # the simulation may have been closed before
+        return ClosedBy(partial(subscribers.pop, key, None), _SILENT)  # the simulation may have been closed before
 
     def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
         """Call a service of the robot, or an offered one; it answers at once, so `timeout` never runs out."""
@@ -151,12 +153,12 @@ class SimulatedTransport:
         self._has_started_task |= bool(name.endswith("/start") and response["success"])
         return response
 
-    def serve(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> _Subscription:
+    def serve(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> ClosedBy:
         """Offer a service to all links of the simulation."""
         if service in self.services():
             raise already_offered(service, "the simulation")
         self._simulation.offers[service] = (service_type, answer)
-        return _Subscription(partial(self._simulation.offers.pop, service, None))
+        return ClosedBy(partial(self._simulation.offers.pop, service, None))
 
     def topics(self) -> Mapping[str, str]:
         """Return the type of each topic of each robot of the simulation."""
@@ -278,20 +280,6 @@ class _CommandPublisher:
             where=f"the simulated robot {self._robot.namespace}".rstrip(),
             fix="Give it more initial_charge, or a shorter mission.",
         )
-
-
-class _Subscription:
-    """A subscription or an offer, which closes itself."""
-
-    def __init__(self, close: Callable[[], object]) -> None:
-        self._close = close
-
-    def close(self) -> None:
-        self._close()
-
-    def explain(self) -> str:
-        """Say what to do where no message came: the robot publishes all of its topics all the time."""
-        return "Look at the condition, or give a longer timeout."
 
 
 class _Reception(NamedTuple):

@@ -24,7 +24,6 @@ class _ServingNode:
         ]
 
     def close(self) -> None:
-        """Leave the graph."""
         for offer in self._offers:
             offer.close()
 

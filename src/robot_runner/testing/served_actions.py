@@ -10,7 +10,8 @@ from functools import partial
 from typing import Any, Protocol
 
 from robot_runner.core.links.goals import GoalStatus
-from robot_runner.ros.ros2_actions import GOAL_NUMBERS, STATUS_TOPIC, STATUS_TYPE, Ros2ActionTypes
+from robot_runner.ros.action_server import ActionTypes
+from robot_runner.ros.ros2_actions import GOAL_NUMBERS, STATUS_TOPIC, STATUS_TYPE, ros2_action_types
 from robot_runner.ros.rosbridge_frames import to_protocol
 from robot_runner.ros.shapes import completed, plain_type
 from robot_runner.testing.rosbridge_graph import Graph, Refusal, ServedService, received
@@ -43,7 +44,7 @@ class _Action:
     """An action that a client offers."""
 
     type_name: str
-    types: Ros2ActionTypes
+    types: ActionTypes
     owner: _Client
     goals: dict[str, _Goal] = field(default_factory=dict)
 
@@ -99,7 +100,7 @@ class ServedActions:
 
     def _advertise(self, operation: Mapping[str, Any], client: _Client) -> None:
         name, kind = operation["action"], plain_type(operation["type"])
-        types = Ros2ActionTypes.of(self._graph.types, kind)
+        types = ros2_action_types(self._graph.types, kind)
         self.offered[name] = _Action(kind, types, client)
         self._graph.advertise(name + STATUS_TOPIC, _SPELT_STATUS, self, is_latched=True)
         cancel = ServedService("action_msgs/srv/CancelGoal", self, partial(self._cancel_called, name))

@@ -8,12 +8,14 @@ import os
 import plistlib
 import stat
 import sys
+import threading
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import pytest
 from tests.legacy.earlier_configs import ROBOT, RUNNER, problems
+from tests.meters.test_watts_up_pro import PtyMeter
 
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import LinkError, PluginError
@@ -24,7 +26,14 @@ from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.legacy.profilers import pico
 from robot_runner.legacy.profilers.command_line import EnergiBridge, PowerJoular, PowerLetrics, PowerMetrics, Ps
 from robot_runner.legacy.profilers.data_source import DeviceSource, ParameterDict
-from robot_runner.legacy.profilers.nvidia import NvidiaML, NVML_Dynamic_Query, NVML_Field, NVML_IDs, NVML_Sample
+from robot_runner.legacy.profilers.nvidia import (
+    NvidiaML,
+    NVML_Dynamic_Query,
+    NVML_Enable_State,
+    NVML_Field,
+    NVML_IDs,
+    NVML_Sample,
+)
 from robot_runner.legacy.profilers.profiler_catalogue import PLUGINS, plugin_of
 from robot_runner.legacy.profilers.programs import Program, SelfMeasure, read_table
 from robot_runner.legacy.profilers.robot_plugins import BasicTurtleBot3, INA219Profiler, NetworkProfiler
@@ -250,6 +259,20 @@ def test_a_device_is_read_in_a_thread_until_it_is_stopped() -> None:
     assert device.stop() is None
 
 
+def test_a_device_that_is_stopped_before_its_thread_has_begun_delivers(monkeypatch: pytest.MonkeyPatch) -> None:
+    device, is_stopped = _Thermometer(), threading.Event()
+    begun = DeviceSource.log
+    monkeypatch.setattr(DeviceSource, "log", lambda self: (is_stopped.wait(), begun(self)))
+    monkeypatch.setattr(device.stop_thread, "set", lambda: (threading.Event.set(device.stop_thread), is_stopped.set()))
+    device.start()
+    assert device.stop() == [21.5]
+
+
+def test_a_device_is_read_by_its_own_thread_alone() -> None:
+    with pytest.raises(PluginError, match="log was called"):
+        _Thermometer().log()
+
+
 #: Later than any test, us since 1970.
 LATER = 1 << 60
 
@@ -310,6 +333,36 @@ def test_nvidia_writes_queries_fields_and_samples(gpu: ModuleType, tmp_path: Pat
     assert len(read["NVML_POWER_USAGE"]) == len(log["NVML_POWER_USAGE"])
     assert meter.list_devices()[0]["Name"] == "name of gpu 0"
     assert NVML_Dynamic_Query.NVML_POWER_USAGE.value == "PowerUsage"
+
+
+def test_nvidia_is_set_with_its_constants(gpu: ModuleType) -> None:
+    told: list[tuple[object, ...]] = []
+    gpu.__dict__.update(
+        NVML_FEATURE_ENABLED=1,
+        nvmlDeviceSetPersistenceMode=lambda *given: told.append(given),
+        nvmlDeviceSetPowerManagementLimit=lambda *given: told.append(given),
+    )
+    settings = {"PersistenceMode": (NVML_Enable_State.NVML_FEATURE_ENABLED,), "PowerManagementLimit": (200_000,)}
+    NvidiaML(settings=settings).open_device(0)
+    assert told == [("gpu 0", 1), ("gpu 0", 200_000)]
+    with pytest.raises(PluginError, match="the GPU refuses EccMode"):
+        NvidiaML(settings={"EccMode": (NVML_Enable_State.NVML_FEATURE_ENABLED,)}).open_device(0)
+
+
+def test_nvidia_reads_signed_fields(gpu: ModuleType) -> None:
+    margin = SimpleNamespace(ullVal=(1 << 32) - 7, siVal=-7)
+    field = SimpleNamespace(nvmlReturn=0, valueType=5, value=margin)
+    gpu.__dict__.update(
+        NVML_VALUE_TYPE_SIGNED_INT=5,
+        NVML_FI_DEV_TEMPERATURE_SHUTDOWN_TLIMIT=193,
+        nvmlDeviceGetFieldValues=lambda handle, fields: [field],
+    )
+    meter = NvidiaML()
+    meter.set_measurements(fields=[NVML_Field.NVML_FI_DEV_TEMPERATURE_SHUTDOWN_TLIMIT])
+    meter.open_device(0)
+    read = meter.measure()
+    assert read["temperature_shutdown_tlimit"][1] == -7
+    assert read["NVML_POWER_USAGE"][1] == 31_000
 
 
 def test_nvidia_without_its_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -428,6 +481,42 @@ def test_self_measure_without_its_program_is_refused(config: Callable[..., Path]
     assert list(SelfMeasure(binary=sys.executable).check(Circumstances())) == []
 
 
+WALL_SOCKET = """
+def start_run(self, context):
+    self.meter = WattsUpPro({port!r})
+
+def interact(self, context):
+    self.meter.log(0.2)
+    time.sleep(0.2)
+    self.begun = datetime.now()
+    self.meter.log(0.2, context.run_dir / "watts.log")
+
+def populate_run_data(self, context):
+    (context.run_dir / "begun").write_text(str(self.begun))
+    return {{"seconds": sum(self.meter.power) / len(self.meter.power)}}
+"""
+
+
+def test_a_log_of_the_meter_at_the_wall_has_only_what_came_meanwhile(
+    config: Callable[..., Path], execute: Callable[..., Executed]
+) -> None:
+    pytest.importorskip("serial", reason="pyserial is not installed")
+    meter, imports = PtyMeter(), "from Plugins.Profilers.WattsUpPro import WattsUpPro\nfrom datetime import datetime\n"
+    head = RUNNER.replace("from pathlib", f"{imports}import time\nfrom pathlib")
+    try:
+        executed = execute(
+            config(WALL_SOCKET.format(port=meter.port), head=head), Resumption(only=("run_0_repetition_0",))
+        )
+    finally:
+        meter.close()
+    assert executed.by_id["run_0_repetition_0"]["seconds"] == "42.0"
+    assert meter.heard.startswith(b"#L,W,3,E,,1;")
+    folder = executed.folder / "run_0_repetition_0"
+    first, *_ = (folder / "watts.log").read_text().splitlines()
+    assert first.endswith(" 0 42.0 230.0 0.183")
+    assert first > (folder / "begun").read_text()
+
+
 @pytest.fixture
 def codecarbon(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """Stand in for CodeCarbon's library: what it estimates is written where it writes it."""
@@ -524,6 +613,44 @@ def test_codecarbon_decorates_methods(
     )
     executed = execute(config(methods, head=RUNNER.replace("from pathlib", IMPORTS), table=""))
     assert [row["codecarbon__emissions"] for row in executed.table] == ["0.25", "0.25"]
+
+
+FIRST_TABLE = """\
+def create_run_table(self):
+    self.run_table_model = RunTableModel([FactorModel("n", [1, 2])], data_columns=["own"])
+    return self.run_table_model.generate_experiment_run_table()
+"""
+
+
+def test_codecarbon_s_first_version_has_a_column_of_its_own(
+    config: Callable[..., Path], execute: Callable[..., Executed], codecarbon: ModuleType
+) -> None:
+    methods = CODECARBON_METHODS.format(
+        table="@CodecarbonWrapper.add_co2_data_column\n",
+        start="@CodecarbonWrapper.start_emission_tracker(country_iso_code='NLD')\n",
+        stop="@CodecarbonWrapper.stop_emission_tracker\n",
+        populate="@CodecarbonWrapper.populate_co2_data\n",
+    )
+    executed = execute(config(methods, head=RUNNER.replace("from pathlib", IMPORTS), table=""))
+    assert executed.text == (
+        "__run_id,__done,n,own,__co2_emissions\nrun_0_repetition_0,DONE,1,1,0.25\nrun_1_repetition_0,DONE,2,2,0.25\n"
+    )
+
+
+def test_codecarbon_s_second_version_made_the_table_itself_and_knew_powers(
+    config: Callable[..., Path], execute: Callable[..., Executed], codecarbon: ModuleType
+) -> None:
+    codecarbon.OfflineEmissionsTracker.stop = lambda self: Path(self._output_dir, self._output_file).write_text(
+        "emissions,cpu_power\n0.25,12.5\n"
+    )
+    given = "data_columns=[Columns.CPU_POWER], country_iso_code='NLD'"
+    head = RUNNER.replace("from pathlib", IMPORTS).replace(
+        "class RunnerConfig", f"@CodecarbonWrapper.emission_tracker({given})\nclass RunnerConfig"
+    )
+    methods = CODECARBON_METHODS.format(table="", start="", stop="", populate="")
+    _, table, others = methods.partition("def start_measurement")
+    executed = execute(config(FIRST_TABLE + table + others, head=head, table=""))
+    assert [row["codecarbon__cpu_power"] for row in executed.table] == ["12.5", "12.5"]
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,6 @@ _INSTALLED = frozenset({"dist-packages", "site-packages"})
 
 
 def _is_installed(file: Path) -> bool:
-    """Return whether a file belongs to an installed package."""
     return bool(_INSTALLED & set(file.parts))
 
 

@@ -229,7 +229,6 @@ class _Converting:
         return imported | {self.config.name: self.class_name}
 
     def convert(self) -> None:
-        """Make the text."""
         config, callbacks = self.config, self._callbacks
         convert_decorators(self.file, config, self._experiment.columns.names)
         lines = [*convert_imports(self.file), *convert_base_imports(self.file, self._inherited)]

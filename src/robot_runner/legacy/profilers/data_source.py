@@ -22,6 +22,7 @@ from robot_runner.core.errors import LinkError, PluginError, did_you_mean
 from robot_runner.legacy.profilers.programs import Program
 
 _CLOSING_S = 5.0
+_WORKER = "DeviceWorker"
 
 
 class ParameterDict(UserDict[Any, Any]):
@@ -203,7 +204,7 @@ class DeviceSource(DataSource):
         Raises:
             PluginError: no device was opened, or it is not called by `start`.
         """
-        if threading.current_thread() is not self.process:
+        if threading.current_thread().name != _WORKER:  # `process` is None where `stop` came first
             raise PluginError("log was called", where=type(self).__name__, fix="Call start instead.")
 
     def start(self) -> None:
@@ -211,7 +212,7 @@ class DeviceSource(DataSource):
         if self.process is not None:
             raise PluginError("the device was started already", where=type(self).__name__, fix="Call stop first.")
         self.stop_thread.clear()
-        self.process = threading.Thread(target=self.log, name="DeviceWorker", daemon=True)
+        self.process = threading.Thread(target=self.log, name=_WORKER, daemon=True)
         self.process.start()
 
     def stop(self) -> Any:

@@ -23,10 +23,13 @@ Method = Callable[..., Any]
 
 
 class DataColumns(Enum):
-    """The columns that CodeCarbon fills; `name` is the heading in the run table."""
+    """The columns that CodeCarbon fills, of all versions of the wrapper; `name` is the heading in the run table."""
 
     EMISSIONS = "emissions"
     EMISSIONS_RATE = "emissions_rate"
+    CPU_POWER = "cpu_power"
+    GPU_POWER = "gpu_power"
+    RAM_POWER = "ram_power"
     CPU_ENERGY = "cpu_energy"
     GPU_ENERGY = "gpu_energy"
     RAM_ENERGY = "ram_energy"

@@ -171,7 +171,7 @@ class NvidiaML(DeviceSource):
             PluginError: a setting is refused.
         """
         for name, values in settings.items():
-            plain = tuple(value.value if isinstance(value, Enum) else value for value in values)
+            plain = tuple(value.value if isinstance(value, Enum | _Constant) else value for value in values)
             try:
                 getattr(library(), f"nvmlDeviceSet{name}")(self.device_handle, *plain)
             except (AttributeError, library().NVMLError) as error:
@@ -270,17 +270,19 @@ class NvidiaML(DeviceSource):
         return read
 
 
-#: The member of the library's union that holds a value, by the type that it tells.
+#: The member of the library's union that holds a value, by the type that it tells; older libraries lack some types.
 _MEMBERS = {
     "DOUBLE": "dVal",
     "UNSIGNED_INT": "uiVal",
     "UNSIGNED_LONG": "ulVal",
     "UNSIGNED_LONG_LONG": "ullVal",
     "SIGNED_LONG_LONG": "sllVal",
+    "SIGNED_INT": "siVal",
+    "UNSIGNED_SHORT": "usVal",
 }
 
 
 def _unpacked(kind: int, value: Any) -> Any:
     nvml = library()
-    members = {getattr(nvml, f"NVML_VALUE_TYPE_{name}"): member for name, member in _MEMBERS.items()}
+    members = {getattr(nvml, f"NVML_VALUE_TYPE_{name}", None): member for name, member in _MEMBERS.items()}
     return getattr(value, members.get(kind, "ullVal"))

@@ -55,7 +55,8 @@ class WattsUpPro:
         begun, start = datetime.now(), clock.now()  # noqa: DTZ005 - its format
         recording.wait(lambda: False, clock, timeout)
         lines = []
-        for place, sample in enumerate(recording.samples):
+        meanwhile = [each for each in recording.samples if each.time >= start]  # it has gone on since a log before
+        for place, sample in enumerate(meanwhile):
             second = place * float(self.interval)
             self.t.append(second)
             self.power.append(sample.watts)

@@ -10,7 +10,7 @@ from types import CodeType
 from typing import Any, ClassVar
 
 from robot_runner.core.config.parameters import OperationType
-from robot_runner.core.errors import ConfigError, did_you_mean, nearest
+from robot_runner.core.errors import ConfigError, did_you_mean
 from robot_runner.core.events.manager import RobotRunnerEvents as OwnEvents
 from robot_runner.legacy.session import EarlierSubscription, Session, current_session
 
@@ -145,7 +145,6 @@ def _subscribed(session: Session, event: OwnEvents) -> list[EarlierSubscription]
 
 
 def _calling_code() -> CodeType:
-    """Return the code that called the controller."""
     return sys._getframe(2).f_code  # noqa: SLF001 - the way to tell whose __init__ it is
 
 
@@ -197,8 +196,7 @@ class EarlierContext:
     combination = execute_run
 
     def __getattr__(self, name: str) -> Any:
-        near = nearest(name, CONTEXT_ATTRIBUTES)
-        hint = f"Did you mean {near!r}?" if near else f"It has {', '.join(CONTEXT_ATTRIBUTES)}."
+        hint = did_you_mean(name, CONTEXT_ATTRIBUTES, f"It has {', '.join(CONTEXT_ATTRIBUTES)}.")
         raise AttributeError(f"the context has no {name!r}. {hint}", name=name, obj=self)
 
 

@@ -312,7 +312,6 @@ def _ancestors() -> Iterator[int]:
 
 
 def _own_threads() -> set[int]:
-    """Return the threads of this process."""
     with suppress(OSError):
         return {int(path.name) for path in Path("/proc/self/task").iterdir()}
     return {os.getpid()}
