@@ -12,6 +12,7 @@ import time
 from collections import deque
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -186,8 +187,11 @@ def started_browser(program: str, profile: Path) -> Iterator[Browser]:
             "--remote-debugging-pipe",
             f"--user-data-dir={profile}",
         ]
+        # Killed, it leaves its socket, whose path has to be short: it is not beside the profile.
+        temporary = closing.enter_context(TemporaryDirectory(ignore_cleanup_errors=True))
         process = subprocess.Popen(
             ["/bin/bash", "-c", shell, program, *options, f"--user-data-dir={profile}"],
+            env={**os.environ, "TMPDIR": temporary},
             pass_fds=(theirs_in, theirs_out),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

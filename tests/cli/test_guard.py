@@ -92,7 +92,10 @@ def test_a_current_folder_that_was_removed_is_no_fault_of_ours(
     assert said == "error: the current folder was removed or renamed\n  fix: Go to one that is there: cd FOLDER.\n"
 
 
-def test_what_the_system_refuses_of_a_file_is_no_fault_of_ours(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_the_system_refuses_of_a_file_is_no_fault_of_ours(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))  # the last one is our fault, whose traceback is kept
     refused = PermissionError(errno.EACCES, "Permission denied", "/lab/study/manifest.json")
     assert guarded(raising(refused)) == 2
     said = capsys.readouterr().err

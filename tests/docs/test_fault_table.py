@@ -30,6 +30,7 @@ def test_every_injected_fault_stands_in_the_table() -> None:
         "test_each_run_begins_where_the_first_did_and_the_simulator_is_left_going_on",
         "test_an_experiment_lives_by_the_time_of_a_graph_that_goes_by_faster",
         "test_the_number_of_an_experiment_that_was_dropped_is_given_to_no_other",
+        "test_what_is_added_is_told_to_a_program_and_what_is_to_be_dropped_is_named",
         "test_a_forked_run_imports_nothing_and_touches_few_pages",
     }
     assert names_of_tests_in("process") - told_elsewhere - NAMED == set()

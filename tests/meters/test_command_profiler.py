@@ -61,6 +61,16 @@ def measure(tmp_path):
     return execute
 
 
+def test_the_program_joins_the_graph_of_the_run_s_robot_and_not_that_of_the_shell(tmp_path, monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "3")
+    tells = 'echo domain; while echo "$ROS_DOMAIN_ID"; do sleep 0.02; done'
+    domain = CommandColumn("domain", Measure("Domain", "1", "Its domain."), Aggregate.LAST)
+    plugin = CommandProfiler(command=["sh", "-c", tells], columns=[domain], period_s=6.0)
+    context = make_context(tmp_path, plugin, robot="dds:domain=7", clock=SystemClock())
+    rehearse(context, plugin, mission=lambda: time.sleep(0.3))
+    assert context.measures["Domain"] == 7
+
+
 def duration(context) -> float:
     window = json.loads((context.raw_data_folder / "quality.json").read_text())["window"]
     return window["end"] - window["start"]

@@ -97,6 +97,25 @@ def test_a_folder_that_is_deleted_under_the_experiment_is_an_error_that_names_it
 
 
 @pytest.mark.long
+def test_after_experiment_comes_also_where_nothing_can_be_taken_down_any_more(start: Start) -> None:
+    experiment = start(
+        """
+        def before_run(self, context):
+            import resource
+            if context.run_id == "r_2":
+                size = (context.experiment_folder / "journal.jsonl").stat().st_size
+                resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+        def after_experiment(self, context):
+            (Path(__file__).parent / "closed").write_text(context.ended.failure)
+        """
+    )
+    assert experiment.end() == 1
+    assert "journal.jsonl: the file cannot be written" in experiment.output
+    assert "journal.jsonl: the file cannot be written" in (experiment.config.parent / "closed").read_text()
+    assert experiment.nobody_is_left()
+
+
+@pytest.mark.long
 def test_a_folder_that_is_moved_under_the_experiment_ends_it_and_nothing_is_lost(start: Start) -> None:
     first = start(
         """

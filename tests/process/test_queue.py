@@ -186,6 +186,17 @@ def test_who_wants_a_claimed_robot_is_refused_with_a_name_or_waits_and_ctrl_c_le
     assert "is empty" in robot_runner("queue").out
 
 
+def test_what_is_added_is_told_to_a_program_and_what_is_to_be_dropped_is_named(
+    robot_runner: Callable[..., Any], config: Callable[..., Path]
+) -> None:
+    added = robot_runner("queue", "add", config("first"), "--json").json
+    assert (added["number"], added["experiment"], added["in_words"]) == (1, "first", "waits for its turn")
+    assert "environment" not in added
+    refused = robot_runner("queue", "drop")
+    assert refused.code == 2
+    assert "NUMBER is missing" in refused.err
+
+
 @pytest.mark.long
 def test_two_runners_that_are_killed_at_random_execute_everything_once_and_lose_nothing(
     robot_runner: Callable[..., Any],

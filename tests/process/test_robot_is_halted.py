@@ -152,6 +152,52 @@ def test_a_robot_that_a_program_of_all_runs_drives_stands_still_between_two_runs
         assert not robot.moves(), [each.read_text() for each in told]
 
 
+AT_FIRST = """
+    def before_experiment(self):
+        Path(__file__).with_name("begun").touch()
+
+    def launch_mission(self, context):
+        pass
+"""
+
+
+@over("dds")
+@pytest.mark.long
+@pytest.mark.parametrize("per", ["run", "experiment"])
+@pytest.mark.parametrize("name", ["another", "trial"], ids=["another experiment", "the same without the program"])
+def test_a_program_that_nobody_was_left_to_end_is_ended_and_its_robot_stopped_by_whoever_uses_that_next(
+    graph: str, start: Callable[..., Experiment], tmp_path: Path, per: str, name: str
+) -> None:
+    (tmp_path / "planner.py").write_text(PLANNER)
+    config = tmp_path / "config.py"
+    text = CONFIG.format(robot=graph).replace('per="experiment"', f"per={per!r}").replace("sleep(0.1)", "sleep(3600)")
+    config.write_text(text)
+    with open_robot(graph) as (link, _):
+        robot = Robot(link)
+        experiment = start(config=config)
+        wait_until(robot.moves, "the program drives it")
+        told = experiment.folder / ".to_make_safe"
+        wait_until(lambda: told.exists() and "/cmd_vel" in told.read_text(), "the run has seen that")
+        program = named(experiment, b"python\0" + os.fsencode(tmp_path / "planner.py"))
+        program = [pid for pid in program if b"sh\0-c" not in Path(f"/proc/{pid}/cmdline").read_bytes()]
+        kill_together(pid for pid in experiment.processes() if pid not in program)
+        experiment.end()
+        robot.stood_still()
+        wait_until(robot.moves, "it is driven on")
+        without = text[: text.index("    plugins")] + AT_FIRST + text[text.index("    def create") :]
+        config.write_text(without.replace("trial", name))
+        following = start("", "--only", "r_2", "--accept-changes", config=config)
+        if name == "another":
+            following.wait_for("begun")
+        else:  # of which nobody knows any more how it is made safe beyond that
+            following.end()
+            assert "the config has no Planner any more" in following.output
+        assert not any(Path(f"/proc/{pid}").exists() for pid in program), "it has ended before anything else"
+        assert not robot.moves(), "and the robot stands still"
+        if name == "another":
+            assert following.end() == 0, following.output
+
+
 #: Two robots at once, driven by the config alone; no later execution commands anything.
 TWO_ROBOTS = """
 from pathlib import Path

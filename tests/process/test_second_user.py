@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import fcntl
 import json
 import os
@@ -9,15 +10,20 @@ import shutil
 import stat
 import subprocess
 import tempfile
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from tests.command_line import PROGRAM
+from tests.process.conftest import kill_together, wait_until
+
+from robot_runner.core.storage.shared_claims import hold_against_users
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+
+    from tests.process.conftest import Experiment
 
 pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="only root can become a second user")
 
@@ -151,3 +157,70 @@ def test_a_stranger_who_locks_the_files_of_an_earlier_version_does_not_block(stu
         assert finished.returncode == 0, finished.stdout + finished.stderr
         assert "1 run" in finished.stdout or "1 of 1" in finished.stdout
     assert as_stranger(lambda: [name for name in hold_all(folder) if "journal" not in name]) == []
+
+
+#: A planner that does not end when it is told to.
+_PLANNED = """from pathlib import Path
+
+from robot_runner import *
+from robot_runner.plugins.systems import Program
+
+HERE = Path(__file__).parent
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = HERE / "results"
+    claims = ["room:lab"]
+    run_process = RunProcess.{process}
+    plugins = [Program(["sh", "-c", "trap '' TERM; echo ready; while :; do sleep 1; done"], per="{per}", ready="ready",
+                       grace_s=600)]
+
+    def launch_mission(self, context):
+        (HERE / "launched").touch()
+        context.clock.sleep(600)
+
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", ["Video"])])
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("per", "process"), [("experiment", "FORK"), ("run", "SPAWN")])
+def test_another_user_is_kept_out_until_software_under_test_of_a_killed_experiment_has_ended(
+    start: Callable[..., Experiment], study: Path, monkeypatch: pytest.MonkeyPatch, per: str, process: str
+) -> None:
+    place = study / "everybody"
+    place.mkdir()
+    place.chmod(0o1777)
+    monkeypatch.setenv("ROBOT_RUNNER_LOCKS", str(place))
+    config = study / "trial.py"
+    config.write_text(_PLANNED.format(per=per, process=process))
+    experiment = start(config=config)
+    experiment.wait_for("launched")
+    supervised = [
+        pid for pid in experiment.processes() if b"supervisor.py" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    ]
+    kept = {*supervised, *children_of(supervised)}
+    kill_together(set(experiment.processes()) - kept)
+    experiment.end()
+    wait_until(lambda: kept.issuperset(experiment.processes()), "all others are gone")
+
+    def holders() -> object:
+        with ExitStack() as opened:
+            return list(hold_against_users("room:lab", opened))
+
+    codecs.lookup("ascii")  # which another user may not be able to load
+    assert as_stranger(holders) == ["an experiment of root"]
+    kill_together(supervised)
+    wait_until(lambda: as_stranger(holders) == [], "nobody has it any more")
+
+
+def children_of(parents: list[int]) -> list[int]:
+    return [int(path.name) for path in Path("/proc").glob("[0-9]*") if parent_of(path) in parents]
+
+
+def parent_of(process: Path) -> int | None:
+    with suppress(OSError):
+        return int((process / "stat").read_text().rpartition(")")[2].split()[1])
+    return None

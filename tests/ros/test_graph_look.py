@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import socket
+import subprocess
+import sys
 import time
 from contextlib import closing
 
@@ -18,7 +21,7 @@ from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros import graph_look
 from robot_runner.ros.graph_links import GRAPH_LINKS
 from robot_runner.ros.turtlebot3.steered_robot import Task, TaskServices
-from robot_runner.testing import FakeClock, FakeRobotLink, RosbridgeServer
+from robot_runner.testing import FakeClock, FakeRobotLink, ParameterNode, RosbridgeServer
 
 TRIGGER = "std_srvs/Trigger"
 HEAD = """\
@@ -92,12 +95,61 @@ def test_a_robot_that_offers_an_action_and_nothing_else_is_on_the_graph():
     assert list(graph_look._findings(link, needs)) == []
 
 
+def test_a_node_that_is_not_there_yet_is_not_waited_for_at_each_question():
+    waited = {}
+
+    class Link(FakeRobotLink):
+        def call(self, service, *words, timeout=5.0, **more):
+            waited.setdefault(service.split("/")[1], timeout)
+            return super().call(service, *words, timeout=timeout, **more)
+
+    link = Link(FakeClock())
+    ParameterNode(link, "/base", {"gain": 1.0})
+    for node in ("/base", "/planner"):
+        list(graph_look.need_findings(link, GraphNeed.parameters(node, {"gain": 2.0}), "plugin"))
+    assert waited == {"base": graph_look._PARAMETER_SECONDS, "planner": graph_look._PERIOD}
+
+
 @pytest.mark.parametrize("needs", [{}, {"plugin": [GraphNeed.published("/scan", "sensor_msgs/LaserScan")]}])
 def test_a_robot_is_given_the_time_to_be_discovered_also_where_plugins_need_nothing_of_it(needs):
     link = FakeRobotLink(FakeClock())
     seen = iter([{}, {"/rosout": "rcl_interfaces/Log"}])
     link.topics = lambda: next(seen, {"/scan": "sensor_msgs/LaserScan"})
     assert graph_look._patiently(link, needs, 60.0) == []
+
+
+LOOKING = """
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from robot_runner.ros import graph_look
+
+class Silent:
+    def topics(self):
+        print("looks", flush=True)
+        return {}
+
+    def close(self):
+        Path(sys.argv[1]).touch()
+
+silent = SimpleNamespace(follows_graph_clock=lambda _: False, open=lambda *_: Silent())
+graph_look.GRAPH_LINKS, graph_look._DISCOVERY = {"ros2": silent}, {"ros2": 600.0}
+graph_look._main()
+"""
+
+
+def test_who_looks_for_too_long_leaves_the_graph_as_fast_dds_would_leave_its_shared_memory(tmp_path, monkeypatch):
+    monkeypatch.setattr(graph_look, "_LEAVING", 60.0)
+    left = tmp_path / "left"
+    line = [sys.executable, "-c", LOOKING, str(left)]
+    with subprocess.Popen(line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as looking:
+        with looking.stdin as question:
+            json.dump({"robot": {"link": "ros2", "options": {}, "address": None}, "needs": {}}, question)
+        looking.stdin = None
+        assert looking.stdout.readline() == "looks\n"
+        (found,) = graph_look._answer(looking, deadline=0.0)
+    assert "does not answer within" in found.problem
+    assert left.exists()
 
 
 class GraphLook:

@@ -115,6 +115,20 @@ def test_stamps_of_a_simulation_s_time_or_a_recording_yield_no_age_and_a_warning
     assert "topic odom: a message was stamped 20000.0 days before it arrived" in finding.problem
 
 
+def test_messages_without_a_stamp_have_no_age_and_that_is_said(tmp_path):
+    clock, plugin = FakeClock(50.0), RosTopics(["cmd_vel"], losses=False)
+    robot = FakeRobotLink(clock)
+    robot.known_topics["cmd_vel"] = "geometry_msgs/Twist"
+    clock.every(0.05, lambda: robot.deliver("cmd_vel", {}))
+    context = make_context(tmp_path, plugin, links=FakeLinks(robot=robot), clock=clock)
+    rehearse(context, plugin, mission=lambda: clock.sleep(10.0))
+    assert context.measures["CmdVelRate"] == pytest.approx(20.0, rel=0.01)
+    assert (context.measures["CmdVelAge"], context.measures["CmdVelMaxAge"]) == (None, None)
+    assert [finding.problem for finding in context.broker.findings] == [
+        "topic cmd_vel: its messages carry no stamp, so ages are not known"
+    ]
+
+
 def test_what_was_lost_is_known_whatever_time_the_stamps_are_of():
     topic = ReceivedTopic("Odom", None)
     for number in (1, 2, 4, 5):

@@ -141,4 +141,4 @@ def test_a_robot_that_takes_no_publisher_keeps_no_other_from_being_stopped(
     robot = CommandedRobot(make_context(tmp_path, robot="ros2"))
     monkeypatch.setattr(robot, "_link", GraphOfTwo(0.0))
     robot.look()
-    assert list(robot._topics) == ["/bob/cmd_vel"]
+    assert list(robot._taken) == ["/bob/cmd_vel"]

@@ -80,6 +80,15 @@ def test_a_subject_that_there_is_not_is_found(tmp_path: Path) -> None:
     assert finding.fix == "Did you mean 'Nav'?"
 
 
+@pytest.mark.parametrize("table", ["    def create_run_table(self):\n        raise ValueError('no')", ONE_RUN])
+def test_a_subject_that_cannot_be_built_is_not_said_to_be_missing(tmp_path: Path, table: str) -> None:
+    subject = "Program(treatment('Task'), name='Nav')"  # of which a text is no command
+    body = f"plugins = [{subject}, PsUtil(host='localhost', processes=['subject:Nav'])]"
+    findings = prepare(written_config(tmp_path, body, head=OURS, table=table)).findings
+    assert len(findings) == 1
+    assert "no plugin is named" not in findings[0].problem
+
+
 @pytest.mark.long
 def test_a_subject_that_no_probe_starts_is_neither_missed_nor_doubted_there(execute: Callable[..., Executed]) -> None:
     alone = ONE_RUN.replace("seed=1", "seed=1, data_columns=['CPU_Busy']")

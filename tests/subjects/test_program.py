@@ -380,6 +380,20 @@ def test_what_cannot_be_is_found_with_each_treatment_before_anything_moves(tmp_p
     ]
     once = findings(tmp_path, "plugins = [Program(['sleep', treatment('Speed')], per='experiment')]")
     assert "is started once for all runs, and bound to the factor 'Speed'" in once[0]
+
+
+@pytest.mark.parametrize(
+    ("per", "bob", "is_told"),
+    [("experiment", "domain=8", True), ("experiment", "domain=7,namespace=bob", False), ("run", "domain=8", False)],
+)
+def test_a_program_of_all_runs_is_said_not_to_be_on_the_graphs_of_several_robots(
+    tmp_path: Path, per: str, bob: str, is_told: bool
+) -> None:
+    robots = f"robot = Robots(alice='dds:domain=7,namespace=alice', bob='dds:{bob}')"
+    found = findings(tmp_path, f"plugins = [Program(['sleep', '9'], per={per!r})]\n{robots}")
+    told = [each for each in found if "plugin Program" in each]
+    said = "it is started once for all runs, on one graph (domain 7), and robots are on domain 8"
+    assert [said in each for each in told] == [True] * is_told
     (nowhere,) = findings(tmp_path, "plugins = [Program(['true'], folder='nowhere')]")
     assert "there is no folder 'nowhere'" in nowhere
     (setup,) = findings(tmp_path, "plugins = [Program(['true'], setup='install/setup.bash')]")

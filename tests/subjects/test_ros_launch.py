@@ -60,7 +60,12 @@ case "$*" in
         printf "    'rviz':\\n        no description given\\n"; exit 0;;
 esac
 echo "[INFO] [launch]: All log files can be found below $ROS_LOG_DIR"
+echo "[INFO] [planner-1]: process started with pid [7]"
 echo "[planner-1] plans with $*"
+case "$*" in *planner:=teb*)
+    echo "[planner-1] [ERROR] [map-2]: process has died [pid 8, exit code 1, cmd 'what a node writes']."
+    echo "[ERROR] [planner-1]: process has died [pid 7, exit code -11, cmd 'planner --ros-args'].";;
+esac
 trap 'echo "[INFO] [planner-1]: process has finished cleanly"; kill $!; exit 0' INT
 sh -c 'while :; do sleep 0.2; done' TOKEN &
 wait
@@ -116,6 +121,42 @@ def test_roslaunch_launches_nodes_with_the_treatments_and_ends_them_as_ctrl_c_wo
     assert gone(token)
 
 
+#: A node that dies once another is there.
+DYING = """\
+#!/usr/bin/python3
+import sys
+import rospy
+rospy.init_node("dying")
+rospy.wait_for_service("/planner/get_loggers")
+sys.exit(3)
+"""
+
+
+@pytest.mark.long
+@needs_roslaunch
+@pytest.mark.parametrize("per", ["run", "experiment"])
+def test_values_are_doubtful_where_a_launched_node_died_and_the_others_went_on(
+    execute: Callable[..., Executed], environment: dict[str, str], tmp_path: Path, per: str
+) -> None:
+    package = tmp_path / "subject_nav"
+    (package / "dying.py").write_text(DYING)
+    (package / "dying.py").chmod(0o755)
+    dying = '<node name="dying" pkg="subject_nav" type="dying.py"/>\n</launch>'
+    (package / "nav.launch").write_text((package / "nav.launch").read_text().replace("</launch>", dying))
+    parameters = f"'subject_nav', 'nav.launch', arguments={{'planner': 'dwa'}}, per={per!r}"
+    died = "has died [pid"
+    mission = f"""
+def launch_mission(self, context):
+    while not all({died!r} in each.read_text() for each in context.experiment_folder.rglob("Nav/**/stderr.txt")):
+        context.clock.sleep(0.05)"""
+    done = execute(body_of(parameters, environment, 1) + mission)
+    assert (done.finished.failures, done.finished.done_count) == ((), 2)
+    doubts = [record for record in done.journal("finding") if "has died" in record["problem"]]
+    assert {record["run"] for record in doubts} == {"r_1", "r_2"}, "one that goes on in all runs lacks it in each"
+    assert all(record["problem"] == "dying-3, which it launched, has died: exit code 3" for record in doubts)
+    assert all('required="true"' in record["fix"] for record in doubts)
+
+
 @pytest.mark.long
 @needs_roslaunch
 def test_roslaunch_is_asked_for_what_it_would_refuse_with_each_treatment(
@@ -144,10 +185,20 @@ def test_ros2_launch_gets_the_treatments_and_is_interrupted(
     assert f"below {done.folder}/runs/r_2/Nav/ros_log" in output
     assert "plans with launch nav nav.launch.py planner:=teb" in output
     assert "process has finished cleanly" in output
+    assert [(each["run"], each["problem"]) for each in done.journal("finding")] == [
+        ("r_2", "planner-1, which it launched, has died: exit code -11")
+    ]
     assert gone(token)
     assert problems(body_of("'nav', 'nav.launch.py', arguments={'planer': 1}", path, 2)) == [
         "the launch file takes no argument 'planer': nothing would read it"
     ]
+    (outer,) = prepare(
+        written_config(tmp_path, body_of("'nav', 'nav.launch.py', arguments={'map': 1}", path, 2), head=OURS)
+    ).findings
+    assert (outer.is_error, outer.problem) == (
+        False,
+        "the launch file declares no argument 'map': only what it includes may read it",
+    )
     (refused,) = problems(body_of("'no_package', 'nav.launch.py'", path, 2))
     assert refused.startswith("ros2 refuses no_package/nav.launch.py: Package 'no_package' not found")
     assert problems(body_of("'nav', 'nav.launch.py'", {"PATH": "/nowhere"}, 2)) == ["the program 'ros2' is not there"]

@@ -49,7 +49,8 @@ rospy.on_shutdown(lambda: print("shut down", flush=True))
 print("planner has", *map(repr, facts), flush=True)
 rospy.spin()
 """
-#: As ros2 of Jazzy answers: the executables and prefixes of packages, and `run`, which waits for SIGINT.
+#: As ros2 of Jazzy answers: the executables and prefixes of packages, and `run`, which hands no signal on to the node:
+#: it awaits the end of its child, which Ctrl-C interrupts as well.
 ROS2 = """\
 #!/bin/sh
 case "$1 $2 $3" in
@@ -63,9 +64,16 @@ esac
 echo "middleware $RMW_IMPLEMENTATION"
 shift 3
 for word; do echo "word <$word>"; done
-trap 'echo "interrupted"; kill $!; exit 0' INT
-sh -c 'while :; do sleep 0.2; done' TOKEN &
-wait
+exec python3 - <<END
+import subprocess
+node = subprocess.Popen(["sh", "-c", "trap 'echo interrupted; exit 0' INT; while :; do sleep 0.2; done", "TOKEN"])
+while node.returncode is None:
+    try:
+        node.communicate()
+    except KeyboardInterrupt:
+        pass
+raise SystemExit(node.returncode)
+END
 """
 
 

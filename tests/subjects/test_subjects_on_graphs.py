@@ -8,7 +8,7 @@ import signal
 import sys
 import time
 from contextlib import closing, suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.ros.dds_domain import LOOPBACK, claim_domain
@@ -21,6 +21,7 @@ from robot_runner.ros.dds_link import open_dds_link
 from robot_runner.testing import make_context, rehearse
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("cyclonedds") is None, reason="there is no DDS")
@@ -82,6 +83,49 @@ def test_a_robot_that_it_commands_stands_still_once_it_has_ended(
     with closing(robot):
         with closing(context.resources), suppress(RunFailed):
             rehearse(context, planner, mission=mission)
+        deadline = time.monotonic() + 20.0
+        while heard[-1] and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert heard[-1] == 0.0
+
+
+#: A program that commands once, and ends as soon as the robot has it: before anybody sees that it is on the graph.
+ONCE = """
+import os, sys, time
+from robot_runner.core.events.context import SystemClock
+from robot_runner.ros.dds_link import open_dds_link
+
+link = open_dds_link({"domain": sys.argv[1], "distro": "jazzy"}, SystemClock())
+while not os.path.exists(sys.argv[2]):
+    link.publish("/cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
+    time.sleep(0.01)
+link._transport.close()  # as a program does that ends; our own link would command zero
+os._exit(0)
+"""
+
+
+@pytest.mark.long
+def test_a_robot_that_was_commanded_by_what_ended_at_once_stands_still_after_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    domain = claim_domain()
+    (tmp_path / "once.py").write_text(ONCE)
+    command = [sys.executable, str(tmp_path / "once.py"), str(domain), str(tmp_path / "heard")]
+    once = Program(command, per="mission", exit_codes=[0])
+    robot = open_dds_link({"domain": str(domain), "distro": "jazzy"}, SystemClock())
+    heard: list[float] = []
+
+    def hear(twist: Mapping[str, Any]) -> None:
+        heard.append(twist["linear"]["x"])
+        (tmp_path / "heard").touch()
+
+    robot.subscribe("/cmd_vel", "geometry_msgs/Twist", hear)
+    context = make_context(tmp_path, once, robot=f"dds:domain={domain},distro=jazzy", clock=SystemClock())
+    with closing(robot):
+        with closing(context.resources):
+            rehearse(context, once, mission=lambda: once.wait(context, timeout_s=20.0))
+            assert 0.2 in heard
         deadline = time.monotonic() + 20.0
         while heard[-1] and time.monotonic() < deadline:
             time.sleep(0.01)

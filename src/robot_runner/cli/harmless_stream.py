@@ -31,9 +31,6 @@ class HarmlessStream:
         for line in lines:
             self.write(line)
 
-    def __iter__(self) -> Any:
-        return iter(self.unguarded)
-
     def __getattr__(self, name: str) -> Any:
         return getattr(self.unguarded, name)
 

@@ -34,13 +34,16 @@ class Circumstances:
         robot: how the robot is to be reached, such as `"simulated"`, or None.
         factors: the treatments of each factor, by the factor's name.
         plugins: all plugins of the experiment, the one that is asked included.
-        listed: the names of all plugins in the order in which the config lists them.
+        listed: the names of all plugins in the order in which the config lists them; those that cannot be built, and
+            are not among `plugins`, stand last.
+        robots: how each of several robots that take turns is reached; nothing where there is one.
     """
 
     robot: str | None = None
     factors: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     plugins: Sequence[Plugin] = ()
     listed: Sequence[str] = ()
+    robots: Sequence[str] = ()
 
     def before(self, plugin: Plugin) -> list[Plugin]:
         """Return the plugins that are listed before one, whose event callbacks are called before its own."""

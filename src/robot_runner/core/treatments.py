@@ -85,11 +85,13 @@ class _Binding:
         factors: the factor of each bound parameter, by the parameter's name; of one inside a list, a tuple or a mapping
             by its place there as well, such as `command[1]` or `arguments['speed']`; of one of a plugin that it is made
             of, such as `systems[0].speed`.
+        name: that the plugin is given, which no treatment changes; None where it is given none.
     """
 
     positional: tuple[Any, ...]
     keywords: Mapping[str, Any]
     factors: Mapping[str, str]
+    name: Any
 
     @classmethod
     def of(cls, kind: type, positional: tuple[Any, ...], keywords: Mapping[str, Any]) -> Self | None:
@@ -103,7 +105,8 @@ class _Binding:
         if not any(map(_holds_treatment, given)):
             return None
         factors: dict[str, str] = {}
-        for name, value in _named(kind, positional, keywords):
+        named = dict(_named(kind, positional, keywords))
+        for name, value in named.items():
             factors |= {place: each.factor for place, each in _places(kind, name, value)}
         if "name" in factors:
             raise PluginError(
@@ -111,7 +114,7 @@ class _Binding:
                 where=kind.__name__,
                 fix="Give a name, or leave it out.",
             )
-        return cls(positional, dict(keywords), factors)
+        return cls(positional, dict(keywords), factors, named.get("name"))
 
     def arguments(self, combination: Mapping[str, Any]) -> tuple[list[Any], dict[str, Any]]:
         """Return what it is built with under a combination; what a factor does not apply to is left at its default."""
@@ -230,6 +233,13 @@ def _waiting_kind(kind: type) -> type:
         object.__setattr__(self, "__class__", kind)
 
     return type(kind)(kind.__name__, (kind,), {"__slots__": (), "__init__": wait, "__module__": kind.__module__})
+
+
+def given_name(plugin: Bindable) -> str:
+    """Return what a plugin is called, also where it was not built yet."""
+    binding: _Binding | None = vars(plugin).get(_BINDING)
+    given = getattr(plugin, "name", None) if binding is None else binding.name
+    return given if isinstance(given, str) else type(plugin).__name__
 
 
 def is_waiting(plugin: object) -> bool:

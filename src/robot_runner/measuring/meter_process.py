@@ -7,7 +7,7 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,6 +69,7 @@ class ChildProgram:
         output: takes what it writes to stdout.
         errors: takes what it writes to stderr, and can be read; closed when the program has ended.
         has_own_group: whether it gets a process group of its own.
+        environment: variables beside those of this process.
 
     Attributes:
         said: all that it wrote to stderr, once it was stopped.
@@ -78,7 +79,13 @@ class ChildProgram:
     """
 
     def __init__(
-        self, command: Sequence[str], *, output: IO[bytes], errors: IO[bytes], has_own_group: bool = True
+        self,
+        command: Sequence[str],
+        *,
+        output: IO[bytes],
+        errors: IO[bytes],
+        has_own_group: bool = True,
+        environment: Mapping[str, str] | None = None,
     ) -> None:
         self._errors = errors
         self.said = ""
@@ -89,6 +96,7 @@ class ChildProgram:
                 stdin=subprocess.PIPE,
                 stdout=output,
                 stderr=errors,
+                env={**os.environ, **environment} if environment else None,
                 process_group=0 if has_own_group else None,
                 preexec_fn=stop_with_parent if has_own_group else None,  # noqa: PLW1509 - one system call, no lock
             )
@@ -185,6 +193,7 @@ class MeterProcess(ChildProgram):
         folder: takes `stdout.txt` and `stderr.txt`.
         clock: the run's, for the stamps.
         separator: what ends a record.
+        environment: variables beside those of this process.
 
     Attributes:
         unread: why its output cannot be read; empty where it can.
@@ -194,7 +203,14 @@ class MeterProcess(ChildProgram):
     """
 
     def __init__(
-        self, command: Sequence[str], *, output: Path | None, folder: Path, clock: Clock, separator: str = "\n"
+        self,
+        command: Sequence[str],
+        *,
+        output: Path | None,
+        folder: Path,
+        clock: Clock,
+        separator: str = "\n",
+        environment: Mapping[str, str] | None = None,
     ) -> None:
         self._output = output or folder / "stdout.txt"
         self._clock = clock
@@ -205,7 +221,7 @@ class MeterProcess(ChildProgram):
         self._offset = 0
         errors = (folder / "stderr.txt").open("w+b")
         with (folder / "stdout.txt").open("wb") as out:
-            super().__init__(command, output=out, errors=errors)
+            super().__init__(command, output=out, errors=errors, environment=environment)
         self._has_ended = threading.Event()
         self._follower = threading.Thread(target=self._follow, name=f"output of {command[0]}", daemon=True)
         self._follower.start()

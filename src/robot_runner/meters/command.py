@@ -14,6 +14,7 @@ from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.context import Clock, RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
+from robot_runner.core.links.connect import graph_variables
 from robot_runner.core.plugin import Circumstances, Profiler, probe_window
 from robot_runner.core.storage.input_files import InputFile, kept_copy
 from robot_runner.measuring.evaluation import publish_measures
@@ -182,6 +183,7 @@ class CommandProfiler(Profiler):
             folder=folder,
             clock=self._clock,
             separator=self._separator,
+            environment=graph_variables(context.robot),  # one of ROS finds its graph by it
         )
         has_begun = process.wait(lambda: self._has_row(process.records), seconds=self.startup_s)
         if not has_begun and not process.is_running:

@@ -137,7 +137,7 @@ class PsUtil(Profiler):
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no computer is named, or it cannot be reached."""
-        names = [each.name for each in circumstances.plugins]
+        names = circumstances.listed or [each.name for each in circumstances.plugins]
         for kind, _, name in (each.partition(":") for each in self.selection.processes):
             if kind == "subject" and name not in names:
                 problem = f"no plugin is named {name!r}, whose processes are to be measured"

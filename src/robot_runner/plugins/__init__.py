@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from robot_runner.core.events.window import Phase as Phase
     from robot_runner.core.events.window import Window as Window
     from robot_runner.core.links.connect import connect_robot as connect_robot
+    from robot_runner.core.links.connect import graph_variables as graph_variables
     from robot_runner.core.links.connect import open_robot as open_robot
     from robot_runner.core.links.goals import ActionAborted as ActionAborted
     from robot_runner.core.links.goals import ActionCanceled as ActionCanceled

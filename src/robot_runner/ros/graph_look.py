@@ -7,6 +7,7 @@ runs may not have. Nothing is published, called or moved by looking.
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 import time
@@ -38,6 +39,8 @@ from robot_runner.ros.sole_control import (
 
 #: How long a look may take in all, s: a client library takes one or two to import and to join the graph on a laptop.
 _SECONDS = 11.0
+#: How long who looks may take to leave the graph where that was too long, s: killed, Fast DDS leaves its shared memory.
+_LEAVING = 2.0
 #: How long what is missing may take to be discovered, s; a ROS 1 master and a rosbridge know at once.
 _DISCOVERY = {"ros2": LONGEST_DISCOVERY, "dds": 1.0}
 _PERIOD = 0.1
@@ -83,8 +86,12 @@ def _answer(looking: subprocess.Popen[str], deadline: float) -> list[Finding]:
     try:
         answer, _ = looking.communicate(timeout=max(0.0, deadline - time.monotonic()))
     except subprocess.TimeoutExpired:
-        looking.kill()
-        looking.communicate()
+        looking.terminate()
+        try:
+            looking.communicate(timeout=_LEAVING)
+        except subprocess.TimeoutExpired:
+            looking.kill()
+            looking.communicate()
         return [_not_looked_at(f"it does not answer within {_SECONDS:g} s")]
     try:  # client libraries may print, too
         told: list[dict[str, Any]] = json.loads(answer.splitlines()[-1])
@@ -205,7 +212,9 @@ def _subscribed(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Fin
 def _parameters(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:
     if not isinstance(link, RobotLink):
         return
-    access = parameters_of(link, timeout=_PARAMETER_SECONDS)
+    # One that offers nothing yet is asked again by `_patiently`: to wait for each would take longer than a look may.
+    is_seen = any(name.startswith(f"{need.name}/") for name in link.services())
+    access = parameters_of(link, timeout=_PARAMETER_SECONDS if is_seen else _PERIOD)
     values = {name: from_json(stored) for name, stored in json.loads(need.values).items()}
     try:
         errors = access.objections(need.name, values)
@@ -240,6 +249,7 @@ def _wanted(need: GraphNeed) -> str:
 
 
 def _main() -> None:
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # whoever waits no longer has us leave the graph
     asked = json.load(sys.stdin)
     needs = {
         where: [GraphNeed(**{**each, "part": GraphPart(each["part"]), "types": tuple(each["types"])}) for each in some]

@@ -337,7 +337,9 @@ class ReceivedTopic:
             yield f"a message was stamped {-min(self.known_ages):.3f} s after it arrived, so ages are not known"
 
     def age_doubt(self) -> str | None:
-        """Say that the stamps are of another time, if so."""
+        """Say that the stamps are of another time, or that there are none, if so."""
+        if self.times and not self.known_ages:
+            return "its messages carry no stamp, so ages are not known"
         if not self.is_of_another_time:
             return None
         days = max(self.known_ages) / _ANOTHER_TIME

@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 
-from robot_runner.core.errors import LinkError, PluginError, RobotRunnerError
+from robot_runner.core.errors import Finding, LinkError, PluginError, RobotRunnerError
 from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND, VELOCITIES, keep_commanding_zero
@@ -34,7 +34,9 @@ from robot_runner.core.links.connect import (
     robot_namespace,
 )
 from robot_runner.core.links.robot import Advertiser, RobotLink
-from robot_runner.subjects.supervised_program import Start
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.shared_claims import held_against_users
+from robot_runner.subjects.supervised_program import Start, last_start
 
 #: How often we look whether the program has ended, s.
 _LOOK = 0.1
@@ -123,7 +125,7 @@ class Halting:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
                 start_new_session=True,  # what a terminal interrupts is not its end
-                pass_fds=inherited,
+                pass_fds=[*inherited, *held_against_users()],
             )
 
     def prepare(self) -> None:
@@ -160,22 +162,34 @@ class Halting:
             )
 
 
-def ended_late(start: Start | None, name: str) -> str:
-    """End what a start of an earlier execution has left, and command zero where it commanded and nobody has since.
+def end_left_subjects(root: Path, may_command: Callable[[str], bool]) -> Iterator[Finding]:
+    """End software that went on through all runs of an execution which was killed with all who would have ended it.
 
-    Returns:
-        that zero was commanded; empty where it had not to be.
+    Robots that it commanded are commanded to stand still, where nobody has done so since.
 
-    Raises:
-        PluginError: it could not be commanded.
+    Args:
+        root: the folder of that experiment.
+        may_command: whether a robot may be commanded now, by how it is reached; software that has commanded others
+            alone is left to who uses these next.
+
+    Yields:
+        what was done, or cannot be done, which is told once.
     """
-    if start is None:
-        return ""
-    start.end_orphans()
-    if CommandedTopics(start).problem() is not None:
-        return ""
-    Halting(start, name).finish()
-    return f"an earlier execution was killed while {name} commanded the robot; it was commanded to stand still now"
+    for folder in sorted(ExperimentFolder(root).subjects.glob("*")):
+        start = last_start(folder)
+        robots = CommandedTopics(start).by_robot() if start is not None else {}
+        if start is None or (robots and not any(map(may_command, robots))):
+            continue
+        start.end_orphans()
+        if CommandedTopics(start).problem() is not None:
+            continue
+        try:
+            Halting(start, folder.name).finish()
+        except PluginError as error:
+            yield error.as_finding()
+        else:
+            what = f"while {folder.name} commanded the robot; it was commanded to stand still now"
+            yield Finding.warning(str(root), f"an earlier execution was killed {what}", "Look where the robot stands.")
 
 
 class _CommandedRobots:
@@ -274,19 +288,20 @@ _DISCOVERY = 4.0
 
 
 class CommandedRobot:
-    """The run's robot, as far as velocities are published for it.
+    """The run's robot, which software under test may command.
 
     A planner that has ended, or has died, takes nothing back: a robot without a watchdog carries out its last command.
-    On each topic of a velocity that somebody else publishes and the robot subscribes, the run's link is a publisher as
-    well. So it commands zero there when it is closed, which is after the software has ended; and where the run is
-    killed, the process that stands by for it does.
+    On each topic of a velocity that the robot subscribes, the run's link is a publisher as well. So it commands zero
+    there when it is closed, which is after the software has ended; and where the run is killed, the process that stands
+    by for it does. It does so also where nobody was seen to publish: a program that commands once and ends, or that
+    dies after a second, is gone before its publisher is discovered.
 
     Args:
         context: of the run; where it has no robot, or the embedded one, which other programs cannot reach, nothing is
             done.
 
     Attributes:
-        tell: told each topic on which velocities are published, and its type.
+        tell: told each topic on which somebody else publishes velocities, and its type.
     """
 
     def __init__(self, context: RobotRunnerContext) -> None:
@@ -294,7 +309,8 @@ class CommandedRobot:
         self.tell: Callable[[str, str], object] = lambda *_: None
         self._link: RobotLink | None = None
         self._known_at = 0.0
-        self._topics: dict[str, str] = {}
+        self._taken: dict[str, str] = {}
+        self._commanded: set[str] = set()
         self._lock = threading.Lock()
 
     def connect(self) -> None:
@@ -306,39 +322,42 @@ class CommandedRobot:
                 self._known_at = time.monotonic() + (_DISCOVERY if is_slow_to_join(robot) else 0.0)
 
     def look(self) -> None:
-        """Look where velocities are published by now."""
+        """Look which velocities the robot takes by now, and where somebody commands it."""
         link = self._link
         if link is None or not isinstance(link, Advertiser):
             return
         with suppress(LinkError), self._lock:
-            for topic, message_type in self._commanded_topics(link):
+            for topic, message_type in self._velocities(link):
                 with suppress(LinkError):  # whatever fails at one robot, the others are looked after
                     link.advertise(topic, message_type)
-                    self._topics[topic] = message_type
-                    self.tell(topic, message_type)
+                    self._taken[topic] = message_type
+            for topic in self._taken.keys() - self._commanded:
+                if any(not each.is_own for each in link.publishers(topic)):
+                    self._commanded.add(topic)
+                    self.tell(topic, self._taken[topic])
 
     def look_at_last(self) -> None:
         """Look before the software is ended: a run may be so short that its graph is not known yet."""
-        if not self._topics:
+        if not self._commanded:
             time.sleep(max(0.0, self._known_at - time.monotonic()))
         self.look()
 
     def halt(self) -> None:
-        """Command zero wherever velocities were published."""
-        for topic, message_type in list(self._topics.items()):
+        """Command zero wherever somebody else was seen to command: the mission itself may do so elsewhere."""
+        for topic in list(self._commanded):
             with suppress(LinkError):
                 if self._link is not None:
-                    self._link.publish(topic, message_type, {})
+                    self._link.publish(topic, self._taken[topic], {})
 
-    def _commanded_topics(self, link: RobotLink) -> list[tuple[str, str]]:
+    def _velocities(self, link: RobotLink) -> list[tuple[str, str]]:
+        """Return topics of velocities that the robot subscribes, and their types, unless they are known."""
         below = f"{robot_namespace(self._context).rstrip('/')}/"
         return [
             (topic, message_type)
             for topic, message_type in link.topics().items()
             if message_type in VELOCITIES
             and topic.startswith(below)
-            and topic not in self._topics
-            and any(not each.is_own for each in link.publishers(topic))
+            and topic not in self._taken
             and any(not each.is_own for each in link.subscribers(topic))
         ]
 

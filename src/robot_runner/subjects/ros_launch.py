@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
+from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean, nearest
 from robot_runner.core.links.connect import resolved_robot, robot_namespace
 from robot_runner.core.storage.input_files import InputFile, kept_copy
 from robot_runner.measuring.own_scripts import is_file, is_installed
@@ -18,20 +19,54 @@ from robot_runner.subjects.ros_subject import RosSubject
 from robot_runner.subjects.surroundings import holds_revision, word
 
 if TYPE_CHECKING:
-    from robot_runner.core.events.context import ExperimentContext
+    from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
-    from robot_runner.subjects.supervised_program import SupervisedProgram
+    from robot_runner.subjects.supervised_program import Start, SupervisedProgram
 
 #: What the namespace of the run's robot takes the place of, in an argument.
 _NAMESPACE = "{namespace}"
 #: How both tell of an argument that a launch file takes: `  speed: ...` (ROS 1), and `    'speed':` (ROS 2).
 _ARGUMENTS = {1: re.compile(r"^  (\w+)(?: \(.*\))?:", re.MULTILINE), 2: re.compile(r"^\s+'([^']+)':", re.MULTILINE)}
+#: Before a line that roslaunch writes in bold or in red.
+_ESCAPE = rb"(?:\x1b\[\d*m)?"
+#: How both say that a node was started, and that it ended; what a node writes is told in another way.
+_STARTED = re.compile(_ESCAPE + rb"(?:process\[(\S+)\]: |\[INFO\] \[(\S+)\]: process )started with pid")
+_ENDED = re.compile(
+    _ESCAPE
+    + rb"\[(?:(?:INFO|ERROR)\] \[)?(\S+?)\]:? process has (?:finished cleanly|died \[pid \d+, (exit code -?\d+))"
+)
+_MIND_NODES = "Its output says why. Where a run is to fail at once, let the launch file end with the node: {}."
+#: By which a launch file ends with a node.
+_ENDS_WITH = {1: 'required="true"', 2: "on_exit=Shutdown()"}
+
+
+class _Nodes:
+    """What a launch has told of its nodes so far: how often each was started and ended, and how it died at last."""
+
+    def __init__(self, start: Start) -> None:
+        self.starts: Counter[str] = Counter()
+        self.ends: Counter[str] = Counter()
+        self.deaths: dict[str, str] = {}
+        for path in (start.stdout, start.stderr):  # the generations differ in which has what
+            with suppress(OSError), path.open("rb") as lines:
+                for line in lines:
+                    self._take(line)
+
+    def _take(self, line: bytes) -> None:
+        if started := _STARTED.match(line):
+            self.starts[(started[1] or started[2]).decode(errors="replace")] += 1
+        elif ended := _ENDED.match(line):
+            node = ended[1].decode(errors="replace")
+            self.ends[node] += 1
+            if ended[2]:
+                self.deaths[node] = ended[2].decode()
 
 
 class RosLaunch(RosSubject):
     """Launches a launch file with `roslaunch` or `ros2 launch`, and ends its nodes as Ctrl-C would.
 
-    The logs of its nodes go to its folder of raw data, too, where the launch file is executed on this machine.
+    The logs of its nodes go to its folder of raw data, too, where the launch file is executed on this machine. Where
+    a node dies and the others go on, all values of the run are doubtful.
 
     Args:
         package: the package that has the launch file, the path of the launch file itself, or a folder (a `Path`, or a
@@ -68,6 +103,7 @@ class RosLaunch(RosSubject):
             fix = "Start it in each run (per='run'), or write the namespace out."
             raise PluginError(problem, where=self.name, fix=fix)
         self._namespace = ""
+        self._ended_before: Counter[str] = Counter()
         named = [] if holds_revision(given) or len(self.launch_file) > 1 else [*self.launch_file]
         named += [self.arguments[name] for name, value in (arguments or {}).items() if not holds_revision(value)]
         self._files = tuple(named)
@@ -87,6 +123,21 @@ class RosLaunch(RosSubject):
             robot = circumstances.robot
             self._namespace = "" if robot is None else resolved_robot(robot)[1].namespace.strip("/")
         yield from super().check(circumstances)
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Say which of its nodes died, as the others went on, and end it with everything that it started."""
+        if self._current is not None:
+            nodes = _Nodes(self._current)
+            for node, how in nodes.deaths.items():
+                if nodes.ends[node] > self._ended_before[node] or nodes.ends[node] >= nodes.starts[node]:
+                    problem = f"{node}, which it launched, has died: {how}"
+                    context.broker.doubt_run(self.name, problem, _MIND_NODES.format(_ENDS_WITH[self.ros]))
+        super().stop_run(context)
+
+    def _start(self, context: RobotRunnerContext) -> None:
+        super()._start(context)
+        if not self._is_of_run and self._current is not None:
+            self._ended_before = _Nodes(self._current).ends
 
     def _begin(
         self, context: ExperimentContext, folder: Path, begun: Callable[[int], object] = lambda _: None
@@ -110,8 +161,15 @@ class RosLaunch(RosSubject):
             return
         known = _ARGUMENTS[ros].findall(described.said)
         for name in (each for each in self.arguments if each not in known):
-            problem = f"the launch file takes no argument {name!r}: nothing would read it"
-            yield Finding.error(where, problem, did_you_mean(name, known))
+            problem, fix = (
+                f"the launch file takes no argument {name!r}: nothing would read it",
+                did_you_mean(name, known),
+            )
+            if ros == 1 or nearest(name, known):
+                yield Finding.error(where, problem, fix)
+            else:  # `ros2 launch` sees no further than paths that are written out, and hands on every argument
+                problem = f"the launch file declares no argument {name!r}: only what it includes may read it"
+                yield Finding.warning(where, problem, fix)
         if ros == 1:  # which evaluates the file, with what it includes
             answer = self.surroundings.ask(("roslaunch", "--nodes", *self.words()[1:]))
             if answer.code != 0:

@@ -103,6 +103,11 @@ class RosNode(RosSubject):
             self._started_in = robot_namespace(context, self.namespace)
         return super()._begin(context, folder, begun)
 
+    @property
+    def stops_group(self) -> bool:
+        """As `ros2 run` awaits the end of the node, and hands no signal on to it."""
+        return self.ros != 1
+
     def words(self) -> tuple[str, ...]:
         """Return the command."""
         return ("sh", "-c", _FROM_INPUT, self._launch_file()) if self.ros == 1 else self._run()

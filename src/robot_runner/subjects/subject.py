@@ -27,10 +27,10 @@ from robot_runner.core.treatments import factors_of
 from robot_runner.measuring.host import SUBJECT_VARIABLE
 from robot_runner.measuring.measured_machine import machine_clock
 from robot_runner.subjects import supervised_program
-from robot_runner.subjects.halting import CommandedRobot, CommandedTopics, Halting, ended_late
+from robot_runner.subjects.halting import CommandedRobot, CommandedTopics, Halting
 from robot_runner.subjects.read_files import inputs_in, is_own_setup
 from robot_runner.subjects.readiness import Ready, checked_ready
-from robot_runner.subjects.surroundings import Surroundings, is_known, word
+from robot_runner.subjects.surroundings import Surroundings, is_known, started_once_findings, word
 
 if TYPE_CHECKING:
     import re
@@ -108,12 +108,12 @@ class Subject(System):
         self.grace_s = grace_s
         self.measures = type(self).measures if self._is_of_run else ()
         self._program: supervised_program.SupervisedProgram | None = None
+        self._current: supervised_program.Start | None = None
         self._startup_time: float | None = None
         self._ended: supervised_program.Ended | None = None
         self._watch: threading.Thread | None = None
         self._robot: CommandedRobot | None = None
         self._halting: Halting | None = None
-        self._remark = ""
         self._is_ending = threading.Event()
 
     @property
@@ -129,6 +129,11 @@ class Subject(System):
     def last_words(self) -> tuple[str, ...] | None:
         """Return a command for when everything has ended; None where there is nothing to do."""
         return None
+
+    @property
+    def stops_group(self) -> bool:
+        """Whether all of its process group is told to end, as by Ctrl-C, and not the program alone."""
+        return False
 
     def variables(self, start: supervised_program.Start) -> Mapping[str, str]:
         """Return variables of its environment beside those that the user names."""
@@ -161,10 +166,8 @@ class Subject(System):
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Yield what stands in the way: the program is not there, or the host cannot be reached."""
         where = f"plugin {self.name}"
-        if self.per == "experiment" and factors_of(self):
-            factor = next(iter(factors_of(self).values()))
-            problem = f"the subject is started once for all runs, and bound to the factor {factor!r}"
-            yield Finding.error(where, problem, "Start it in each run: per='run'.")
+        if not self._is_of_run:
+            yield from started_once_findings(where, factors_of(self).values(), circumstances.robots)
         if isinstance(self.ready, Condition):
             yield from self.ready.check(circumstances.robot)
         findings = list(self.surroundings.findings(where))
@@ -176,11 +179,9 @@ class Subject(System):
         """Start it, where it goes on through all runs.
 
         Raises:
-            PluginError: it cannot be started; or all of an earlier execution was killed, and the robot that it had
-                commanded cannot be stopped now either.
+            PluginError: it cannot be started.
         """
         if self.per == "experiment":
-            self._remark = ended_late(supervised_program.last_start(self._shared_folder(context)), self.name)
             self._begin_for_all_runs(context)
 
     def before_run(self, context: RobotRunnerContext) -> None:
@@ -189,9 +190,6 @@ class Subject(System):
         Raises:
             PluginError: it cannot be started, or the robot that it had commanded cannot be stopped.
         """
-        remark, self._remark = self._remark, ""
-        if remark:
-            context.warn(remark, fix="Look where the robot stands.")
         if self.per != "experiment" or self._program is None or (ended := self._program.ended()) is None:
             return
         context.warn(f"{self._program.death(self.name, ended)}; it was started again before this run")
@@ -208,7 +206,7 @@ class Subject(System):
             PluginError: it cannot be started, or has died.
             ConditionError: it was not ready in time.
         """
-        self._startup_time = self._ended = None
+        self._current = self._startup_time = self._ended = None
         self._robot = CommandedRobot(context)
         self._robot.connect()
         if self.per != "mission":
@@ -246,6 +244,7 @@ class Subject(System):
                 self._robot.look_at_last()
             self._end()
             raise
+        self._current = start
         self._startup_time = time.monotonic() - start.begun_at
         context.share(pid=start.pid, host=self.surroundings.host or LOCAL)
         context.broker.note(self.name, "subject", self._facts(context, start))
@@ -325,6 +324,7 @@ class Subject(System):
             },
             folder=around.path,
             stop_signal=self.stop_signal,
+            stops_group=self.stops_group,
             grace_s=self.grace_s,
             last=around.wrapped(last) if (last := self.last_words()) else None,
             host=around.host,

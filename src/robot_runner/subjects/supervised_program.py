@@ -17,6 +17,7 @@ from typing import IO, Any
 
 from robot_runner.core.errors import PluginError, StorageError, did_you_mean
 from robot_runner.core.links.ssh_command import gist, remedy, ssh_command
+from robot_runner.core.storage.shared_claims import held_against_users
 from robot_runner.core.words import listed, one_line
 from robot_runner.subjects.orphans import end_orphans, mark_of
 from robot_runner.subjects.remote_supervision import BOOTSTRAP, LEASE
@@ -47,6 +48,7 @@ class Task:
         environment: variables beside those that are there; None takes one away.
         folder: where it is executed; None for where Robot Runner is, or the user's home on another computer.
         stop_signal: what the program takes for "end".
+        stops_group: whether all of its process group gets that, as by Ctrl-C, and not the program alone.
         grace_s: how long it may take for that, s.
         last: a command for when everything has ended.
         last_s: how long that may take, s.
@@ -59,6 +61,7 @@ class Task:
     environment: Mapping[str, str | None]
     folder: str | None = None
     stop_signal: signal.Signals = signal.SIGTERM
+    stops_group: bool = False
     grace_s: float = 10.0
     last: tuple[str, ...] | None = None
     last_s: float = 60.0
@@ -80,6 +83,7 @@ class Task:
             "stdout": str(stdout),
             "stderr": str(stderr),
             "stop_signal": int(self.stop_signal),
+            "stops_group": self.stops_group,
             "grace": self.grace_s,
             "last": self.last,
             "last_seconds": self.last_s,
@@ -98,7 +102,7 @@ class Ended:
         code: its exit code; negative for the signal that ended it; None where nobody knows.
         how: the same in words.
         was_asked: whether we asked it to.
-        was_killed: whether it took SIGKILL.
+        was_killed: whether it took another signal than the one that it takes for "end".
         cpu: the CPU time of the program and of the children that it awaited, s; None where nobody knows it.
         astray: the CPU time until then of what else it had started, s.
         uncounted: whether nobody counts the CPU time of its children, as it ignores their ends.
@@ -234,7 +238,7 @@ class SupervisedProgram(Start):
                 stdout=events,
                 stderr=subprocess.DEVNULL,
                 start_new_session=True,
-                pass_fds=turn,
+                pass_fds=[*turn, *held_against_users()],
             )
         begun(self._supervisor.pid)
         self._say(task.line(self.stdout, self.stderr))

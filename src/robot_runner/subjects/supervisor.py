@@ -10,8 +10,8 @@ It imports nothing of Robot Runner, as its text is sent to computers that have n
           the program has ended, and `{"gone": [...]}` once all that it started has ended, too, or could not be ended.
 
 The task: `command`, `environment` (None takes a variable away), `folder`, `stdout` and `stderr` (files to append to;
-None forwards what is written), `stop_signal`, `grace` (s), `last` (a command for when all has ended, such as one that
-removes containers), `last_seconds`, `lease` (s or None).
+None forwards what is written), `stop_signal`, `stops_group` (all of its process group gets that), `grace` (s), `last`
+(a command for when all has ended, such as one that removes containers), `last_seconds`, `lease` (s or None).
 """
 
 # Importing pathlib would double the time that Python needs to start on a small computer.
@@ -266,19 +266,18 @@ class Supervisor:
             self.is_told = True
 
     def end_program(self) -> bool:
-        """End the program; return whether it ended without being killed.
+        """End the program; return whether it ended on its signal.
 
-        It gets its signal alone, so that it can end what it started itself.
+        It gets that alone, so that it can end what it started itself, unless the task has its group get it.
         """
-        tell(self.pid, self.task["stop_signal"])
+        tell(-self.pid if self.task["stops_group"] else self.pid, self.task["stop_signal"])
         if self.wait(lambda: self.code is not None, self.task["grace"]):
             return True
         for pid in descendants(os.getpid()):
             tell(pid, signal.SIGTERM)
-        if self.wait(lambda: self.code is not None, LAST_GRACE):
-            return True
-        tell(self.pid, signal.SIGKILL)
-        self.wait(lambda: self.code is not None, DEATH)
+        if not self.wait(lambda: self.code is not None, LAST_GRACE):
+            tell(self.pid, signal.SIGKILL)
+            self.wait(lambda: self.code is not None, DEATH)
         return False
 
     def end_rest(self) -> "list[int]":

@@ -7,18 +7,21 @@ import re
 import shlex
 import shutil
 import subprocess
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import Finding, LinkError, PluginError, StorageError
+from robot_runner.core.links.connect import graph_of_robot, is_simulated
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.ssh_command import checked_destination, ssh_command, ssh_findings
 from robot_runner.core.storage.git_repository import repository_state
 from robot_runner.core.storage.input_files import kept_copy
 from robot_runner.core.storage.layout import user_folder
+from robot_runner.core.words import enumerated
 from robot_runner.subjects.supervised_program import NAME_A_FOLDER, shell_words
 
 #: How long a question to a program may take, s: roslaunch needs one second here and several on a small computer.
@@ -288,3 +291,22 @@ def word(plugin: str, value: Any) -> str:
 def _quoted(path: str) -> str:
     """Return a path for a shell, which is to know what `~` at its beginning means."""
     return f"~/{shlex.quote(path[2:])}" if path.startswith("~/") else shlex.quote(path)
+
+
+def started_once_findings(where: str, factors: Collection[str], robots: Sequence[str]) -> Iterator[Finding]:
+    """Yield why a subject that is started once for all runs cannot be what all of them need.
+
+    Args:
+        where: as findings name it.
+        factors: to which its parameters are bound.
+        robots: how each of several robots that take turns is reached.
+    """
+    for factor in [*factors][:1]:
+        problem = f"the subject is started once for all runs, and bound to the factor {factor!r}"
+        yield Finding.error(where, problem, "Start it in each run: per='run'.")
+    with suppress(LinkError):  # which is told of the robot itself
+        graphs = dict.fromkeys(graph_of_robot(each) for each in robots if not is_simulated(each))
+        if len(graphs) > 1:
+            first, *others = graphs
+            problem = f"it is started once for all runs, on one graph ({first}), and robots are on {enumerated(others)}"
+            yield Finding.warning(where, problem, "Start it in each run, on the graph of its robot: per='run'.")

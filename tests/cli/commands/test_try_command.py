@@ -146,6 +146,13 @@ def test_what_its_check_finds_refuses_it_with_a_fix(robot_runner: Callable) -> N
     assert robot_runner("try", "PsUtil", "--json").json["status"] == "refused"
 
 
+def test_why_raw_data_cannot_be_kept_is_said(robot_runner: Callable, plugin: Callable, tmp_path: Path) -> None:
+    linking = broken("def start_run(self, context):\n    (context.raw_data_folder / 'last.csv').symlink_to('gone.csv')")
+    answer = robot_runner("try", plugin(linking), "--seconds", "0.05", "--keep", tmp_path / "kept")
+    assert answer.code == 2
+    assert "the folder cannot be written: [Errno 2] No such file or directory" in answer.err
+
+
 @pytest.mark.parametrize(
     ("body", "code", "said"),
     [

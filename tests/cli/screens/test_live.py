@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,8 +11,21 @@ import pytest
 
 from robot_runner.cli.screens import plain
 from robot_runner.cli.screens.live import LiveScreen
+from robot_runner.core.config.operator_steps import Question
+from robot_runner.core.errors import Finding
 from robot_runner.core.execution.durations import TimeLeft
-from robot_runner.core.execution.notices import GatePassed, GateWaiting, NextDecided, RunRecord, WaitingForUser
+from robot_runner.core.execution.notices import (
+    AnswersRefused,
+    GatePassed,
+    GateWaiting,
+    HostRestarts,
+    NextDecided,
+    Paused,
+    QuestionAsked,
+    RunRecord,
+    UserHasContinued,
+    WaitingForUser,
+)
 
 if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
@@ -118,6 +132,47 @@ def test_somebody_at_the_keyboard_is_asked_for_enter(shown: Shown, notices: Any)
     with shown.screen:
         shown.take(notices.started(), WaitingForUser(Path.cwd() / "results", 2, 4))
     assert "Press ENTER to start run 2 of 4, or in another terminal: robot-runner" in shown.lines[-1]
+
+
+def test_questions_and_refused_answers_stand_where_the_live_part_was(shown: Shown, notices: Any) -> None:
+    shown.screen.user_input = 0
+    question = Question("voltage", float, unit="V")
+    refused = AnswersRefused([Finding.error("voltage", "3 is below 9", "Measure again.")])
+    with shown.screen:
+        shown.take(notices.started(), WaitingForUser(Path.cwd() / "results", 2, 4, questions=[question]))
+        assert "Answer when it is done, or in another terminal: robot-runner continue" in "\n".join(shown.lines)
+        shown.take(QuestionAsked(question))
+        assert shown.lines[-1].strip() == f"{question.asked}:"
+        shown._screenful.stream.write("3\n")
+        shown.take(refused)
+        assert shown.lines[-1] == "  voltage: 3 is below 9. Measure again."
+        shown.take(UserHasContinued(), notices.begun(2))
+        assert "▶ r_2" in shown.lines[-2]
+
+
+def test_a_pause_and_a_host_that_starts_anew_are_told(shown: Shown, notices: Any) -> None:
+    with shown.screen:
+        shown.take(notices.started(), HostRestarts("board", "r_2"))
+        assert "Starting board anew before r_2, and waiting until it is ready ..." in shown.lines
+        shown.take(Paused(Path.cwd() / "results", 2, 4))
+        assert "robot-runner continue results" in shown.lines[-1]
+
+
+def test_what_happens_at_each_place_is_a_line(shown: Shown, notices: Any) -> None:
+    begun = [notices.begun(number) for number in (1, 2)]
+    with shown.screen:
+        shown.take(notices.started())
+        shown.take(
+            *(
+                replace(each, task=replace(each.task, place=place, slot=slot))
+                for each, place, slot in zip(begun, ("alice", "bob"), (1, 2), strict=True)
+            )
+        )
+        shown.take(RunRecord("r_2", "event", {"event": "launch_mission"}))
+        alice, bob = shown.lines[-2:]
+    assert alice.startswith("  alice  ▶ r_1: Task=Video")
+    assert bob.startswith("  bob    ▶ r_2: Task=Video")
+    assert "launch_mission" in bob
 
 
 def test_records_that_come_faster_than_anybody_reads_are_not_drawn(shown: Shown, notices: Any) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
@@ -73,11 +74,13 @@ class RunnerConfig:
     ids=["a config of ours, with what was set", "a config of an earlier tool"],
 )
 def test_processes_that_are_started_anew_know_the_functions_and_classes_of_the_config(
-    tmp_path: Path, text: str, settings: dict[str, str], sums: list[int]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, settings: dict[str, str], sums: list[int]
 ) -> None:
     config = tmp_path / "its name is no name of a module.py"
     config.write_text(text, encoding="utf-8")
-    finished = execute_experiment(prepare_or_refuse(config, settings), SilentObserver())
+    with TemporaryDirectory() as folder:  # for the socket of a forkserver, whose path has to be short
+        monkeypatch.setattr("tempfile.tempdir", folder)
+        finished = execute_experiment(prepare_or_refuse(config, settings), SilentObserver())
     assert finished.failures == ()
     journal = (tmp_path / "experiments" / "pooled" / "journal.jsonl").read_text(encoding="utf-8").splitlines()
     ended = [each for each in map(json.loads, journal) if each["kind"] == "attempt_finished"]

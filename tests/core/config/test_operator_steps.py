@@ -28,6 +28,10 @@ operator_steps = [
     OperatorStep("f", after={"Task": "Vidoe"}),
     OperatorStep("g", after=3),
     OperatorStep("h", after=True, every=2, before={"Task": "Video"}),
+    OperatorStep("i", ask=3),
+    OperatorStep("j", when_changes=3),
+    OperatorStep("k", ask=[Question("a=b"), Question("k1", choices="ab"), Question("k2", unit=3)]),
+    OperatorStep("l", ask=[Question("l1", choices=["left", "Left"]), Question("l2", float, low="1", high=2)]),
 ]
 """
 
@@ -57,6 +61,13 @@ def test_everything_that_is_wrong_with_steps_and_questions_is_said_at_once(write
         "steps[9]: after: 'Vidoe' is no treatment of 'Task'",
         "steps[10]: after is 3",
         "steps[11]: every, before and after are given",
+        "steps[12]: ask is 3",
+        "steps[13]: when_changes is 3",
+        "steps[14], question 'a=b': the name holds '='",
+        "steps[14], question 'k1': choices is 'ab'",
+        "steps[14], question 'k2': unit and text are not both texts",
+        "steps[15], question 'l1': choices look alike: left",
+        "steps[15], question 'l2': low is '1', and high is 2",
         ": the run table has a column of that name already",
     }
 

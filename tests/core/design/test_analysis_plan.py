@@ -79,6 +79,13 @@ def test_a_correction_is_one_of_ours():
 def test_hypotheses_are_hypotheses():
     with pytest.raises(DesignError, match="is no hypothesis"):
         AnalysisPlan("Energy", hypotheses=["The task matters."])
+    with pytest.raises(DesignError, match="hypotheses is 'The task matters"):
+        AnalysisPlan("Energy", hypotheses="The task matters.")
+
+
+def test_the_blocks_are_a_name():
+    with pytest.raises(DesignError, match="blocks is 3"):
+        AnalysisPlan("Energy", blocks=3)
 
 
 @pytest.mark.parametrize(("measure", "factors"), [("", "Task"), ("Energy", ()), ("Energy", [3])])

@@ -312,6 +312,19 @@ def test_a_new_factor_of_the_config_needs_the_treatment_that_the_runs_so_far_had
     assert [run.combination["Floor"] for run in grown.plan()] == ["carpet", "carpet", "wood", "wood"]
 
 
+def test_a_factor_that_the_config_has_no_longer_is_to_be_put_back() -> None:
+    there = begun(RunTableModel([TASK, SPEED]))
+    with pytest.raises(DesignError, match=r"the config does not have this factor any more.*Put it back") as refused:
+        grown_design(there, RunTableModel([TASK]), Additions(2))
+    assert [finding.where for finding in refused.value.findings] == ["factor 'Speed'"]
+
+
+def test_treatments_of_a_factor_that_the_config_alone_has_are_no_slip() -> None:
+    now = RunTableModel([TASK, Factor("Floor", ["carpet", "wood"])])
+    with pytest.raises(DesignError, match="The config has it and the run table not yet: --factor Floor=DEFAULT"):
+        extended(RunTableModel([TASK]), Additions(treatments={"Floor": ["stone"]}), config=now)
+
+
 def test_a_factor_that_counts_repetitions_gets_treatments() -> None:
     model = RunTableModel([TASK, Factor("Repetition", [1, 2])])
     (problem,) = findings(model, Additions(3))

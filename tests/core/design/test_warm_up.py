@@ -98,6 +98,8 @@ def test_all_that_is_wrong_with_a_warm_up_is_said() -> None:
     with pytest.raises(DesignError) as refused:
         WarmUp(0, per=3, each_session="yes")  # type: ignore[arg-type]
     assert len(refused.value.findings) == 3
+    with pytest.raises(DesignError, match="the number of runs is '2', of type str"):
+        WarmUp("2")  # type: ignore[arg-type]
 
 
 def test_the_column_of_warm_up_runs_is_taken_only_where_there_are_some() -> None:

@@ -125,7 +125,10 @@ def test_static_parameters_and_attributes_from_the_environment_are_compared(
     assert {each for each in {*before, *after} if before.get(each) != after.get(each)} == {name}
 
 
-def test_what_differs_by_itself_is_no_change(of_meter: Callable[..., Path]) -> None:
+def test_what_differs_by_itself_is_no_change(
+    of_meter: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))  # where mkdtemp leaves what it makes
     config = of_meter(
         "gain=random.random(), told=[object(), time.time(), tempfile.mkdtemp(), str(date.today()), os.getpid(), print]",
         "seed = random.randrange(1 << 60)\nbegan = time.monotonic()",

@@ -15,10 +15,12 @@ from tests.core.execution.conftest import RecordingObserver
 from tests.core.execution.lamp import HEAD, TABLE, made_safe
 
 from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.entry_points import EntryPoint
 from robot_runner.core.errors import ExecutionError, RobotRunnerError
-from robot_runner.core.execution import standby
+from robot_runner.core.execution import left_systems, standby
 from robot_runner.core.execution.left_systems import may_be_moving, see_to_what_is_left, see_to_what_others_left
 from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.core.execution.standby import Standby
 from robot_runner.core.execution.systems_state import SystemsFile
 from robot_runner.core.execution.task import RunTask
 from robot_runner.core.execution.worker import described_task
@@ -185,6 +187,8 @@ def test_nothing_but_a_velocity_is_commanded_whatever_somebody_has_written_into_
 
     file = of_velocities(experiment, Drone(), monkeypatch)
     file.add_commanded("/takeoff", "std_msgs/Empty")
+    file.add_commanded("/takeoff std_msgs/Empty\n/land", "geometry_msgs/Twist")
+    file.add_commanded("\udc80", "geometry_msgs/Twist")
     see_to_what_is_left(experiment)
     assert set(published.read_text().splitlines()) == {"/cmd_vel geometry_msgs/TwistStamped"}
 
@@ -248,15 +252,75 @@ def test_systems_of_another_experiment_are_left_to_its_next_execution_and_its_ro
     file.begin("rosbridge://127.0.0.1:1", left(experiment), ["Lamp"])
     file.add_commanded("/cmd_vel", "geometry_msgs/TwistStamped")
     other = replace(experiment, folder=ExperimentFolder(experiment.folder.root.parent / "other"))
-    claims = ["robot:rosbridge localhost:1"]
+    claims = CLAIMED
     (found,) = see_to_what_others_left(other, [experiment.folder.root], claims)
     assert heard.read_text() == "/cmd_vel"
     assert made_safe(experiment) == ""
     assert "its robot was told to stand still now" in found.problem
     assert found.fix == "Look where it stands, and start that experiment again, which makes Lamp safe."
+    assert see_to_what_others_left(other, [experiment.folder.root], claims) == [], "it is told once"
     assert len(may_be_moving(experiment.folder)) == 1
     assert len(see_to_what_is_left(experiment)) == 1
     assert made_safe(experiment) == "hall hall r_2 rosbridge://127.0.0.1:1"
+
+
+CLAIMED = ["robot:rosbridge localhost:1"]
+
+
+@pytest.mark.parametrize(
+    ("is_commanded", "told"),
+    [
+        (True, "was told to stand still now, as far as it could be: nobody subscribes to /cmd_vel any more"),
+        (False, "no command of it is known, so that the robot was told nothing now"),
+    ],
+    ids=["nobody hears", "no command is known"],
+)
+def test_of_a_robot_of_another_experiment_it_is_not_said_that_it_was_told_what_it_was_not(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch, is_commanded: bool, told: str
+) -> None:
+    file = of_velocities(experiment, Deserted(), monkeypatch)
+    if not is_commanded:
+        file.begin("rosbridge://127.0.0.1:1", left(experiment))
+    other = replace(experiment, folder=ExperimentFolder(experiment.folder.root.parent / "other"))
+    (found,) = see_to_what_others_left(other, [experiment.folder.root], CLAIMED)
+    assert found.problem.endswith(told)
+    assert may_be_moving(experiment.folder) == []
+
+
+@pytest.mark.parametrize("systems", [[], ["Lamp"]])
+def test_a_robot_of_another_experiment_that_cannot_be_stopped_refuses_this_one_once(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch, systems: list[str]
+) -> None:
+    def out_of_reach(_context: object) -> None:
+        raise RuntimeError("rospy is not installed here")
+
+    monkeypatch.setattr(standby, "connect_robot", out_of_reach)
+    file = SystemsFile(experiment.folder)
+    file.begin("rosbridge://127.0.0.1:1", left(experiment), systems)
+    file.add_commanded("/cmd_vel", "geometry_msgs/Twist")
+    other = replace(experiment, folder=ExperimentFolder(experiment.folder.root.parent / "other"))
+    with pytest.raises(ExecutionError, match="cannot be told to stand still now: RuntimeError: rospy is not installed"):
+        see_to_what_others_left(other, [experiment.folder.root], CLAIMED)
+    assert see_to_what_others_left(other, [experiment.folder.root], CLAIMED) == []
+    assert len(may_be_moving(experiment.folder)) == len(systems), "what else is to be made safe"
+
+
+def test_where_all_are_killed_as_the_robot_of_another_experiment_is_stopped_its_systems_are_not_forgotten(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = of_velocities(experiment, Deserted(), monkeypatch)
+    file.begin("rosbridge://127.0.0.1:1", left(experiment), ["Lamp"])
+    kept: list[bool] = []
+    wait = Standby.wait
+
+    def look(self: Standby) -> None:
+        wait(self)
+        kept.append(file.left() is not None)
+
+    monkeypatch.setattr(Standby, "wait", look)
+    other = replace(experiment, folder=ExperimentFolder(experiment.folder.root.parent / "other"))
+    see_to_what_others_left(other, [experiment.folder.root], CLAIMED)
+    assert kept == [True]
 
 
 @pytest.mark.parametrize("claims", [["robot:domain 7"], ["serial:/dev/ttyUSB0"], []])
@@ -312,3 +376,32 @@ def test_a_line_that_was_written_by_half_takes_no_other_with_it(experiment: Expe
     found = file.left()
     assert found is not None
     assert (found.robot, found.commanded) == ("dds://alice", (("/alice/cmd_vel", "geometry_msgs/Twist"),))
+
+
+def test_a_commanded_topic_is_on_the_disk_before_anything_is_commanded_there(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flushed: list[str] = []
+    path = experiment.folder.to_make_safe
+    monkeypatch.setattr(os, "fsync", lambda _descriptor: flushed.append(path.read_text()))
+    file = SystemsFile(experiment.folder)
+    file.begin("dds://alice", left(experiment))
+    file.add_commanded("/alice/cmd_vel", "geometry_msgs/Twist")
+    assert flushed[-1] == path.read_text()
+    assert "/alice/cmd_vel" in flushed[-1]
+
+
+def test_a_package_that_fails_to_end_what_it_has_left_is_named_and_systems_are_made_safe_all_the_same(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError("the belt is stuck")
+
+    belt = EntryPoint("belt", "robot_runner.left_behind", "lab:belt", lambda: ("lab", "1"))
+    monkeypatch.setattr(EntryPoint, "load", lambda _self: fail)
+    monkeypatch.setattr(left_systems, "entry_points", lambda _group: [belt])
+    SystemsFile(experiment.folder).begin(None, left(experiment))
+    with pytest.raises(ExecutionError, match=r"it raised RuntimeError: the belt is stuck") as caught:
+        see_to_what_is_left(experiment)
+    assert "lab:belt" in caught.value.findings[0].where
+    assert made_safe(experiment) == "hall hall r_2 None"

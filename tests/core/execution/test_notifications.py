@@ -204,6 +204,8 @@ def test_a_server_that_hangs_holds_no_run_up_and_is_warned_of_once(
         ('Notify(url_from="a variable")', "'a variable' names no environment variable", True),
         ('Notify(on=["ende"])', "on holds 'ende'", True),
         ("Notify(every=0)", "every is 0", True),
+        ("Notify(on=3)", "on is 3", True),
+        ("Notify(url_from=3)", "url_from is 3", True),
         (f'"ntfy://{SECRET}"', "", True),
     ],
 )

@@ -225,6 +225,15 @@ def test_one_robot_is_refused_that_is_named_twice_over_two_links_or_addresses(
         assert told == ([problem] if robot else [])
 
 
+def test_a_whole_graph_and_a_robot_on_it_are_refused_as_robots_that_take_turns(
+    write_config: Callable[..., Path],
+) -> None:
+    head = HEAD.replace('"simulated://alice", "simulated://bob"', 'a="dds:domain=7", b="ros2:domain=7,namespace=alice"')
+    findings = prepare(write_config(head=head, table=TABLE), looks_at_graph=False).findings
+    told = [each.problem for each in findings if each.is_error and "includes" in each.problem]
+    assert told == ["a (domain 7) includes b (domain 7/alice), which two runs would drive at the same time"]
+
+
 @pytest.mark.parametrize(("warm_up", "told"), [("1", 1), ("2", 0), ('WarmUp(1, per="Speed")', 1)])
 def test_fewer_warm_up_runs_than_robots_are_a_warning(
     write_config: Callable[..., Path], warm_up: str, told: int

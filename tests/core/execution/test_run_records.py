@@ -13,7 +13,7 @@ import pytest
 from tests.waiting import PATIENCE
 
 from robot_runner.core.errors import ExecutionError
-from robot_runner.core.execution.run_records import FINISHED, RecordReader, RecordWriter
+from robot_runner.core.execution.run_records import FINISHED, RecordReader, RecordWriter, failure_fields
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has pipes that keep writes apart")
@@ -39,6 +39,12 @@ def test_what_a_run_publishes_in_its_evaluation_crosses_the_pipe_in_one_write_an
     assert arrived == [*published, (FINISHED, {})]
     os.close(writing)
     os.close(reading)
+
+
+def test_a_run_that_asks_its_user_is_told_who_asks_instead() -> None:
+    problem = failure_fields(EOFError("EOF when reading a line"))["problem"]
+    assert problem.startswith("EOFError: EOF when reading a line (nobody can type into a run: ")
+    assert "operator_steps" in problem
 
 
 def taken(report: RecordWriter, reading: int) -> list[tuple[str, dict[str, Any]]]:

@@ -11,12 +11,13 @@ import pytest
 from tests.conftest import TABLE
 
 from robot_runner.core.config.preparation import prepare_or_refuse
-from robot_runner.core.errors import ExecutionError
+from robot_runner.core.errors import ExecutionError, Severity
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.notices import ExperimentFinished, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.execution.recovered_table import TableOnDisk
+from robot_runner.core.execution.recovered_table import Deviation, TableOnDisk
 from robot_runner.core.execution.recovery import Resumption, TableChoice, TableDisagreementError
+from robot_runner.core.execution.table_deviations import ROW, deviation_findings
 from robot_runner.core.storage.journal import Journal, read_journal
 
 if TYPE_CHECKING:
@@ -113,6 +114,40 @@ def test_what_was_found_and_doubted_since_a_schema_was_written_is_taken_from_the
     path.write_text(json.dumps(older), encoding="utf-8") if is_there else path.unlink()
     resume(executed)
     assert text_of(path) == newer
+
+
+def test_a_manifest_that_is_made_anew_tells_what_was_changed_by_hand(execute: Execute) -> None:
+    executed = execute("run_process = RunProcess.IN_PROCESS" + COUNTING)
+    path, manifest = executed.folder / "run_table.csv", executed.folder / "manifest.json"
+    edited(executed, "Video,1,11", "Video,1,7.5")
+    heading, *rows = text_of(path).splitlines(keepends=True)
+    path.write_text("".join([heading, *reversed(rows)]), encoding="utf-8")
+    resume(executed, table=TableChoice.FILE)
+    before = json.loads(text_of(manifest))
+    assert before["design"]["is_reordered"]
+    manifest.unlink()
+    resume(executed)
+    after = json.loads(text_of(manifest))
+    cells = [
+        [(each["run"], each["column"], each["was"], each["is"]) for each in kept["table_deviations"]]
+        for kept in (before, after)
+    ]
+    assert cells[0] == cells[1]
+    assert after["design"] == before["design"]
+
+
+def test_the_end_of_an_interrupted_attempt_is_compared_with_no_row(execute: Execute) -> None:
+    executed = execute("run_process = RunProcess.IN_PROCESS" + COUNTING)
+    journal = executed.folder / "journal.jsonl"
+    records = text_of(journal).splitlines(keepends=True)
+    ends = [line.replace('"status":"done"', '"status":"interrupted"') for line in records if "attempt_finished" in line]
+    written = next(line for line in records if "table_written" in line)
+    journal.write_text("".join([*records, ends[0], written]), encoding="utf-8")
+    edited(executed, "r_1,Done", "r_1,-")
+    edited(executed, "Network,1,21", "Network,1,22")
+    with pytest.raises(TableDisagreementError) as refused:
+        resume(executed)
+    assert [finding.where.rpartition(", run ")[2] for finding in refused.value.findings] == ["r_2, column 'Energy'"]
 
 
 def test_everything_but_the_journal_may_be_lost_at_once(execute: Execute) -> None:
@@ -286,6 +321,13 @@ def test_where_one_cause_changed_many_cells_it_is_told_once(execute: Execute) ->
     assert finding.problem.startswith("6 runs have another value than the journal: r_1 has '11.0001' for '11', ")
 
 
+def test_many_rows_that_are_gone_are_told_once(tmp_path: Path) -> None:
+    gone = [Deviation(f"r_{number}", ROW, "done", "") for number in range(1, 8)]
+    (finding,) = deviation_findings(tmp_path / "run_table.csv", gone, Severity.ERROR, "Choose.")
+    problem = "7 runs were executed, and the table has no such runs any more: r_1, r_2, r_3 and 4 more"
+    assert (finding.problem, finding.fix) == (problem, "Choose.")
+
+
 @pytest.mark.long
 def test_rows_that_a_user_sorts_are_executed_in_that_order_and_told(execute: Execute) -> None:
     executed = execute("def populate_run_data(self): return {'Energy': 1}", table=SHUFFLED)
@@ -394,6 +436,18 @@ def test_a_run_whose_execution_once_more_was_killed_is_to_do_and_no_disagreement
     assert resume(executed).done_count == 4
     assert executed.journal("deviation") == []
     assert [each["attempt"] for each in executed.journal("attempt_finished") if each["run"] == "r_1"] == [1, 3]
+
+
+def test_a_killed_run_whose_row_counts_as_changed_by_hand_is_not_executed_again_later(execute: Execute) -> None:
+    executed = execute("run_process = RunProcess.IN_PROCESS" + COUNTING)
+    journal = executed.folder / "journal.jsonl"
+    begun = next(line for line in text_of(journal).splitlines(keepends=True) if "attempt_started" in line)
+    journal.write_text(text_of(journal) + begun, encoding="utf-8")
+    edited(executed, "Video,1,11", "Video,1,7.5")
+    for asked in ({"table": TableChoice.FILE}, {}):
+        assert resume(executed, **asked).done_count == 4
+        assert "Video,1,7.5\n" in text_of(executed.folder / "run_table.csv")
+    assert [record["attempt"] for record in executed.journal("attempt_finished") if record["run"] == "r_1"] == [1]
 
 
 @pytest.mark.parametrize("lines", [None, 1, "r_2"], ids=["missing", "its first line alone", "to the end of r_2"])

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -25,7 +25,7 @@ from robot_runner.core.links.ssh_command import KeptConnection
 from robot_runner.testing import FakeClock, make_context
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.links.host_commands import HostCommands
@@ -342,6 +342,38 @@ def test_a_run_that_is_killed_leaves_neither_command_nor_connection(
     wait_until(lambda: not is_alive(sleep(4)) and not is_alive(sleep(5)))
     config = str(host.ssh_config).encode()
     wait_until(lambda: not [words for words in command_lines() if words[0] == b"ssh" and config in words])
+
+
+def test_the_socket_of_a_run_that_was_killed_is_removed_by_the_next_connection_and_none_in_use(
+    server: SshServer, tmp_path: Path
+) -> None:
+    with ExitStack() as closing:
+        in_use, following = KeptConnection("robot", server.config), KeptConnection("robot", server.config)
+        closing.callback(in_use.close)
+        closing.callback(following.close)
+        ours, others = _socket_folder(in_use.command("true")), _socket_folders(server)
+        line = [sys.executable, "-c", KILLED, "robot", str(server.config), sleep(6)]
+        with subprocess.Popen(line, stdout=subprocess.PIPE, cwd=tmp_path) as process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == b"ready\n"
+            (left,) = _socket_folders(server) - others
+            assert left.is_dir()
+            process.kill()
+        its_own = _socket_folder(following.command("true"))
+        assert not left.exists()
+        assert in_use.is_connected()
+        assert following.is_connected()
+    assert not ours.exists()
+    assert not its_own.exists()
+
+
+def _socket_folders(server: SshServer) -> set[Path]:
+    masters = [list(map(os.fsdecode, words)) for words in command_lines() if b"-M" in words]
+    return {_socket_folder(words) for words in masters if str(server.config) in words}
+
+
+def _socket_folder(line: Sequence[str]) -> Path:
+    return Path(line[line.index("-S") + 1]).parent
 
 
 @pytest.mark.parametrize(

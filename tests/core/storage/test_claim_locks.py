@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from robot_runner.core.errors import ExecutionError, StorageError
-from robot_runner.core.storage.claim_locks import HeldClaims, claim_holders, state_folder
+from robot_runner.core.storage.claim_locks import HeldClaims, claim_holders, claiming_folders, state_folder
 
 HOLDING = """
 import sys, time
@@ -165,3 +165,46 @@ def test_a_whole_graph_and_a_robot_on_it_are_not_claimed_at_the_same_time() -> N
         with HeldClaims(["robot:ros2://bob", "robot:ros2://alic"], "third", Path("/results/third")):
             pass
         first.communicate()
+
+
+def _looked_at(claims: list[str], name: str, *, has_seen_to_it: bool = False) -> list[str]:
+    """Have an experiment claim something, and return of which others it has looked whether anything goes on."""
+    looked: list[str] = []
+    with HeldClaims(claims, name, Path(name), None, lambda root: bool(looked.append(root.name))) as held:
+        if has_seen_to_it:
+            held.forget_earlier()
+    return looked
+
+
+@pytest.mark.parametrize("claim", ["robot:domain 7/alice", "robot:domain 7"], ids=["the robot", "its whole graph"])
+def test_a_killed_experiment_is_looked_at_until_what_it_left_was_seen_to_whoever_is_refused_or_dies_before(
+    tmp_path: Path, claim: str
+) -> None:
+    killed = tmp_path / "killed"
+    killed.mkdir()
+    with HeldClaims(["robot:domain 7/alice"], "killed", killed):
+        pass
+    with subprocess.Popen([sys.executable, "-c", HOLDING], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as first:
+        assert first.stdout is not None
+        first.stdout.readline()
+        with pytest.raises(ExecutionError, match="serial:/dev/ttyUSB0 is in use"):
+            _looked_at([claim, "serial:/dev/ttyUSB0"], "refused")
+        first.communicate()
+    assert "killed" in _looked_at([claim], "dies")
+    assert killed in claiming_folders()
+
+
+def test_a_robot_is_refused_while_something_is_left_of_a_killed_experiment_that_had_its_whole_graph(
+    tmp_path: Path,
+) -> None:
+    _looked_at(["robot:domain 7"], "killed")
+    claims = HeldClaims(["robot:domain 7/alice"], "second", tmp_path / "second", None, Path("killed").__eq__)
+    with pytest.raises(ExecutionError, match="which is in use by what is left of the experiment 'killed'"), claims:
+        pass
+
+
+def test_of_what_was_seen_to_nothing_is_looked_at_any_more() -> None:
+    claims = ["robot:domain 7/alice"]
+    _looked_at(claims, "killed")
+    assert _looked_at(claims, "second", has_seen_to_it=True) == ["killed"]
+    assert _looked_at(claims, "third") == ["second"]

@@ -1,8 +1,9 @@
 from __future__ import annotations
 
+import os
 import resource
 import shutil
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -14,9 +15,6 @@ from robot_runner.core.storage import guarded_files
 from robot_runner.core.storage import journal as journal_file
 from robot_runner.core.storage.journal import Journal, read_journal, utc_now
 from robot_runner.core.storage.manifest import read_manifest, write_manifest
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_what_is_appended_is_read_back_in_order(tmp_path: Path) -> None:
@@ -57,6 +55,19 @@ def test_a_torn_line_longer_than_a_block_is_cut_off(tmp_path: Path) -> None:
     with Journal(path):
         pass
     assert path.read_bytes() == b'{"kind":"whole"}\n'
+
+
+def test_a_file_without_ends_of_lines_is_no_journal_and_stays_as_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(journal_file, "LINE_LIMIT", 100_000)
+    path = tmp_path / "journal.jsonl"
+    path.write_bytes(b"x" * 300_000)
+    with pytest.raises(StorageError, match="this is no journal: its last 131,072 bytes have no end of a line"):
+        Journal(path)
+    assert path.stat().st_size == 300_000
+    held = [os.path.realpath(each) for each in Path("/proc/self/fd").iterdir()]
+    assert str(path) not in held
 
 
 def test_only_the_kinds_asked_for_are_read(tmp_path: Path) -> None:

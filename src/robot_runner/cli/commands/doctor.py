@@ -38,7 +38,7 @@ from robot_runner.core.late_annotations import signature_of
 from robot_runner.core.links.connect import link_findings
 from robot_runner.core.links.kinds import installed_links
 from robot_runner.core.plugin import Circumstances, installed_plugins, load_plugin
-from robot_runner.core.storage.claim_locks import last_holders
+from robot_runner.core.storage.claim_locks import claiming_folders
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import enumerated, one_line
 
@@ -265,8 +265,8 @@ def _link(link: str) -> tuple[str, str, str]:
 
 def _left_moving() -> tuple[str, str, str]:
     """Tell of robots that experiments were killed with, of those that have claimed something last."""
-    holders = [(each.folder, ExperimentFolder.found_at(Path(each.folder))) for each in last_holders()]
-    found = [(where, each) for where, folder in holders for each in may_be_moving(folder)]
+    folders = map(ExperimentFolder.found_at, claiming_folders())
+    found = [(folder.root, each) for folder in folders for each in may_be_moving(folder)]
     if not found:
         return READY, "none has left a robot that may be moving", ""
     return BROKEN, "; ".join(f"{each.problem} ({where})" for where, each in found), found[0][1].fix

@@ -108,8 +108,10 @@ def _kept(trial: Trial, wanted: str | None) -> Path | None:
     try:
         return Path(shutil.copytree(trial.folder, wanted))
     except OSError as error:
+        # `copytree` tells of single files together: the first one says why.
+        reason = error.args[0][0][2] if isinstance(error, shutil.Error) else error.strerror
         fix = "Name another folder."
-        raise RobotRunnerError(f"the folder cannot be written: {error.strerror}", where=wanted, fix=fix) from error
+        raise RobotRunnerError(f"the folder cannot be written: {reason}", where=wanted, fix=fix) from error
 
 
 def _print(console: UserConsole, plugin: Plugin, trial: Trial, kept: Path | None) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from math import prod
@@ -19,7 +20,7 @@ from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 from robot_runner.core.events.measure import Measure
 from robot_runner.core.late_annotations import code_of, names_read_by
 from robot_runner.core.plugin import Circumstances, Plugin, refused_name
-from robot_runner.core.treatments import Treatment, bind, built_with, factors_of
+from robot_runner.core.treatments import Treatment, bind, built_with, factors_of, given_name
 
 T = TypeVar("T")
 
@@ -41,6 +42,12 @@ def gather_plugins(loaded: LoadedConfig, model: RunTableModel | None) -> tuple[t
     return tuple(built), [*findings, *misspelt, *_equal_names(loaded, built)]
 
 
+def unbuilt_names(loaded: LoadedConfig, built: Sequence[Plugin]) -> list[str]:
+    """Return the names of the plugins that a config lists and that could not be built."""
+    kept = set(map(id, built))
+    return [given_name(each) for each in _listed(loaded, []) if id(each) not in kept]
+
+
 def companions(parameters: Parameters, plugins: Sequence[Plugin]) -> tuple[tuple[Plugin, ...], list[Finding]]:
     """Return the plugins that packages add to those of a config (group `robot_runner.companions`), and findings.
 
@@ -57,17 +64,32 @@ def companions(parameters: Parameters, plugins: Sequence[Plugin]) -> tuple[tuple
     return tuple(added), findings
 
 
-def check_plugins(plugins: Sequence[Plugin], model: RunTableModel | None, robot: Any) -> list[Finding]:
-    """Return what each plugin finds missing; one with bound parameters is asked with each of their treatments."""
+def check_plugins(
+    plugins: Sequence[Plugin],
+    model: RunTableModel | None,
+    robot: Any,
+    robots: Sequence[str] = (),
+    unbuilt: Sequence[str] = (),
+) -> list[Finding]:
+    """Return what each plugin finds missing; one with bound parameters is asked with each of their treatments.
+
+    Args:
+        plugins: those that could be built.
+        model: the run table's; None where there is none.
+        robot: how it is reached.
+        robots: how each of several is.
+        unbuilt: the names of the config's other plugins, which are not missing.
+    """
     factors = {factor.name: factor.treatments for factor in model.factors} if model else {}
-    reached = robot if isinstance(robot, str) else None
+    listed = [*(each.name for each in plugins), *unbuilt]
+    around = Circumstances(robot if isinstance(robot, str) else None, factors, listed=listed, robots=robots)
     findings: list[Finding] = []
     for plugin in plugins:
         if model is not None and factors_of(plugin):
             planned = (run.combination for run in _some_of(model, factors_of(plugin)))
-            findings += _checked_with_each(plugin, plugins, planned, Circumstances(reached, factors))
+            findings += _checked_with_each(plugin, plugins, planned, around)
         else:
-            findings += asked(plugin.name, partial(plugin.check, Circumstances(reached, factors, tuple(plugins))))
+            findings += asked(plugin.name, partial(plugin.check, replace(around, plugins=tuple(plugins))))
     return findings
 
 
@@ -366,7 +388,7 @@ def _checked_with_each(
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code, which could be built a moment ago
             return [failed_check(plugin.name, error)]
         listed = [each.name for each in plugins]
-        own = Circumstances(circumstances.robot, circumstances.factors, (*others, built), listed)
+        own = replace(circumstances, plugins=(*others, built), listed=listed)
         return asked(built.name, partial(built.check, own))
 
     return _with_each(plugin, combinations, look)

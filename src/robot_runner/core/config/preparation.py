@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import permutations
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -27,7 +28,7 @@ from robot_runner.core.config.notify import check_notify
 from robot_runner.core.config.operator_checks import check_operator_steps
 from robot_runner.core.config.operator_steps import operator_measures
 from robot_runner.core.config.parameters import Parameters
-from robot_runner.core.config.plugin_checks import check_plugins, companions, gather_plugins
+from robot_runner.core.config.plugin_checks import check_plugins, companions, gather_plugins, unbuilt_names
 from robot_runner.core.config.registered_config import check_registration, registered
 from robot_runner.core.config.treatment_makers import maker_findings
 from robot_runner.core.design.batches import as_configured
@@ -103,15 +104,25 @@ def _link_findings(parameters: Parameters) -> Iterator[Finding]:
             f"{enumerated(looked_for)} would be looked for" if looked_for else "simulated and real robots take turns"
         )
         yield Finding.error("robot", problem, "Name robots of one kind, each by its own link.")
+    yield from _one_robot_twice(parameters.robots)
+
+
+def _one_robot_twice(robots: Mapping[str, str]) -> Iterator[Finding]:
+    """Yield which of the robots that take turns are one, or may be: a whole graph, and a robot of that."""
     reached: dict[str, list[str]] = {}
-    for name, link in parameters.robots.items():
-        with suppress(LinkError):  # that there is no such robot is told above
+    for name, link in robots.items():
+        with suppress(LinkError):  # that there is no such robot is told where it is looked for
             if not (is_simulated(link) or looks_for_robot(link)):
                 reached.setdefault(robot_on_graph(link), []).append(name)
     for robot, names in reached.items():
         if len(names) > 1:
             problem = f"{enumerated(names)} are one robot ({robot}), which two runs would drive at the same time"
             yield Finding.error("robot", problem, "Name each robot once.")
+    for whole, part in permutations(reached, 2):
+        if part.startswith(f"{whole}/"):
+            problem = f"{reached[whole][0]} ({whole}) includes {reached[part][0]} ({part})"
+            fix = "Name each robot by its namespace, or the graph alone."
+            yield Finding.error("robot", f"{problem}, which two runs would drive at the same time", fix)
 
 
 #: From a config file and what is set from outside to a config object; raises ConfigError.
@@ -268,13 +279,15 @@ def _robot_first(
     """
     if parameters is not None:
         yield from check_robot(loaded, parameters, plugins)
+    unbuilt = unbuilt_names(loaded, plugins)
     if parameters is not None and parameters.robots:
         yield from _cold_robots(len(parameters.robots), None if model is None else model.warm_up)
-        yield from _of_each(parameters.robots, lambda link: check_plugins(plugins, model, link))
+        links = parameters.links
+        yield from _of_each(parameters.robots, lambda link: check_plugins(plugins, model, link, links, unbuilt))
     elif not isinstance(robot, str):
-        yield from check_plugins(plugins, model, robot)
+        yield from check_plugins(plugins, model, robot, unbuilt=unbuilt)
     elif (meant := meant_robot(robot)) is not None:
-        found = check_plugins(plugins, model, meant)
+        found = check_plugins(plugins, model, meant, unbuilt=unbuilt)
         yield from found if parameters is None or parameters.cluster is None else map(_left_to_workers, found)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from collections.abc import Iterator
 from typing import Protocol
@@ -18,6 +19,8 @@ class _Named(Protocol):
 NamedColumn = str | _Named
 
 RUN_ID = "run_id"
+#: The ids that a run may have: its id names its folder.
+RUN_IDS = re.compile(r"\w[\w.-]{0,59}")
 STATUS = "status"
 #: Why a run is left out of the analysis; there once a run was ever excluded.
 EXCLUDED = "excluded"

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import repeat
 from typing import Any, Final
 
-from robot_runner.core.design.columns import NamedColumn, column_name
+from robot_runner.core.design.columns import RUN_IDS, NamedColumn, column_name
 from robot_runner.core.design.factor import Combination, Factor, factor_places
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder
 from robot_runner.core.design.run_table_model import RunTable, RunTableModel
 from robot_runner.core.errors import DesignError, Finding
-
-_RUN_ID = re.compile(r"\w[\w.-]{0,59}")  # it names the run's folder
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +21,7 @@ class ListedRun:
 
     Attributes:
         run_id: names the run in the table and its folder.
-        treatments: the treatment of each factor, by the factor's name.
+        treatments: one of each factor's own treatments, by the factor's name.
         repetition: which repetition of the combination it is, from 1.
 
     Example:
@@ -82,24 +79,11 @@ class ListedRunTableModel(RunTableModel):
 
 def _planned(factors: Sequence[Factor], runs: Sequence[ListedRun]) -> Iterator[PlannedRun]:
     places = factor_places(factor.name for factor in factors)
-    columns = [_own_treatments(factor, [run.treatments[factor.name] for run in runs]) for factor in factors]
+    columns = [[run.treatments[factor.name] for run in runs] for factor in factors]
     # Without factors, all runs have the same, empty combination.
     combinations = zip(*columns, strict=True) if columns else repeat(())
     for number, (run, treatments) in enumerate(zip(runs, combinations, strict=False), start=1):
         yield PlannedRun(run.run_id, number, Combination(places, treatments), run.repetition)
-
-
-def _own_treatments(factor: Factor, values: Sequence[Any]) -> list[Any]:
-    known = set(map(id, factor.treatments))  # most are the factor's own objects: these need no comparing
-    return [value if id(value) in known else _own(factor, value) for value in values]
-
-
-def _own(factor: Factor, value: Any) -> Any:
-    """Return the factor's own object for a treatment."""
-    place = factor.position_of(value)
-    if place is None:
-        raise DesignError(f"{value!r} is no treatment", where=f"factor {factor.name!r}", fix=factor.suggestion(value))
-    return factor.treatments[place]
 
 
 def run_findings(run_ids: Sequence[str]) -> Iterator[Finding]:
@@ -114,7 +98,7 @@ def run_findings(run_ids: Sequence[str]) -> Iterator[Finding]:
         if count > 1:
             yield Finding.error("run table", f"{count} runs have the id {run_id!r}", "Give each an id of its own.")
     for run_id in run_ids:
-        if not _RUN_ID.fullmatch(run_id):
+        if not RUN_IDS.fullmatch(run_id):
             fix = "Use letters, digits, '_', '-' and '.' (60 at most): it names the run's folder."
             yield Finding.error("run table", f"a run cannot have the id {run_id!r}", fix)
 

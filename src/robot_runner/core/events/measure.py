@@ -307,10 +307,6 @@ class MeasureColumns:
         added = (each for each in declared if each.owner == owner and each.name not in there)
         return MeasureColumns((*self.in_table, *added), declared)
 
-    def prepare(self) -> None:
-        """Build the index of columns, so that forked runs need not build it again."""
-        _ = self._by_owner
-
     def column_for(self, owner: str, name: object) -> MeasureColumn:
         """Return the column that `owner` means by `name`.
 

@@ -11,13 +11,15 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import fields, replace
 from pathlib import Path
 
 from robot_runner.core.config.claims import Claims, held_claims
 from robot_runner.core.config.experiment import Experiment
+from robot_runner.core.config.plugin_checks import failed_check
+from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import (
     ExecutionError,
     Finding,
@@ -28,6 +30,7 @@ from robot_runner.core.errors import (
 )
 from robot_runner.core.execution.left_over import (
     await_left_over,
+    end_left_over,
     go_on_elsewhere,
     has_locked,
     is_alive,
@@ -45,7 +48,7 @@ from robot_runner.core.plugin import System
 from robot_runner.core.storage.claim_locks import HeldClaims
 from robot_runner.core.storage.guarded_files import remove
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.lock import holder_of
+from robot_runner.core.storage.lock import ExperimentLock, holder_of
 from robot_runner.core.storage.lock_files import was_open_to_strangers
 from robot_runner.core.storage.shared_claims import may_be_one
 from robot_runner.core.treatments import bind
@@ -55,6 +58,8 @@ from robot_runner.core.words import enumerated
 _DYING = 5.0
 #: How often we look whether it has ended, s.
 _LOOK = 0.02
+#: The power may have failed before a command was on the disk.
+_TOLD_NOTHING = "no command of it is known, so that the robot was told nothing now"
 
 
 def see_to_what_is_left(experiment: Experiment) -> list[Finding]:
@@ -68,14 +73,16 @@ def see_to_what_is_left(experiment: Experiment) -> list[Finding]:
             to do it then.
     """
     folder = experiment.folder
-    found = [await_left_over(folder, experiment.parameters.grace_in_s), await_standby(folder)]
-    return [*(each for each in found if each is not None), *_made_safe_late(experiment)]
+    awaited = [await_left_over(folder, experiment.parameters.grace_in_s), await_standby(folder)]
+    found = [each for each in awaited if each is not None]
+    return _told([*found, *_ended_by_rooms(folder.root, lambda _: True), *_made_safe_late(experiment)])
 
 
 def see_to_what_others_left(experiment: Experiment, roots: Iterable[Path], claims: Iterable[str]) -> list[Finding]:
     """Have robots that killed executions of other experiments left moving stand still, before this one uses them.
 
-    Their systems are not known here: their own experiment's next execution makes them safe.
+    That is done, or told, once. Their systems are not known here: their own experiment's next execution makes them
+    safe.
 
     Args:
         experiment: that claims the robots by now.
@@ -86,34 +93,76 @@ def see_to_what_others_left(experiment: Experiment, roots: Iterable[Path], claim
         ExecutionError: a robot cannot be told to stand still.
     """
     ours, late, findings = [*claims], [], []
+
+    def may_command(robot: str) -> bool:
+        claim = _claim_of(robot)
+        return claim is not None and any(may_be_one(claim, each) for each in ours)
+
     for root in roots:
+        findings += _end_what_is_left(root, may_command)
         for slot, left in _left_in(ExperimentFolder.found_at(root)):
-            claim = _claim_of(left)
-            if claim is not None and any(may_be_one(claim, each) for each in ours):
-                late.append((_late_standby(experiment, slot, left, ()), slot, left))
+            if left.robot is not None and may_command(left.robot) and not left.is_told:
+                late.append((_late_standby(experiment, slot, left, (), is_for_all=False), slot, left))
     for standby, _, _ in late:
         standby.begin(None)
     for standby, slot, left in late:
         standby.wait()
         findings.append(_finding_of_other(standby, slot, left))
         standby.state.close()
+    return _told(findings)
+
+
+def _told(findings: list[Finding]) -> list[Finding]:
+    """Return them; but raise all of them where a robot may be moving, as nobody is told of the others again."""
     if any(each.is_error for each in findings):
         raise ExecutionError.of_findings(errors_first(findings))
     return findings
 
 
+def _ended_by_rooms(root: Path, may_command: Callable[[str], bool]) -> list[Finding]:
+    """Have rooms end what they have started for all runs of a killed execution, and stop robots that it commanded."""
+    found: list[Finding] = []
+    for point in entry_points("left_behind"):
+        try:
+            found += point.load()(root, may_command)
+        except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
+            found.append(failed_check(point.where, error, "it"))
+    return found
+
+
+def _end_what_is_left(root: Path, may_command: Callable[[str], bool]) -> list[Finding]:
+    """End what a killed execution of another experiment has left alive, where nobody is there who would."""
+    folder = ExperimentFolder.found_at(root)
+    if not folder.journal.exists():
+        return []
+    try:
+        with ExperimentLock(folder.lock):
+            killed = [pid for each in marked_folders(folder) for pid in end_left_over(each)]
+            findings = _ended_by_rooms(root, may_command)
+    except (ExecutionError, StorageError):  # it is executed again, and has ended that itself; or was removed
+        return []
+    if killed:
+        problem = f"an earlier execution was killed; what was left of it was killed: {', '.join(map(str, killed))}"
+        findings.insert(0, Finding.warning(str(root), problem))
+    return findings
+
+
 def _finding_of_other(standby: Standby, slot: ExperimentFolder, left: LeftSystems) -> Finding:
     where = f"{slot.root}: {left.run_id}"
+    SystemsFile(slot).leave(left)
     if standby.state.care is not Care.MADE_SAFE:
         reason = standby.state.reason or "the process that was to do it died"
         problem = f"{MAY_BE_MOVING}: {left.in_words}; it cannot be told to stand still now: {reason}"
         return Finding.error(where, problem, STOP_BY_HAND)
-    fix = "Look where it stands."
-    if left.systems:
-        systems = sorted(left.systems)
-        SystemsFile(slot).begin(left.robot, left.task, systems)  # they are still to be made safe
+    fix, systems = "Look where it stands.", sorted(left.systems)
+    if systems:
         fix = f"Look where it stands, and start that experiment again, which makes {enumerated(systems)} safe."
-    return Finding.warning(where, f"{left.in_words}; its robot was told to stand still now", fix)
+    done = f"its robot was told to stand still now{_as_far(standby.state.reason)}" if left.commanded else _TOLD_NOTHING
+    return Finding.warning(where, f"{left.in_words}; {done}", fix)
+
+
+def _as_far(reason: str) -> str:
+    return f", as far as it could be: {reason}" if reason else ""
 
 
 def _left_in(folder: ExperimentFolder) -> list[tuple[ExperimentFolder, LeftSystems]]:
@@ -139,8 +188,6 @@ def _made_safe_late(experiment: Experiment) -> list[Finding]:
             standby.state.close()
     for slot, _ in found:
         SystemsFile(slot).remove()
-    if any(each.is_error for each in findings):  # with what was done, as nobody is told of that again
-        raise ExecutionError.of_findings(errors_first(findings))
     return findings
 
 
@@ -157,7 +204,7 @@ def told_if_refused() -> Iterator[list[Finding]]:
 
 def _refused(experiment: Experiment, left: LeftSystems, held: ExitStack) -> Finding | None:
     """Return who uses the robot of that run by now; else claim it, where this execution has not."""
-    claim = _claim_of(left)
+    claim = None if left.robot is None else _claim_of(left.robot)
     if claim is None:
         return None
     ours = held_claims(Claims(experiment.parameters, experiment.plugins, experiment.events), experiment.model)
@@ -172,22 +219,25 @@ def _refused(experiment: Experiment, left: LeftSystems, held: ExitStack) -> Find
     return None
 
 
-def _claim_of(left: LeftSystems) -> str | None:
-    """Return what tells the robot of a run from others; None where it is none that is shared."""
-    if left.robot is None or is_simulated(left.robot):
-        return None
+def _claim_of(robot: str) -> str | None:
+    """Return what tells a robot from others; None where it is none that is shared."""
     with suppress(LinkError):  # one that cannot be reached at all says so as it is made safe
-        return f"robot:{robot_on_graph(left.robot)}"
+        return None if is_simulated(robot) else f"robot:{robot_on_graph(robot)}"
     return None
 
 
 def _late_standby(
-    experiment: Experiment, slot: ExperimentFolder, left: LeftSystems, systems: Sequence[System]
+    experiment: Experiment,
+    slot: ExperimentFolder,
+    left: LeftSystems,
+    systems: Sequence[System],
+    *,
+    is_for_all: bool = True,
 ) -> Standby:
     """Return who makes systems safe that a run has left, and its robot stand still, with its treatments."""
     of_run = replace(experiment, folder=slot, parameters=experiment.parameters.but(robot=left.robot))
     task = _task_of(experiment, left)
-    standby = Standby(systems, of_run, task)
+    standby = Standby(systems, of_run, task, is_for_all=is_for_all)
     for each in standby.systems:
         with suppress(Exception):  # one that cannot be built then says in its `make_safe` what it lacks
             bind(each, task.combination)
@@ -213,10 +263,8 @@ def _finding(standby: Standby, left: LeftSystems) -> Finding:
     reason = standby.state.reason
     gone = left.systems.difference(each.name for each in standby.systems)
     if standby.state.care is Care.MADE_SAFE and not gone:
-        done = f"{left.in_words}; that was done now{f', as far as it could be: {reason}' if reason else ''}"
-        if not left.commanded and not standby.systems:  # the power may have failed before one was on the disk
-            done = f"{left.in_words}; no command of it is known, so that the robot was told nothing now"
-        return Finding.warning(left.run_id, done, "Look where the robot stands.")
+        done = f"that was done now{_as_far(reason)}" if left.commanded or standby.systems else _TOLD_NOTHING
+        return Finding.warning(left.run_id, f"{left.in_words}; {done}", "Look where the robot stands.")
     if gone:
         reason = f"the config has no {enumerated(sorted(gone))} any more"
     reason = reason or "the process that was to do it died"
@@ -227,25 +275,30 @@ def _finding(standby: Standby, left: LeftSystems) -> Finding:
 def may_be_moving(folder: ExperimentFolder) -> list[Finding]:
     """Return that a robot may be moving, for each run that was killed with all who would have made its systems safe."""
     left = [each for _, each in _left_in(folder)]
-    if not left or holder_of(folder.lock) is not None or goes_on(folder.root):
+    if not left or holder_of(folder.lock) is not None or goes_on(folder.root, counts_orphans=False):
         return []
     fix = "Start the experiment again, which does it before anything else, or stop it by hand."
     return [Finding.warning(each.run_id, f"{MAY_BE_MOVING}: {each.in_words}", fix) for each in left]
 
 
-def goes_on(root: Path) -> bool:
+def goes_on(root: Path, *, counts_orphans: bool = True) -> bool:
     """Return whether anything goes on of an experiment that nobody executes.
 
     That is a run, here or on another machine, or what was done beside the runs; software under test; or who makes
     systems safe.
+
+    Args:
+        root: the folder of the experiment.
+        counts_orphans: whether that is also so where programs alone are left of a run, with nobody who ends them.
     """
     folder = ExperimentFolder.found_at(root)
     with suppress(OSError, StorageError):  # of a folder that cannot be looked at, that is not known
         if holder_of(folder.lock):
             return False
         marked = marked_folders(folder)
-        is_here = any(is_alive(each) or locked_by(each) is not None or left_over(each) for each in marked)
-        return is_here or is_subject_left(folder) or go_on_elsewhere(folder)
+        is_here = any(is_alive(each) or locked_by(each) is not None for each in marked)
+        is_left = counts_orphans and any(map(left_over, marked))
+        return is_here or is_left or is_subject_left(folder) or go_on_elsewhere(folder)
     return False
 
 

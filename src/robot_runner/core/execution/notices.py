@@ -126,11 +126,6 @@ class WaitingForUser:
     runs_left: int | None = None
     left: TimeLeft | None = None
 
-    @property
-    def is_warm_up(self) -> bool:
-        """Whether the next run is a warm-up run."""
-        return self.repetition == 0
-
 
 @dataclass(frozen=True, slots=True)
 class QuestionAsked:

@@ -108,7 +108,7 @@ def execute_experiment(
 
     def is_at_work(root: Path) -> bool:
         earlier[root] = None
-        return goes_on(root)
+        return goes_on(root, counts_orphans=False)  # those are ended, see below
 
     with (
         Interruption() as interruption,
@@ -117,6 +117,7 @@ def execute_experiment(
     ):
         with told_if_refused() as seen_to:
             seen_to.extend(see_to_what_others_left(experiment, earlier, held))
+            holding.forget_earlier()
             progress = ProgressManager(experiment, resumption, probe if probed else None, prepare)
             opened.enter_context(progress)
         told = (*findings, *holding.findings, *seen_to)

@@ -14,7 +14,7 @@ from typing import Any, Self
 
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.design.watched_combination import WatchedCombination
-from robot_runner.core.errors import ExecutionError, Finding
+from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.events.context import ExperimentContext, ExperimentEnd, NextRun, RobotRunnerContext, SystemClock
 from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.events.manager import CallbackFailure, Emission, RobotRunnerEvents
@@ -195,8 +195,11 @@ class OrchestratorEvents:
     def emit_to_experiment(self, event: RobotRunnerEvents, ended: ExperimentEnd | None = None) -> list[object]:
         """Emit an event of the whole experiment; returns what each callback returned.
 
+        `after_experiment` comes also where the folder cannot be written any more: what was opened is closed.
+
         Raises:
             ExecutionError: a callback raised, or took too long.
+            StorageError: the event cannot be taken down.
         """
         context = ExperimentContext(
             experiment_name=self._experiment.parameters.experiment_name,
@@ -205,8 +208,16 @@ class OrchestratorEvents:
             seed=self._progress.seed,
             ended=ended,
         )
-        self._progress.note("event", event=event.value)
+        untold: StorageError | None = None
+        try:
+            self._progress.note("event", event=event.value)
+        except StorageError as error:
+            if event is not RobotRunnerEvents.AFTER_EXPERIMENT:
+                raise
+            untold = error
         emission = self._emit(event, lambda _: context)
+        if untold is not None:
+            raise untold
         for failure in emission.failures:
             if isinstance(failure.error, RunInterrupted):
                 break

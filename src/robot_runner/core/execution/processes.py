@@ -19,15 +19,20 @@ from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.run_records import FINISHED, failure_fields
 from robot_runner.core.execution.task import Report
 from robot_runner.core.storage.masked_log import MaskedText
-from robot_runner.core.storage.outliving import is_spared, process_stat, processes
+from robot_runner.core.storage.outliving import (
+    GROUP,
+    PARENT,
+    SESSION,
+    is_alive,
+    is_spared,
+    process_stat,
+    processes,
+)
 
 #: Where nothing wakes us, we look this often, in seconds.
 _LOOK = 0.02
 #: A poll cannot wait longer than 24 days, s.
 _A_DAY = 86_400.0
-
-# Fields of /proc/<pid>/stat behind the program's name.
-_PARENT, _GROUP, _SESSION = 1, 2, 3
 
 # From <linux/prctl.h>; Python's library has no prctl.
 _PR_SET_PDEATHSIG = 1
@@ -168,7 +173,7 @@ def has_children() -> bool:
 def children() -> Iterator[int]:
     """Return the ids of this process's children, of adopted ones too; of none where there is no /proc (macOS)."""
     own = str(os.getpid())
-    return (pid for pid in processes() if process_stat(pid)[_PARENT:_GROUP] == [own])
+    return (pid for pid in processes() if process_stat(pid)[PARENT:GROUP] == [own])
 
 
 def group_ended(leader: int, grace: float, spared: Callable[[], frozenset[int]]) -> Iterator[float]:
@@ -198,7 +203,7 @@ def kill_group(leader: int, spared: Callable[[], frozenset[int]]) -> None:
             os.killpg(leader, signal.SIGKILL)
             return
         for pid in processes():
-            if process_stat(pid)[_GROUP:_SESSION] == [str(leader)] and not is_spared(pid, going_on):
+            if process_stat(pid)[GROUP:SESSION] == [str(leader)] and not is_spared(pid, going_on):
                 is_killed(pid)
 
 
@@ -224,18 +229,14 @@ def ends(pid: int, seconds: float | None = None) -> bool:
         os.close(descriptor)
         return has_ended
     deadline = None if seconds is None else time.monotonic() + seconds
-    while _is_alive(pid):  # macOS
+    while _goes_on(pid):  # macOS
         if deadline is not None and time.monotonic() >= deadline:
             return False
         time.sleep(_LOOK)
     return True
 
 
-def _is_alive(pid: int) -> bool:
+def _goes_on(pid: int) -> bool:
     with suppress(ChildProcessError):
         return os.waitpid(pid, os.WNOHANG) == (0, 0)
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return True
+    return is_alive(pid)

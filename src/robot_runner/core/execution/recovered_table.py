@@ -35,10 +35,7 @@ ATTEMPT_FINISHED = b'{"kind":"attempt_finished"'
 _TABLE_WRITTEN = b'{"kind":"table_written"'
 _EXCLUSION = tuple(f'{{"kind":"{kind}"'.encode() for kind in EXCLUSION_KINDS)
 _FINDING = b'{"kind":"finding"'
-_DEVIATION = b'{"kind":"deviation"'
-_KINDS = EXCLUSION_KINDS | {
-    *("experiment_started", "attempt_started", "attempt_finished", "table_written", "finding", "deviation"),
-}
+_KINDS = EXCLUSION_KINDS | {"experiment_started", "attempt_started", "attempt_finished", "table_written", "finding"}
 # Quotes inside a text are escaped: these stand nowhere else.
 _IS_DONE, _IS_INTERRUPTED, _HAS_DOUBTS = b'"status":"done"', b'"status":"interrupted"', b'"doubts":['
 
@@ -99,12 +96,13 @@ class TableHistory:
             self.written = str(parsed_record(journal, line).get("sha256", ""))
             self.newer.clear()
         elif line.startswith(_EXCLUSION):
-            self.excluded.take(parsed_record(journal, line))
+            record = parsed_record(journal, line)
+            self.excluded.take(record)
+            if record["kind"] == "deviation":  # the row counts as somebody has changed it
+                self.begun.discard(record["run"])
         elif line.startswith(_FINDING):
             found = parsed_record(journal, line)
             self.doubts[found["owner"]].add(f"{found.get('run')}: {found['problem']}")
-        elif line.startswith(_DEVIATION):
-            self.begun.discard(run_of(journal, line))  # the row counts as somebody has changed it
         else:
             run_id = run_of(journal, line)
             self.open.pop(run_id, None)

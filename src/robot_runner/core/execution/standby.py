@@ -59,17 +59,21 @@ class Standby:
         systems: of the run; they have a `make_safe` of their own.
         experiment: of the run; who executes it next waits for this process.
         task: the run.
+        is_for_all: whether nothing of the run is to be made safe but these systems, and its robot.
 
     Attributes:
         systems: that are made safe.
         state: what its processes tell each other.
     """
 
-    def __init__(self, systems: Sequence[System], experiment: Experiment, task: RunTask) -> None:
+    def __init__(
+        self, systems: Sequence[System], experiment: Experiment, task: RunTask, *, is_for_all: bool = True
+    ) -> None:
         # One with bound parameters is built again, in its place, for a run that begins beside this one.
         self.systems = [shallow_copy(each) if factors_of(each) else each for each in systems]
         self._experiment = experiment
         self._task = task
+        self._is_for_all = is_for_all
         self._pid = 0
         self.state = SystemsState()
 
@@ -172,7 +176,8 @@ class Standby:
             self.state.set(Care.OUT_OF_REACH, failure_fields(error)["problem"])
         else:
             names = enumerated(sorted(unheard))
-            SystemsFile(self._experiment.folder).remove()  # first: the next run may begin once it is known
+            if self._is_for_all:
+                SystemsFile(self._experiment.folder).remove()  # first: the next run may begin once it is known
             self.state.set(Care.MADE_SAFE, f"nobody subscribes to {names} any more" if unheard else "")
 
     def _make_safe_anew(self, deadline: float) -> list[str]:

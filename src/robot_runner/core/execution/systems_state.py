@@ -14,11 +14,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from robot_runner.core.errors import StorageError
 from robot_runner.core.links.commanded_topics import VELOCITIES
-from robot_runner.core.storage.guarded_files import open_to_append, open_to_fill, read_text, remove
+from robot_runner.core.storage.guarded_files import open_to_append, open_to_fill, read_text, remove, replace
 from robot_runner.core.storage.journal import journal_lines
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.system_refusals import fsync_file
@@ -100,6 +100,7 @@ class LeftSystems:
         task: the run, as plain data (`worker.described_task`).
         commanded: the full name and the type of each topic on which it has commanded a velocity.
         systems: the names of those that have a `make_safe` of their own.
+        is_told: whether its robot was told to stand still since, or a person to stop it.
     """
 
     run_id: str
@@ -107,6 +108,7 @@ class LeftSystems:
     task: Mapping[str, Any]
     commanded: tuple[tuple[str, str], ...]
     systems: frozenset[str]
+    is_told: bool = False
 
     @property
     def in_words(self) -> str:
@@ -130,16 +132,28 @@ class SystemsFile:
 
     def begin(self, robot: str | None, task: Mapping[str, Any], systems: Sequence[str] = ()) -> None:
         """Say, in the run, that its systems are about to be used, and have it reach the disk."""
-        told = {"robot": robot, "systems": systems, "folder": str(self._root.absolute()), "task": task}
         with suppress(OSError, StorageError), open_to_fill(self._path, self._root) as file:
-            file.write(f"{json.dumps(told, default=str)}\n".encode())
+            file.write(self._line(robot, task, systems).encode())
             file.flush()
             fsync_file(file.fileno())
 
+    def leave(self, left: LeftSystems) -> None:
+        """Say that its systems alone are to be made safe yet, as its robot was told, or a person; see `is_told`."""
+        with suppress(StorageError):
+            if left.systems:
+                replace(self._path, self._line(left.robot, left.task, sorted(left.systems), is_told=True), self._root)
+            else:
+                remove(self._path, self._root)
+
+    def _line(self, robot: str | None, task: Mapping[str, Any], systems: Sequence[str], **more: object) -> str:
+        told = {"robot": robot, "systems": systems, "folder": str(self._root.absolute()), "task": task, **more}
+        return f"{json.dumps(told, default=str)}\n"
+
     def add_commanded(self, topic: str, message_type: str) -> None:
-        """Say, in the run, that velocities will be commanded on a topic."""
+        """Say, in the run, that velocities will be commanded on a topic, and have it reach the disk."""
         with suppress(OSError, StorageError), open_to_append(self._path, self._root) as file:
             file.write(f"{json.dumps({'topic': topic, 'type': message_type})}\n".encode())
+            fsync_file(file.fileno())
 
     def remove(self) -> None:
         """Say that they are safe, or that a person was told that they are not."""
@@ -155,10 +169,10 @@ class SystemsFile:
             case {"robot": str() | None as robot, "task": {"run_id": str(run_id)} as task}:
                 topics = ((line.get("topic"), line.get("type")) for line in lines)
                 # Nothing else: an empty message of another type may have a robot do something.
-                commanded = ((topic, kind) for topic, kind in topics if isinstance(topic, str) and kind in _STOPPED)
+                commanded = ((topic, kind) for topic, kind in topics if _is_name(topic) and kind in _STOPPED)
                 names = told if isinstance(told := lines[0].get("systems"), list) else []
                 systems = frozenset(each for each in names if isinstance(each, str))
-                return LeftSystems(run_id, robot, task, tuple(commanded), systems)
+                return LeftSystems(run_id, robot, task, tuple(commanded), systems, lines[0].get("is_told") is True)
         return None
 
     def _is_copied_from(self, folder: object) -> bool:
@@ -174,3 +188,8 @@ class SystemsFile:
             for line in read_text(self._path, self._root).splitlines():
                 if isinstance(read := json.loads(line), dict):
                     yield read
+
+
+def _is_name(topic: object) -> TypeGuard[str]:
+    """Whether it can be a topic's name: processes tell each other of each in a line, its type behind it."""
+    return isinstance(topic, str) and topic.isascii() and topic.isprintable() and " " not in topic

@@ -35,6 +35,7 @@ from robot_runner.core.execution.systems_state import Care, SystemsFile, Systems
 from robot_runner.core.execution.task import RunTask
 from robot_runner.core.links.commanded_topics import hear_commanded
 from robot_runner.core.storage.layout import print_to_log
+from robot_runner.core.storage.shared_claims import held_against_users, hold_inherited
 from robot_runner.core.treatments import bind
 
 _MODULE = "robot_runner.core.execution.worker"
@@ -55,7 +56,8 @@ def become_interpreter(
     for number in STOP_SIGNALS:  # until the interpreter listens there is nothing to close: it may simply end
         signal.signal(number, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
-    inherited = [report.descriptor, *([] if systems is None else [systems.descriptor])]
+    claims = held_against_users()
+    inherited = [report.descriptor, *([] if systems is None else [systems.descriptor]), *claims]
     for descriptor in inherited:
         os.set_inheritable(descriptor, True)  # noqa: FBT003 - the system's own signature
     description = {
@@ -70,6 +72,7 @@ def become_interpreter(
         "revisions": describe_revisions(experiment.model.factors),
         "records": report.descriptor,
         "systems": None if systems is None else systems.descriptor,
+        "claims": claims,
     }
     # Not as an argument: what was shared may be longer than the system takes, and others see arguments.
     # In the experiment's folder, which can be written in any case: it has no name there.
@@ -115,6 +118,7 @@ def _kept(systems: SystemsState, experiment: Experiment, task: RunTask) -> Itera
 
 
 def _execute_described(description: Mapping[str, Any], report: RecordWriter) -> None:
+    hold_inherited(description["claims"])
     experiment = prepare_or_refuse(Path(description["config"]), description["set"], looks_at_graph=False)
     restore_revisions(experiment.model.factors, description["revisions"])
     task = task_of(experiment, description["task"])

@@ -87,7 +87,7 @@ def _unpack_member(tar: tarfile.TarFile, name: str, held: tarfile.TarInfo, folde
     else:
         target = folder.joinpath(*parts)
         try:
-            _write(source, target, folder, held.size)
+            _write(source, target, folder)
             with suppress(OverflowError, ValueError):  # an archive may say anything
                 os.utime(target, (held.mtime, held.mtime))  # when it was written there
         except OSError as error:
@@ -98,7 +98,7 @@ def _unpack_member(tar: tarfile.TarFile, name: str, held: tarfile.TarInfo, folde
     return True
 
 
-def _write(source: IO[bytes], target: Path, folder: Path, size: int) -> None:
+def _write(source: IO[bytes], target: Path, folder: Path) -> None:
     """Write beside and rename, so that a file is whole or not there; a link that stands on the way is replaced."""
     for above in _between(folder, target.parent):
         if above.is_symlink():
@@ -110,8 +110,6 @@ def _write(source: IO[bytes], target: Path, folder: Path, size: int) -> None:
         descriptor = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, _MODE)
         with os.fdopen(descriptor, "wb") as file:
             shutil.copyfileobj(source, file)
-            if file.tell() < size:
-                raise EOFError(f"{target} is cut off")
         beside.replace(target)
     finally:
         beside.unlink(missing_ok=True)

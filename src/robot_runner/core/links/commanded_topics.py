@@ -68,7 +68,7 @@ def keep_commanding_zero(link: RobotLink, commanded: Sequence[tuple[str, str]]) 
             other from being told to the end; what fails at all of them is raised at once.
     """
     began = time.monotonic()
-    while commanded:
+    while True:
         time.sleep(_PERIOD)
         seconds = time.monotonic() - began
         empty: list[str] = []
@@ -95,7 +95,6 @@ def keep_commanding_zero(link: RobotLink, commanded: Sequence[tuple[str, str]]) 
             raise _not_reached(missed[0], seconds)
         if is_over:
             return empty
-    return []
 
 
 def command_for_certain(link: RobotLink, topic: str, message_type: str, message: Message) -> None:

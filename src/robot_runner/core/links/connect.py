@@ -218,9 +218,22 @@ def robot_on_graph(robot: str) -> str:
     """
     if looks_for_robot(robot):
         return robot
+    return f"{graph_of_robot(robot)}{namespace_prefix(resolved_robot(robot)[1].namespace)}"
+
+
+def graph_of_robot(robot: str) -> str:
+    """Return what tells the graph of a robot from others, whichever of the robots there it is.
+
+    Raises:
+        LinkError: there is no such link, or no robot was found.
+
+    Example:
+        >>> graph_of_robot("dds:namespace=alice,domain=7") == graph_of_robot("ros2:domain=7")
+        True
+    """
     kind, name = resolved_robot(robot)
     graph = kind.graph_of(name) if isinstance(kind, kinds.TellsGraphs) else name.graph
-    return f"{graph.rstrip('/')}{namespace_prefix(name.namespace)}"
+    return graph.rstrip("/")
 
 
 def graph_variables(robot: str | None, *, is_here: bool = True) -> Mapping[str, str]:

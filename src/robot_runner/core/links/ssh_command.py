@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 import shutil
 import subprocess
 import tempfile
@@ -154,6 +156,9 @@ _ANSWERING = 5.0
 _POLL = 0.01
 #: Keeps the session open until our end of its input is closed, which the system does for a process that was killed.
 _HOLD = "cat >/dev/null"
+#: Where sockets are, in folders that begin so: not where TMPDIR says, as the path of one may have some hundred
+#: characters at most.
+_SOCKETS, _PREFIX = Path("/tmp"), "robot-runner-ssh-"  # noqa: S108 - each is its owner's alone
 
 
 class KeptConnection:
@@ -165,7 +170,7 @@ class KeptConnection:
     def __init__(self, host: str, config: Path | None) -> None:
         self._host = host
         self._config = config
-        self._folder: Path | None = None
+        self._folder: _SocketFolder | None = None
         self._master: subprocess.Popen[bytes] | None = None
         self._said: IO[bytes] | None = None
         self._lock = threading.Lock()
@@ -202,11 +207,11 @@ class KeptConnection:
 
     def _line(self, remote: str, *options: str) -> list[str]:
         program, *rest = ssh_command(self._host, remote, config=self._config)
-        return [program, "-S", f"{self._folder}/ssh", *options, *rest]
+        socket = "none" if self._folder is None else str(self._folder.socket)
+        return [program, "-S", socket, *options, *rest]
 
     def _connect(self, seconds: float) -> None:
-        # Not where TMPDIR says: the path of a socket may have some hundred characters at most.
-        self._folder = Path(tempfile.mkdtemp(prefix="robot-runner-", dir="/tmp"))
+        self._folder = folder = _SocketFolder()
         self._said = tempfile.TemporaryFile()  # noqa: SIM115 - as long as the connection
         try:
             self._master = subprocess.Popen(  # noqa: S603 - an argument list; the host's name was checked
@@ -219,7 +224,7 @@ class KeptConnection:
         except OSError as error:
             self._close()
             raise self._unreachable(f"ssh cannot be started: {error}") from error
-        self._await(self._folder / "ssh", seconds)
+        self._await(folder.socket, seconds)
 
     def _await(self, socket: Path, seconds: float) -> None:
         deadline = time.monotonic() + seconds
@@ -259,5 +264,45 @@ class KeptConnection:
             self._said.close()
             self._said = None
         if self._folder is not None:
-            shutil.rmtree(self._folder, ignore_errors=True)
+            self._folder.remove()
             self._folder = None
+
+
+class _SocketFolder:
+    """A folder for the socket of a connection, locked for as long as its process lives.
+
+    A process that is killed leaves its folder; who makes one removes those that nobody has locked.
+
+    Attributes:
+        socket: the path of the socket.
+    """
+
+    def __init__(self) -> None:
+        for left in _SOCKETS.glob(f"{_PREFIX}*"):
+            _remove_left(left)
+        while True:
+            self._path = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=_SOCKETS))
+            self._descriptor = os.open(self._path, os.O_RDONLY)
+            with suppress(OSError):  # no locks there: then nobody removes one that is left, either
+                fcntl.flock(self._descriptor, fcntl.LOCK_SH)
+            if self._path.exists():  # else it was taken for one that was left, before it was locked
+                break
+            os.close(self._descriptor)
+        self.socket = self._path / "ssh"
+
+    def remove(self) -> None:
+        """Remove it."""
+        shutil.rmtree(self._path, ignore_errors=True)
+        os.close(self._descriptor)
+
+
+def _remove_left(folder: Path) -> None:
+    """Remove a folder of this user's that no process has locked."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        try:
+            if os.fstat(descriptor).st_uid == os.geteuid():
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(folder)
+        finally:
+            os.close(descriptor)

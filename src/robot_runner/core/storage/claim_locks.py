@@ -30,6 +30,8 @@ from robot_runner.core.storage.system_refusals import storage_error
 
 #: How often a file is tried that nobody holds and somebody merely looks at, and how long to wait between, s.
 _TRIES, _BETWEEN = 50, 0.01
+#: So many folders are remembered of experiments that have perhaps left something.
+_MOST_EARLIER = 16
 _HAVE_IT_WAIT = (
     "Have this one wait: `robot-runner queue add`, or `run --wait`; or end the other with Ctrl-C in its terminal."
 )
@@ -52,16 +54,29 @@ def state_folder(name: str) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class ClaimHolder:
-    """Who has claimed something: the experiment, its folder, its process, and since when (UTC)."""
+    """Who has claimed something: the experiment, its folder, its process, and since when (UTC).
+
+    Attributes:
+        before: the folders of those who had it before, and have perhaps left something that nobody has seen to yet.
+    """
 
     experiment: str = "another one"
     folder: str = "a folder that is not known"
     pid: int = 0
     since: str = "a moment ago"
+    before: Sequence[str] = ()
 
     def in_words(self) -> str:
         """Return the same as a user reads it."""
         return f"the experiment {self.experiment!r} in {self.folder} (process {self.pid}, since {self.since})"
+
+    def left_in_words(self, root: str) -> str:
+        """Return the same of what was killed in one of its folders."""
+        return self.in_words() if root == self.folder else f"an experiment in {root}"
+
+    def roots_but(self, own: str) -> list[str]:
+        """Return the folders of experiments that were killed, perhaps, while they had it, but for that one."""
+        return [each for each in dict.fromkeys((self.folder, *self.before)) if each != own]
 
 
 def claim_holders(claims: Collection[str]) -> dict[str, ClaimHolder]:
@@ -69,32 +84,33 @@ def claim_holders(claims: Collection[str]) -> dict[str, ClaimHolder]:
     found: dict[str, ClaimHolder] = {}
     for claim in sorted(claims):
         with suppress(StorageError, OSError):
-            path = _path_of(claim)
-            descriptor = open_descriptor(path, path.parent, os.O_RDONLY)
-            try:
-                if not _locked(descriptor, fcntl.LOCK_SH):
-                    found[claim] = _holder(descriptor)
-            finally:
-                os.close(descriptor)
+            holder, is_held = _looked_at(_path_of(claim))
+            if is_held:
+                found[claim] = holder
     return found
 
 
-def last_holders() -> list[ClaimHolder]:
-    """Return which experiments have claimed something last, one for each folder; nothing is changed by asking.
+def claiming_folders() -> list[Path]:
+    """Return the folders of the experiments that have claimed something last; nothing is changed by asking.
 
     Raises:
         StorageError: the user has no home folder, as in some containers.
     """
-    found: dict[str, ClaimHolder] = {}
+    found: dict[str, None] = {}
     for path in _files():
         with suppress(StorageError, OSError):
-            descriptor = open_descriptor(path, path.parent, os.O_RDONLY)
-            try:
-                holder = _holder(descriptor)
-            finally:
-                os.close(descriptor)
-            found[holder.folder] = holder
-    return list(found.values())
+            found.update(dict.fromkeys(_looked_at(path)[0].roots_but("")))
+    return [*map(Path, found)]
+
+
+def _looked_at(path: Path) -> tuple[ClaimHolder, bool]:
+    """Return who has a claim, or had it last, and whether somebody has it now."""
+    descriptor = open_descriptor(path, path.parent, os.O_RDONLY)
+    try:
+        is_held = not _locked(descriptor, fcntl.LOCK_SH)
+        return _holder(descriptor), is_held
+    finally:
+        os.close(descriptor)
 
 
 class HeldClaims:
@@ -129,6 +145,7 @@ class HeldClaims:
         self._wait = wait
         self._goes_on = goes_on
         self._held = ExitStack()
+        self._descriptors: list[int] = []
         self.findings: list[Finding] = []
 
     def __enter__(self) -> Self:
@@ -141,9 +158,15 @@ class HeldClaims:
     def __exit__(self, *raised: object) -> None:
         self._held.close()
 
+    def forget_earlier(self) -> None:
+        """Say that what killed experiments have left was seen to: whoever claims the same next need not look at it."""
+        for descriptor in self._descriptors:
+            self._sign(descriptor, ())
+
     def _take_all(self) -> list[Finding]:
         """Take all claims, or none: then return who has those that are in use."""
         self.findings.clear()
+        self._descriptors.clear()
         with ExitStack() as opened:
             refusals = [finding for claim in self._claims for finding in self._hold(claim, opened)]
             refusals += self._overlapping()
@@ -157,14 +180,25 @@ class HeldClaims:
         names: set[str] = set()
         with suppress(StorageError):  # of a user without a home folder: told where a claim is to be held
             names.update(unquote(path.name) for path in _files())
-        names.difference_update(self._claims)
-        for other, holder in claim_holders([each for each in names if self._overlap(each)]).items():
-            for claim in filter(partial(may_be_one, other), self._claims):
-                problem = f"{claim} may be one robot with {other}, which is in use by {holder.in_words()}"
-                yield Finding.error("claims", problem, _HAVE_IT_WAIT)
+        for other in sorted(names.difference(self._claims)):
+            claims = [*filter(partial(may_be_one, other), self._claims)]
+            with suppress(StorageError, OSError):
+                who, fix = self._who_has(other) if claims else ("", "")
+                for claim in claims if who else ():
+                    problem = f"{claim} may be one robot with {other}, which is in use by {who}"
+                    yield Finding.error("claims", problem, fix)
 
-    def _overlap(self, other: str) -> bool:
-        return any(may_be_one(other, claim) for claim in self._claims)
+    def _who_has(self, claim: str) -> tuple[str, str]:
+        """Return who has a claim that is none of ours, or has something left, and what to do; or nothing."""
+        holder, is_held = _looked_at(_path_of(claim))
+        return (holder.in_words(), _HAVE_IT_WAIT) if is_held else self._who_is_left(holder)
+
+    def _who_is_left(self, before: ClaimHolder) -> tuple[str, str]:
+        """Return of whom something goes on that had a claim before, and what to do; or nothing."""
+        for root in before.roots_but(self._signature.folder):
+            if self._goes_on(Path(root)):
+                return f"what is left of {before.left_in_words(root)}, which was killed", _AWAIT_ITS_END
+        return "", ""
 
     def _against_users(self, claim: str, opened: ExitStack) -> Iterator[Finding]:
         try:
@@ -192,17 +226,23 @@ class HeldClaims:
             yield Finding.error("claims", f"{claim} is in use by {holder.in_words()}", _HAVE_IT_WAIT)
             return
         before = _holder(descriptor)
-        if before.folder != self._signature.folder and before != looked_at:
+        earlier = before.roots_but(self._signature.folder)
+        if earlier and before != looked_at:
             # That takes a while, in which others are not to be refused for our sake: who is started again, say.
             fcntl.lockf(descriptor, fcntl.LOCK_UN)
-            if self._goes_on(Path(before.folder)):
-                problem = f"{claim} is in use by what is left of {before.in_words()}, which was killed"
-                yield Finding.error("claims", problem, _AWAIT_ITS_END)
+            who, fix = self._who_is_left(before)
+            if who:
+                yield Finding.error("claims", f"{claim} is in use by {who}", fix)
             else:
                 yield from self._hold(claim, opened, before)
             return
+        self._descriptors.append(descriptor)
+        # Those who have perhaps left something are looked at again until that was seen to: we may be refused, or die.
+        self._sign(descriptor, [each for each in earlier if Path(each).is_dir()][:_MOST_EARLIER])
+
+    def _sign(self, descriptor: int, before: Sequence[str]) -> None:
         with suppress(OSError):  # on a full disk nobody learns who holds it, and others are kept out all the same
-            sign(descriptor, replace(self._signature, since=utc_now()))
+            sign(descriptor, replace(self._signature, since=utc_now(), before=before))
 
 
 def _files() -> list[Path]:

@@ -192,6 +192,7 @@ class ClaimFile(TypedDict):
     folder: str
     pid: int
     since: str
+    before: NotRequired[list[str]]
 
 
 class QueuedFile(TypedDict):

@@ -34,13 +34,10 @@ from robot_runner.core.storage.guarded_paths import (
     kind_of,
     make_experiment_folder,
     make_folder,
-    open_folder,
-    parts_below,
-    refusal_of,
     refusals,
     rights_of,
 )
-from robot_runner.core.storage.system_refusals import fsync_file, fsync_folder, storage_error
+from robot_runner.core.storage.system_refusals import fsync_file, fsync_folder, storage_errors
 
 if TYPE_CHECKING:
     from io import BufferedReader
@@ -133,14 +130,11 @@ def read_bytes(path: Path, root: Path | None = None, *, limit: int = TEXT_LIMIT)
     Raises:
         StorageError: as `open_to_read` says.
     """
-    with open_to_read(path, root, limit=limit) as file:
-        try:
-            size = os.fstat(file.fileno()).st_size
-            content = file.read(size + 1)  # memory is taken for as much as is asked for
-            if len(content) > size:
-                content += file.read(limit + 1 - len(content))
-        except OSError as error:
-            raise storage_error(path, "read", error) from error
+    with open_to_read(path, root, limit=limit) as file, storage_errors(path, "read"):
+        size = os.fstat(file.fileno()).st_size
+        content = file.read(size + 1)  # memory is taken for as much as is asked for
+        if len(content) > size:
+            content += file.read(limit + 1 - len(content))
     if len(content) > limit:  # it has grown since
         raise _too_large(path, f"the file has more than {_in_words(limit)}", limit)
     return content
@@ -202,18 +196,15 @@ def read_blocks(path: Path, root: Path | None = None, *, longest: int = LINE_LIM
         StorageError: as `open_to_read` says; or a line is longer than that many bytes.
     """
     rest = b""
-    with open_to_read(path, root) as file:
-        try:
-            for piece in iter(partial(file.read, min(_BLOCK, longest)), b""):
-                block = rest + piece
-                end = block.rfind(b"\n") + 1
-                rest = block[end:]
-                if max(len(rest), block.find(b"\n") + 1) > longest:  # a later line lies within the piece
-                    raise _too_large(path, f"the file has a line of more than {_in_words(longest)}", longest)
-                if end:
-                    yield block[:end]
-        except OSError as error:
-            raise storage_error(path, "read", error) from error
+    with open_to_read(path, root) as file, storage_errors(path, "read"):
+        for piece in iter(partial(file.read, min(_BLOCK, longest)), b""):
+            block = rest + piece
+            end = block.rfind(b"\n") + 1
+            rest = block[end:]
+            if max(len(rest), block.find(b"\n") + 1) > longest:  # a later line lies within the piece
+                raise _too_large(path, f"the file has a line of more than {_in_words(longest)}", longest)
+            if end:
+                yield block[:end]
     if rest:
         yield rest
 
@@ -252,17 +243,8 @@ def open_descriptor(path: Path, root: Path | None = None, flags: int = os.O_RDWR
         StorageError: it is no regular file inside the folder, another user's by a hard link, or cannot be opened.
     """
     action = "written" if flags & _WRITING else "read"
-    # Without context managers: every process of a run comes by here, and each page of code that it touches is copied.
-    top = root or path.parent
-    try:
-        *folders, name = parts_below(path, top)
-        folder = open_folder(top, folders)
-        try:
-            return _open_regular(path, folder, name, flags, mode or rights_of(top) & 0o666)
-        finally:
-            os.close(folder)
-    except OSError as error:
-        raise refusal_of(path, top, action, error) from error
+    with refusals(path, root, action) as (top, (*folders, name)), folder_inside(top, folders) as folder:
+        return _open_regular(path, folder, name, flags, mode or rights_of(top) & 0o666)
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import storage_error, storage_errors
 
 #: A folder that is only passed through need not be readable.
 _FOLDER = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEXEC
@@ -55,12 +55,10 @@ def make_experiment_folder(root: Path) -> None:
     Raises:
         StorageError: it cannot be made.
     """
-    try:
+    with storage_errors(root, "made"):
         root.parent.mkdir(parents=True, exist_ok=True)
         is_shared = bool(root.parent.stat().st_mode & stat.S_ISGID)
         root.mkdir(0o770 if is_shared else 0o700, exist_ok=True)
-    except OSError as error:
-        raise storage_error(root, "made", error) from error
 
 
 def open_folder(root: Path, folders: Sequence[str], *, make: bool = False) -> int:
@@ -104,21 +102,11 @@ def parts_below(path: Path, root: Path) -> tuple[str, ...]:
     Raises:
         StorageError: the path leads out of the experiment's folder.
     """
-    # Each process of a run comes by here several times, and `relative_to` costs ten times that.
-    inside = f"{root}{os.sep}"
-    is_below = str(path).startswith(inside)
-    parts = tuple(str(path)[len(inside) :].split("/")) if is_below else _relative_parts(path, root)
+    parts = path.relative_to(root).parts if path.is_relative_to(root) else ()
     if not parts or ".." in parts or any("\0" in part for part in parts):
         problem = "the path leads out of the experiment's folder"
         raise StorageError(problem, where=str(path), fix=f"Name a file inside {root}.")
     return parts
-
-
-def _relative_parts(path: Path, root: Path) -> tuple[str, ...]:
-    try:
-        return path.relative_to(root).parts
-    except ValueError:
-        return ()
 
 
 def rights_of(root: Path) -> int:
@@ -127,10 +115,8 @@ def rights_of(root: Path) -> int:
     Raises:
         StorageError: there is no such folder.
     """
-    try:
-        return os.stat(root).st_mode & 0o777  # noqa: PTH116 - each process of a run asks, and this is half the cost
-    except OSError as error:
-        raise storage_error(root, "read", error) from error
+    with storage_errors(root, "read"):
+        return root.stat().st_mode & 0o777
 
 
 def refusal_of(path: Path, root: Path, action: str, error: OSError) -> StorageError:

@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
-from datetime import datetime
-from functools import lru_cache
+from datetime import UTC, datetime
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
@@ -29,7 +27,7 @@ from robot_runner.core.storage.guarded_files import (
 )
 from robot_runner.core.storage.lock_files import is_at
 from robot_runner.core.storage.record_shapes import RECORDS, Record
-from robot_runner.core.storage.system_refusals import fsync_file, storage_error, storage_errors
+from robot_runner.core.storage.system_refusals import fsync_file, storage_errors
 
 #: `Journal.append` writes the kind first, so that a line's kind is known without parsing it.
 _BEGINNING = '{"kind":"'
@@ -48,8 +46,7 @@ _encode = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), allow_nan=
 
 def utc_now() -> str:
     """Return the present moment in UTC: ISO 8601 with milliseconds, as in `2026-01-31T12:00:00.250Z`."""
-    second, nanosecond = divmod(time.time_ns(), 1_000_000_000)
-    return f"{_up_to_second(second)}.{nanosecond // 1_000_000:03d}Z"
+    return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 def seconds_of(stamp: str) -> float:
@@ -63,11 +60,6 @@ def _line_of(record: dict[str, Any]) -> bytes:
     except ValueError:
         text = _encode(finite(record))
     return f"{text}\n".encode("utf-8", "backslashreplace")
-
-
-@lru_cache(maxsize=1)
-def _up_to_second(second: int) -> str:
-    return time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(second))
 
 
 class Journal:
@@ -87,11 +79,12 @@ class Journal:
         self._successor = successor
         self._descriptor = open_descriptor(path, flags=_FLAGS)
         try:
-            self._cut_torn_line()
-            self._end = os.fstat(self._descriptor).st_size
-        except OSError as error:
+            with storage_errors(path, "written"):
+                self._cut_torn_line()
+                self._end = os.fstat(self._descriptor).st_size
+        except StorageError:
             os.close(self._descriptor)
-            raise storage_error(path, "written", error) from error
+            raise
 
     def __enter__(self) -> Self:
         return self
@@ -114,12 +107,10 @@ class Journal:
         if len(line) > LINE_LIMIT and len(line := _line_of(with_short_texts(record))) > LINE_LIMIT:
             problem = f"a record {kind!r} of {len(line):,} bytes could not be read again"
             raise StorageError(problem, where=str(self._path), fix="Plan fewer runs at a time.")
-        try:
+        with storage_errors(self._path, "written"):
             self._write(line)
             if flush:
                 self._flush()
-        except OSError as error:
-            raise storage_error(self._path, "written", error) from error
 
     @property
     def is_ours_alone(self) -> bool:
@@ -153,9 +144,8 @@ class Journal:
         if self._descriptor < 0:
             return
         try:
-            self._flush()
-        except OSError as error:
-            raise storage_error(self._path, "written", error) from error
+            with storage_errors(self._path, "written"):
+                self._flush()
         finally:
             os.close(self._descriptor)
             self._descriptor = -1

@@ -22,8 +22,8 @@ from robot_runner.core.storage.declared_shapes import faults_of
 from robot_runner.core.storage.guarded_files import open_descriptor
 from robot_runner.core.storage.guarded_paths import rights_of
 
-#: Nobody signs with more.
-_MOST_BYTES = 4096
+#: Nobody signs with more: who has a claim names folders, and a path may have 4096 bytes.
+_MOST_BYTES = 128 * 1024
 _OWNER, _GROUP = 0o600, 0o060
 #: How often a lock is tried that somebody else replaces at the same moment, and how long to wait between, s.
 _TRIES, _BETWEEN = 50, 0.01
@@ -158,7 +158,7 @@ def signature_of(descriptor: int, shape: Any) -> dict[str, Any] | None:
         said = json.loads(os.pread(descriptor, _MOST_BYTES, 0))
     except (ValueError, RecursionError):
         said = None
-    return None if faults_of(said, shape) else {name: said[name] for name in shape.__annotations__}
+    return None if faults_of(said, shape) else {name: said[name] for name in shape.__annotations__ if name in said}
 
 
 def _try(descriptor: int, kind: int, path: Path) -> bool:

@@ -11,7 +11,7 @@ from pathlib import Path
 from robot_runner.core.storage.guarded_files import MissingFileError, make_experiment_folder, open_to_append, read_text
 
 # The fields of /proc/<pid>/stat behind the program's name, from man 5 proc_pid_stat.
-_PARENT, _GROUP, _SESSION, _STARTED = 1, 2, 3, 19
+PARENT, GROUP, SESSION, STARTED = 1, 2, 3, 19
 
 
 def process_stat(pid: int) -> list[str]:
@@ -46,7 +46,7 @@ def ancestors(pid: int) -> Iterator[int]:
     while pid > 1:
         yield pid
         stat = process_stat(pid)
-        pid = int(stat[_PARENT]) if stat else 0
+        pid = int(stat[PARENT]) if stat else 0
 
 
 def spare(path: Path, pid: int) -> None:
@@ -71,7 +71,7 @@ def is_spared(pid: int, spared: frozenset[int]) -> bool:
     if not spared:
         return False
     stat = process_stat(pid)
-    belongs = {int(stat[_GROUP]), int(stat[_SESSION])} if stat else set()
+    belongs = {int(stat[GROUP]), int(stat[SESSION])} if stat else set()
     return not spared.isdisjoint({*ancestors(pid), *belongs})
 
 
@@ -97,7 +97,7 @@ def program_name(pid: int) -> str | None:
 def _start_of(pid: int) -> str:
     """Return when a process started, in ticks since the machine did: a number is given again to another process."""
     stat = process_stat(pid)
-    return stat[_STARTED] if stat else ""
+    return stat[STARTED] if stat else ""
 
 
 def is_alive(pid: int) -> bool:

@@ -14,7 +14,7 @@ import fcntl
 import os
 import stat
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, suppress
 from hashlib import sha256
 from pathlib import Path
@@ -36,6 +36,34 @@ _MODE = 0o644
 _FLAGS = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 #: How often a file is tried that somebody merely looks at, and how long to wait between, s.
 _TRIES, _BETWEEN = 50, 0.01
+
+
+#: What this process holds, and those that are forked from it: each descriptor, and which file that is.
+_held: dict[int, tuple[int, int]] = {}
+
+
+def held_against_users() -> list[int]:
+    """Return the descriptors that a program has to inherit, so that it holds these claims as well until it ends.
+
+    What is forked holds them in any case.
+    """
+    return [descriptor for descriptor, file in _held.items() if _file_of(descriptor) == file]
+
+
+def hold_inherited(descriptors: Iterable[int]) -> None:
+    """Take down what this program has inherited, so that what it starts in its turn can inherit it as well."""
+    for descriptor in descriptors:
+        if (file := _file_of(descriptor)) is not None:
+            os.set_inheritable(descriptor, False)  # noqa: FBT003 - the system's own signature
+            _held[descriptor] = file
+
+
+def _file_of(descriptor: int) -> tuple[int, int] | None:
+    try:
+        found = os.fstat(descriptor)
+    except OSError:  # somebody has closed it
+        return None
+    return found.st_dev, found.st_ino
 
 
 def may_be_one(claim: str, other: str) -> bool:
@@ -110,6 +138,7 @@ def _hold(path: Path, opened: ExitStack) -> str:
             os.fchmod(descriptor, _MODE)
         if _flock(descriptor, fcntl.LOCK_SH) and is_at(descriptor, path):  # else it was removed meanwhile
             opened.callback(_let_go, descriptor, path)
+            _held[descriptor] = (found.st_dev, found.st_ino)
             return ""
         locker = _locker(descriptor)
         held.close()
@@ -119,6 +148,7 @@ def _hold(path: Path, opened: ExitStack) -> str:
 
 def _let_go(descriptor: int, path: Path) -> None:
     """Let go of our own file, and remove it where nothing else holds it: what we have started may still do."""
+    _held.pop(descriptor, None)
     os.close(descriptor)
     with suppress(OSError):
         again = os.open(path, os.O_RDONLY | _FLAGS)

@@ -9,7 +9,7 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any, Protocol
 
-from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS, numbered_run_id
+from robot_runner.core.design.columns import REPETITION, RUN_ID, RUN_IDS, STATUS, numbered_run_id
 from robot_runner.core.errors import Finding, Severity, StorageError, did_you_mean
 from robot_runner.core.storage.cells import (
     CellValue,
@@ -92,7 +92,6 @@ class TableFindings:
 
 
 _LINE_END = re.compile(r"\r\n|\r|\n")
-_RUN_ID = re.compile(r"\w[\w.-]{0,59}")  # it names the run's folder
 _MOST_REPETITIONS = 1 << 32  # more are a slip
 # A whole number among floats is no mistake, and the schema of an experiment that broke off may be older than the table.
 _TYPES = {"number": (int, float), "integer": (int, float), "boolean": (bool,)}
@@ -167,7 +166,7 @@ class RunIdDecoder:
         folded = run_id.casefold()
         if not run_id:
             self._empty.append(chunk.lines[place])
-        elif not _RUN_ID.fullmatch(run_id):
+        elif not RUN_IDS.fullmatch(run_id):
             fix = "Use letters, digits, '_', '-' and '.' (60 at most)."
             self._findings.error(f"{run_id!r} cannot name a run's folder", fix, line=chunk.lines[place], column=RUN_ID)
         elif folded in self._seen:

@@ -29,12 +29,14 @@ class CardRecording:
         stream: the samples.
 
     Example:
-        >>> import tempfile
         >>> from pathlib import Path
-        >>> file = Path(tempfile.mkdtemp()) / "INA219.BIN"
+        >>> from tempfile import TemporaryDirectory
         >>> hello = "a55a 120c 0000 00000000 c800 a0860100 cf1c 0b0d"
-        >>> _ = file.write_bytes(bytes.fromhex(hello + "a55a 1108 0100 88130000 f217 e260 15df").ljust(512, bytes(1)))
-        >>> [len(recording.times) for recording in read_card(file)]
+        >>> data = bytes.fromhex(hello + "a55a 1108 0100 88130000 f217 e260 15df").ljust(512, bytes(1))
+        >>> with TemporaryDirectory() as folder:
+        ...     file = Path(folder) / "INA219.BIN"
+        ...     _ = file.write_bytes(data)
+        ...     [len(recording.times) for recording in read_card(file)]
         [1]
     """
 

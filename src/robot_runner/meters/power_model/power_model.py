@@ -191,7 +191,7 @@ class PowerModel(Profiler):
             linear = self._read()
         except PluginError as error:
             return [Finding.error(where, f"{error.where}: {error.problem}", error.fix)]
-        names = [plugin.name for plugin in circumstances.plugins]
+        names = list(circumstances.listed) or [plugin.name for plugin in circumstances.plugins]
         needed = self._needed(linear).values()
         wanted = [each for each in needed if each is not None and names and each not in names]
         return [
