@@ -13,6 +13,7 @@ from tests.waiting import PATIENCE
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.resources import Resources
+from robot_runner.core.links import commanded_topics
 from robot_runner.ros import graph_link
 from robot_runner.ros.first_message import FirstMessage
 from robot_runner.ros.graph_link import GraphLink
@@ -64,6 +65,19 @@ def test_whatever_fails_at_one_topic_every_other_robot_is_stopped(link, transpor
         assert str(caught.value).startswith(
             f"/bob/cmd_vel: the robot could not be told to stand still: {type(fault).__name__}: {fault}"
         )
+
+
+def test_where_nobody_is_known_to_have_commanded_zero_is_published_and_not_awaited(link, transport, monkeypatch):
+    told = []
+    monkeypatch.setattr(commanded_topics, "_listeners", [lambda topic, _: told.append(topic)])
+    link.advertise("/alice/cmd_vel", TWIST, is_commanded=False)
+    link.advertise("/bob/cmd_vel", TWIST, is_commanded=False)
+    link.publish("/bob/cmd_vel", TWIST, {"linear": {"x": 0.2}})
+    link._advertised["/alice/cmd_vel", "default"].publisher.flush = fails(LinkError("it is gone", where="/alice"))
+    transport.done.clear()
+    link.close()
+    assert transport.done[:3] == ["publish /alice/cmd_vel", "publish /bob/cmd_vel", "flush /bob/cmd_vel"]
+    assert told == ["/bob/cmd_vel"], "who stands by insists that the robot takes it"
 
 
 def test_every_robot_is_told_before_anybody_waits_for_one_that_is_out_of_reach(link, transport):

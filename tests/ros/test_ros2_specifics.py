@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import threading
 import time
 from contextlib import closing
@@ -146,3 +148,26 @@ def test_a_command_that_is_not_taken_is_told_and_one_of_which_that_is_not_known_
         publisher.flush(0.1)
         with pytest.raises(LinkError, match=r"a subscriber does not take it within 7\.5 s"):
             publisher.flush(1.0)
+
+
+LISTENER = """
+import rclpy, sys
+from geometry_msgs.msg import Twist
+rclpy.init(domain_id=int(sys.argv[1]))
+node = rclpy.create_node("base")
+node.create_subscription(Twist, "cmd_vel", lambda _: None, 10)
+rclpy.spin(node)
+"""
+
+
+@pytest.mark.long
+def test_a_subscriber_of_another_process_is_reached_however_seldom_it_acknowledges():
+    with subprocess.Popen([sys.executable, "-c", LISTENER, DOMAIN]) as listener:
+        try:
+            with closing(open_ros2_link({"domain": DOMAIN}, SystemClock())) as link:
+                until(lambda: list(link.subscribers("cmd_vel")))
+                for _ in range(2):
+                    link.publish("cmd_vel", "geometry_msgs/Twist", {})
+                    assert link.advertise("cmd_vel", "geometry_msgs/Twist"), "Fast DDS asks each 3 s what was taken"
+        finally:
+            listener.kill()

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import fcntl
+import json
+import os
+import shutil
 import sys
 import time
 from types import SimpleNamespace
@@ -17,7 +20,7 @@ from robot_runner.core.execution.left_over import is_subject_left
 from robot_runner.core.links.robot import GraphEndpoint
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.subjects import halting
-from robot_runner.subjects.halting import CommandedRobot, Halting
+from robot_runner.subjects.halting import CommandedRobot, CommandedTopics, Halting, end_left_subjects
 from robot_runner.subjects.supervised_program import Start
 from robot_runner.testing import make_context
 
@@ -47,7 +50,7 @@ class SlowGraph:
     def subscribers(self, topic: str) -> list[GraphEndpoint]:
         return [GraphEndpoint("/base", TWIST)]
 
-    def advertise(self, topic: str, message_type: str) -> bool:
+    def advertise(self, topic: str, message_type: str, *, is_commanded: bool = True) -> bool:
         return True
 
     def publish(self, topic: str, message_type: str, message: object) -> None:
@@ -129,7 +132,7 @@ class GraphOfTwo(SlowGraph):
     def topics(self) -> dict[str, str]:
         return {"/alice/cmd_vel": TWIST, "/bob/cmd_vel": TWIST}
 
-    def advertise(self, topic: str, message_type: str) -> bool:
+    def advertise(self, topic: str, message_type: str, *, is_commanded: bool = True) -> bool:
         if "alice" in topic:
             raise LinkError("the topic carries another type", where=topic)
         return True
@@ -142,3 +145,100 @@ def test_a_robot_that_takes_no_publisher_keeps_no_other_from_being_stopped(
     monkeypatch.setattr(robot, "_link", GraphOfTwo(0.0))
     robot.look()
     assert list(robot._taken) == ["/bob/cmd_vel"]
+
+
+class GraphOfNodes(SlowGraph):
+    """A graph of velocities: who publishes each topic; a multiplexer that is gone subscribes them all."""
+
+    def __init__(self, nodes: dict[str, list[str]]) -> None:
+        super().__init__(0.0)
+        self._nodes = nodes
+        self.insisted: dict[str, bool] = {}
+
+    def topics(self) -> dict[str, str]:
+        return dict.fromkeys(self._nodes, TWIST)
+
+    def publishers(self, topic: str) -> list[GraphEndpoint]:
+        return [GraphEndpoint(node, TWIST) for node in self._nodes[topic]]
+
+    def advertise(self, topic: str, message_type: str, *, is_commanded: bool = True) -> bool:
+        self.insisted[topic] = is_commanded
+        return True
+
+
+def test_zero_has_to_arrive_only_where_somebody_was_seen_to_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nodes: dict[str, list[str]] = {"/joy_vel": [], "/nav_vel": []}
+    graph = GraphOfNodes(nodes)
+    robot = CommandedRobot(make_context(tmp_path, robot="ros2"))
+    monkeypatch.setattr(robot, "_link", graph)
+    robot.look()
+    assert graph.insisted == {"/joy_vel": False, "/nav_vel": False}
+    nodes["/nav_vel"] = ["/planner"]
+    robot.look()
+    assert graph.insisted == {"/joy_vel": False, "/nav_vel": True}
+
+
+def begun(root: Path) -> Start:
+    """Return a start of an experiment in this folder."""
+    start = Start(root / "subjects" / "Planner" / "1")
+    start.folder.mkdir(parents=True)
+    return start
+
+
+@pytest.fixture
+def halted(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """Take the place of the process that halts robots; return the starts after which it was to do so."""
+    starts: list[Path] = []
+
+    def halt(start: Start, _name: str) -> Any:
+        starts.append(start.folder)
+        return SimpleNamespace(finish=lambda: CommandedTopics(start).end(""))
+
+    monkeypatch.setattr(halting, "Halting", halt)
+    return starts
+
+
+def test_nothing_but_a_velocity_is_commanded_whatever_somebody_has_written_into_the_file_of_a_start(
+    tmp_path: Path, halted: list[Path]
+) -> None:
+    start = begun(tmp_path)
+    told = [
+        5,
+        [],
+        "robot",
+        {"robot": 5},
+        {"robot": "ros2"},
+        {"robot": "ros2", "topic": "/takeoff", "type": "std_msgs/Empty"},
+    ]
+    told += [
+        {"problem": 5},
+        {"robot": "ros2", "topic": [], "type": TWIST},
+        {"robot": "ros2", "topic": "/arm", "type": []},
+    ]
+    (start.folder / "commanded.jsonl").write_text("".join(f"{json.dumps(each)}\n" for each in told))
+    assert CommandedTopics(start).by_robot() == {}
+    assert list(end_left_subjects(tmp_path, lambda _: True)) == []
+    assert halted == []
+
+
+def test_a_pipe_in_the_place_of_that_file_is_not_waited_for(tmp_path: Path) -> None:
+    start = begun(tmp_path)
+    os.mkfifo(start.folder / "commanded.jsonl")
+    assert CommandedTopics(start).by_robot() == {}
+
+
+@pytest.mark.parametrize("is_moved", [False, True], ids=["copied", "moved"])
+def test_a_copy_that_was_made_while_a_program_commanded_a_robot_leaves_that_to_the_original(
+    tmp_path: Path, halted: list[Path], is_moved: bool
+) -> None:
+    root, other = tmp_path / "trial", tmp_path / "backup"
+    start = begun(root)
+    CommandedTopics(start).add("ros2:domain=7", "/cmd_vel", TWIST)
+    shutil.copytree(root, other)
+    if is_moved:
+        shutil.rmtree(root)
+    assert len(list(end_left_subjects(other, lambda _: True))) == is_moved
+    assert len(halted) == is_moved
+    assert len(list(end_left_subjects(root, lambda _: True))) == (not is_moved)

@@ -63,10 +63,10 @@ case "$1 $2 $3" in
 esac
 echo "middleware $RMW_IMPLEMENTATION"
 shift 3
-for word; do echo "word <$word>"; done
-exec python3 - <<END
-import subprocess
-node = subprocess.Popen(["sh", "-c", "trap 'echo interrupted; exit 0' INT; while :; do sleep 0.2; done", "TOKEN"])
+exec python3 - "$@" <<'END'
+import subprocess, sys
+tells = "trap 'echo interrupted; exit 0' INT; for word; do echo \\"word <$word>\\"; done; while :; do sleep 0.2; done"
+node = subprocess.Popen(["sh", "-c", tells, "TOKEN", *sys.argv[1:]])
 while node.returncode is None:
     try:
         node.communicate()
@@ -178,9 +178,7 @@ def test_ros2_run_gets_the_words_of_a_node_and_its_middleware(
     given = f"""'nav', 'planner', arguments=['--fast'], parameters={{'planner': treatment('Planner'), 'speed': 0.2,
         'goal': {{'x': [1, 2]}}}}, parameters_file={str(tmp_path / "hall.yaml")!r},
         remappings={{'scan': '/front/scan'}}, node_name='nav', namespace='/alice'"""
-    done = execute(
-        body(given).replace("rmw=None", "rmw='rmw_cyclonedds_cpp'").replace("word <speed", "word <speed:=0.2>")
-    )
+    done = execute(body(given).replace("rmw=None", "rmw='rmw_cyclonedds_cpp'").replace("word <speed", "word <goal.x"))
     assert (done.finished.failures, done.finished.done_count) == ((), 2)
     lines = (done.folder / "runs/r_2/Nav/stdout.txt").read_text().splitlines()
     words = [line[6:-1] for line in lines if line.startswith("word <")]

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.early_end import raised_in_thread
-from robot_runner.core.links.commanded_topics import tell_commanded
 from robot_runner.core.links.graph_names import full_name, namespace_prefix
 from robot_runner.core.links.robot import (
     Encoding,
@@ -109,6 +108,7 @@ class GraphLink:
         """Publish one message; at first use of a topic, once the subscribers that are there already are reached."""
         name = self._name(topic)
         advertised = self._advertised.get((name, qos)) or self._advertise(name, message_type, message, qos)
+        advertised.command(name)
         if advertised.message_type != message_type:
             check_type(name, message_type, [advertised.message_type])
         complete = completed(advertised.shape, message, where=name)
@@ -121,10 +121,12 @@ class GraphLink:
                     raise
                 raise as_link_error(error, where=name, what="the message cannot be published") from error
 
-    def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT) -> bool:
+    def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT, is_commanded: bool = True) -> bool:
         """Return whether the subscribers of a topic that are there would receive what is published, once they do."""
         name = self._name(topic)
         advertised = self._advertise(name, message_type, {}, qos)
+        if is_commanded:
+            advertised.command(name)
         check_type(name, message_type, [advertised.message_type])
         return advertised.publisher.reach()  # also who subscribed since it was advertised first
 
@@ -330,8 +332,6 @@ class GraphLink:
                     lambda: Advertised(plain, shape, self._transport.advertise(name, plain, qos)),
                     partial(self._advertised.__setitem__, (name, qos)),
                 )
-                if known.drives:
-                    tell_commanded(name, plain)
             return known
 
     def _subscribe(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -11,7 +11,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.commanded_topics import VELOCITIES
+from robot_runner.core.links.commanded_topics import VELOCITIES, tell_commanded
 from robot_runner.ros.link_faults import as_link_error, do_all
 from robot_runner.ros.sent_commands import is_watched, note_sent
 from robot_runner.ros.shapes import Shape, completed
@@ -26,19 +26,30 @@ if TYPE_CHECKING:
 _STOPPING_SECONDS = 2.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Advertised:
-    """A topic that this link publishes with one QoS."""
+    """A topic that this link publishes with one QoS.
+
+    Attributes:
+        is_commanded: whether velocities are commanded there, as far as is known.
+    """
 
     message_type: str
     shape: Shape
     publisher: TopicPublisher
+    is_commanded: bool = False
     _sending: threading.RLock = field(default_factory=threading.RLock)
 
     @property
     def drives(self) -> bool:
         """Whether it commands a velocity, which a robot carries out until the next one."""
         return self.message_type in VELOCITIES
+
+    def command(self, topic: str) -> None:
+        """Take down that velocities are commanded there, if it has these, and tell who stands by for this process."""
+        if self.drives and not self.is_commanded:
+            self.is_commanded = True
+            tell_commanded(topic, self.message_type)
 
     @contextmanager
     def sending(self) -> Iterator[None]:
@@ -93,7 +104,7 @@ def _telling(topic: str) -> Iterator[None]:
 
 
 def driven_of(advertised: Mapping[tuple[str, Qos], Advertised]) -> list[tuple[str, Advertised]]:
-    """Return the topics on which velocities are commanded, the last one first."""
+    """Return the topics on which velocities are commanded, or may have been, the last one first."""
     return [(topic, each) for (topic, _), each in reversed(list(advertised.items())) if each.drives]
 
 
@@ -107,11 +118,13 @@ def halt_all(driven: Iterable[tuple[str, Advertised]]) -> None:
             advertised.command_zero(topic)
 
 
-def stop_all(driven: Iterable[tuple[str, Advertised]]) -> None:
+def stop_all(driven: Sequence[tuple[str, Advertised]]) -> None:
     """Command zero on each of these topics, and then see that it is taken: no robot drives on while another is awaited.
 
+    Where nobody is known to have commanded, it is not awaited: who subscribes there may be gone, and that is no fault.
+
     Raises:
-        LinkError: nobody takes one of them, or the client library fails at it.
+        LinkError: nobody takes one of the others, or the client library fails at it.
     """
     told: list[tuple[str, Advertised]] = []
 
@@ -119,7 +132,8 @@ def stop_all(driven: Iterable[tuple[str, Advertised]]) -> None:
         advertised.command_zero(topic)
         told.append((topic, advertised))
 
-    telling = (partial(tell, topic, each) for topic, each in driven)
+    halt_all((topic, each) for topic, each in driven if not each.is_commanded)
+    telling = (partial(tell, topic, each) for topic, each in driven if each.is_commanded)
     do_all(chain(telling, (partial(each.see_taken, topic) for topic, each in told)))
 
 

@@ -49,6 +49,8 @@ _FINDING = 4.0
 _UNTOLD = 0.2
 #: How long a publisher waits for the subscribers that are known, s.
 _MATCHING = 1.0
+#: How long it waits until those have acknowledged what was published, s: Fast DDS asks them for it each 3 s.
+_ACKNOWLEDGING = 3.5
 
 
 class Ros2Transport:
@@ -158,7 +160,7 @@ class _Publisher:
         reachable = sum(each.shortfall(self._offered) is None for each in asked)
         is_matched = self._node.until(lambda: self._publisher.get_subscription_count() >= reachable, _MATCHING)
         # One that is cut off stays matched for seconds, and takes nothing of what was published.
-        return is_matched and self._is_taken(_MATCHING) is not False
+        return is_matched and self._is_taken(_ACKNOWLEDGING) is not False
 
     def flush(self, seconds: float) -> None:
         # A process of Fast DDS may be matched here seconds before it knows of us, and takes what was sent meanwhile.

@@ -21,8 +21,9 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
-from robot_runner.core.errors import Finding, LinkError, PluginError, RobotRunnerError
+from robot_runner.core.errors import Finding, LinkError, PluginError, RobotRunnerError, StorageError
 from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND, VELOCITIES, keep_commanding_zero
@@ -34,6 +35,7 @@ from robot_runner.core.links.connect import (
     robot_namespace,
 )
 from robot_runner.core.links.robot import Advertiser, RobotLink
+from robot_runner.core.storage.guarded_files import read_text
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.shared_claims import held_against_users
 from robot_runner.subjects.supervised_program import Start, last_start
@@ -57,27 +59,40 @@ class CommandedTopics:
 
     def add(self, robot: str, topic: str, message_type: str) -> None:
         """Say that velocities are commanded there; `robot` is how its graph is reached."""
+        if (topic, message_type) in self.by_robot().get(robot, ()):  # by an earlier run
+            return
         with suppress(OSError):  # a disk that is full: the run's link stops it at the end of the run in any case
-            self._write({"robot": robot, "topic": topic, "type": message_type})
+            folder = str(self._path.parent.absolute())
+            self._write({"robot": robot, "topic": topic, "type": message_type, "folder": folder})
 
     def end(self, problem: str) -> None:
         """Say that zero was commanded, or why it was not."""
         self._write({"problem": problem})
 
     def by_robot(self) -> dict[str, list[tuple[str, str]]]:
-        """Return topics and their types, by the robot that they command."""
+        """Return topics and their types, by the robot that they command; nothing but velocities."""
         found: dict[str, list[tuple[str, str]]] = {}
         for line in self._lines():
-            if "robot" in line:
-                topics = found.setdefault(line["robot"], [])
-                if (command := (line["topic"], line["type"])) not in topics:
-                    topics.append(command)
+            match line:
+                case {"robot": str(robot), "topic": str(topic), "type": str(kind)} if kind in VELOCITIES:
+                    topics = found.setdefault(robot, [])
+                    if (topic, kind) not in topics:
+                        topics.append((topic, kind))
         return found
 
     def problem(self) -> str | None:
         """Return why zero was not commanded; empty where it was, or had not to be, and None where nobody knows yet."""
-        ends = [line["problem"] for line in self._lines() if "problem" in line]
+        ends = [str(line["problem"]) for line in self._lines() if "problem" in line]
         return ends[-1] if ends else None if self.by_robot() else ""
+
+    def is_copied(self) -> bool:
+        """Whether this is a copy of a file that is still there, and tells who executes that experiment next."""
+        lines = self._lines()
+        with suppress(OSError, ValueError):
+            told = next((Path(line["folder"]) for line in lines if isinstance(line.get("folder"), str)), None)
+            if told is not None and not told.samefile(self._path.parent):
+                return CommandedTopics(Start(told))._lines()[:1] == lines[:1]  # noqa: SLF001 - of the same class
+        return False
 
     @contextmanager
     def locked(self) -> Iterator[tuple[int, ...]]:
@@ -94,12 +109,13 @@ class CommandedTopics:
         with self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
 
-    def _lines(self) -> list[dict[str, str]]:
-        lines: list[dict[str, str]] = []
-        with suppress(OSError):
-            for line in self._path.read_text(encoding="utf-8").splitlines():
-                with suppress(ValueError):  # who wrote it was killed
-                    lines.append(json.loads(line))
+    def _lines(self) -> list[dict[str, Any]]:
+        lines: list[dict[str, Any]] = []
+        with suppress(StorageError):
+            for line in read_text(self._path, errors="replace").splitlines():
+                with suppress(ValueError, RecursionError):  # who wrote it was killed
+                    if isinstance(said := json.loads(line), dict):
+                        lines.append(said)
         return lines
 
 
@@ -178,7 +194,7 @@ def end_left_subjects(root: Path, may_command: Callable[[str], bool]) -> Iterato
     for folder in sorted(ExperimentFolder(root).subjects.glob("*")):
         start = last_start(folder)
         robots = CommandedTopics(start).by_robot() if start is not None else {}
-        if start is None or (robots and not any(map(may_command, robots))):
+        if start is None or (robots and not any(map(may_command, robots))) or CommandedTopics(start).is_copied():
             continue
         start.end_orphans()
         if CommandedTopics(start).problem() is not None:
@@ -292,9 +308,9 @@ class CommandedRobot:
 
     A planner that has ended, or has died, takes nothing back: a robot without a watchdog carries out its last command.
     On each topic of a velocity that the robot subscribes, the run's link is a publisher as well. So it commands zero
-    there when it is closed, which is after the software has ended; and where the run is killed, the process that stands
-    by for it does. It does so also where nobody was seen to publish: a program that commands once and ends, or that
-    dies after a second, is gone before its publisher is discovered.
+    there when it is closed, which is after the software has ended. It does so also where nobody was seen to publish: a
+    program that commands once and ends, or that dies after a second, is gone before its publisher is discovered. Where
+    somebody was, zero has to arrive, and the process that stands by for the run commands it where that is killed.
 
     Args:
         context: of the run; where it has no robot, or the embedded one, which other programs cannot reach, nothing is
@@ -329,10 +345,11 @@ class CommandedRobot:
         with suppress(LinkError), self._lock:
             for topic, message_type in self._velocities(link):
                 with suppress(LinkError):  # whatever fails at one robot, the others are looked after
-                    link.advertise(topic, message_type)
+                    link.advertise(topic, message_type, is_commanded=False)
                     self._taken[topic] = message_type
             for topic in self._taken.keys() - self._commanded:
                 if any(not each.is_own for each in link.publishers(topic)):
+                    link.advertise(topic, self._taken[topic])
                     self._commanded.add(topic)
                     self.tell(topic, self._taken[topic])
 

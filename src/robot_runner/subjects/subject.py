@@ -249,11 +249,10 @@ class Subject(System):
         context.share(pid=start.pid, host=self.surroundings.host or LOCAL)
         context.broker.note(self.name, "subject", self._facts(context, start))
         self._is_ending = threading.Event()
-        watch = threading.Thread(
+        self._watch = threading.Thread(
             target=self._watch_over, args=(context, start, self._is_ending), name=f"watch over {self.name}", daemon=True
         )
-        watch.start()
-        self._watch = watch
+        self._watch.start()
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """End it with everything that it started, where it is the run's own, and have the robot stand still."""

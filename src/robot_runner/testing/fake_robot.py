@@ -156,13 +156,13 @@ class FakeRobotLink:
         self._check()
         self.publications.append(Publication(self._clock.now(), topic, message_type, message, qos))
 
-    def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT) -> bool:
+    def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT, is_commanded: bool = True) -> bool:
         """Note the topic among those of the graph; whoever is there would receive it.
 
         Raises:
             LinkError: the link was closed, or the fault that was set.
         """
-        del qos
+        del qos, is_commanded
         self._check()
         self._advertised[topic] = message_type
         return True

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from contextlib import closing
@@ -18,7 +19,12 @@ from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.entry_points import EntryPoint
 from robot_runner.core.errors import ExecutionError, RobotRunnerError
 from robot_runner.core.execution import left_systems, standby
-from robot_runner.core.execution.left_systems import may_be_moving, see_to_what_is_left, see_to_what_others_left
+from robot_runner.core.execution.left_systems import (
+    goes_on,
+    may_be_moving,
+    see_to_what_is_left,
+    see_to_what_others_left,
+)
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.standby import Standby
 from robot_runner.core.execution.systems_state import SystemsFile
@@ -323,6 +329,19 @@ def test_where_all_are_killed_as_the_robot_of_another_experiment_is_stopped_its_
     assert kept == [True]
 
 
+@pytest.mark.parametrize("name", ["x" * 5000, "\0", "\ud800"], ids=["refused by the system", "a zero", "no text"])
+def test_where_the_folder_of_an_earlier_experiment_cannot_be_looked_at_that_is_told_and_this_one_goes_on(
+    experiment: Experiment, name: str
+) -> None:
+    root = experiment.folder.root.parent / name  # as on a share that does not answer any more
+    assert not goes_on(root)
+    told = [each.problem for each in see_to_what_others_left(experiment, [root], CLAIMED)]
+    reason = "File name too long"
+    assert told == (
+        [f"whether a killed execution has left something there is not known: {reason}"] if "x" in name else []
+    )
+
+
 @pytest.mark.parametrize("claims", [["robot:domain 7"], ["serial:/dev/ttyUSB0"], []])
 def test_a_robot_of_another_experiment_that_is_not_claimed_is_left_alone(
     experiment: Experiment, claims: list[str]
@@ -331,6 +350,30 @@ def test_a_robot_of_another_experiment_that_is_not_claimed_is_left_alone(
     gone = experiment.folder.root.parent / "gone"
     assert see_to_what_others_left(experiment, [experiment.folder.root, gone], claims) == []
     assert len(may_be_moving(experiment.folder)) == 1
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell what a process was started with")
+@pytest.mark.parametrize("is_ours", [False, True], ids=["a robot that is not claimed", "a robot that is claimed"])
+def test_what_a_killed_experiment_left_is_ended_only_where_the_robot_that_it_may_drive_can_be_stopped(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch, is_ours: bool
+) -> None:
+    began(experiment)
+    of_velocities(experiment, Deserted(), monkeypatch)
+    marked = os.environ | {"ROBOT_RUNNER_RUN_OF": str(experiment.folder.root.resolve())}
+    other = replace(experiment, folder=ExperimentFolder(experiment.folder.root.parent / "other"))
+    claims = CLAIMED if is_ours else ["host:pi"]
+    with subprocess.Popen(["sleep", "3600"], env=marked) as planner:
+        try:
+            if is_ours:
+                assert len(see_to_what_others_left(other, [experiment.folder.root], claims)) == 2
+                assert planner.wait() == -signal.SIGKILL
+            else:
+                told = rf"may drive a robot \(rosbridge://127.0.0.1:1\) .* process {planner.pid}"
+                with pytest.raises(ExecutionError, match=told):
+                    see_to_what_others_left(other, [experiment.folder.root], claims)
+                assert planner.poll() is None
+        finally:
+            planner.kill()
 
 
 def test_of_a_robot_whose_commands_are_not_known_it_is_not_said_that_it_was_made_safe(

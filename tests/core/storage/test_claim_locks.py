@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import json
 import resource
 import subprocess
 import sys
@@ -208,3 +209,15 @@ def test_of_what_was_seen_to_nothing_is_looked_at_any_more() -> None:
     _looked_at(claims, "killed")
     assert _looked_at(claims, "second", has_seen_to_it=True) == ["killed"]
     assert _looked_at(claims, "third") == ["second"]
+
+
+@pytest.mark.parametrize("folder", ["x" * 5000, "a\0b", "\ud800", ""])
+def test_a_claim_whose_file_names_a_folder_that_cannot_be_looked_at_can_be_held(tmp_path: Path, folder: str) -> None:
+    with HeldClaims(["host:pi"], "first", tmp_path):
+        pass
+    (file,) = state_folder("claims").iterdir()
+    told = {"experiment": "first", "folder": folder, "pid": 1, "since": "", "before": [folder]}
+    file.write_text(json.dumps(told))
+    assert claiming_folders() == []
+    with HeldClaims(["host:pi"], "second", tmp_path) as held:
+        assert held.findings == []

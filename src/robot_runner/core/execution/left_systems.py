@@ -99,8 +99,14 @@ def see_to_what_others_left(experiment: Experiment, roots: Iterable[Path], claim
         return claim is not None and any(may_be_one(claim, each) for each in ours)
 
     for root in roots:
-        findings += _end_what_is_left(root, may_command)
-        for slot, left in _left_in(ExperimentFolder.found_at(root)):
+        try:
+            findings += _end_what_is_left(root, may_command)
+            found = _left_in(ExperimentFolder.found_at(root))
+        except OSError as error:  # a share that does not answer any more, say
+            problem = f"whether a killed execution has left something there is not known: {error.strerror}"
+            findings.append(Finding.warning(str(root), problem, "Look whether its robot stands still."))
+            continue
+        for slot, left in found:
             if left.robot is not None and may_command(left.robot) and not left.is_told:
                 late.append((_late_standby(experiment, slot, left, (), is_for_all=False), slot, left))
     for standby, _, _ in late:
@@ -131,20 +137,35 @@ def _ended_by_rooms(root: Path, may_command: Callable[[str], bool]) -> list[Find
 
 
 def _end_what_is_left(root: Path, may_command: Callable[[str], bool]) -> list[Finding]:
-    """End what a killed execution of another experiment has left alive, where nobody is there who would."""
+    """End what a killed execution of another experiment has left alive, where nobody is there who would.
+
+    What may drive a robot that nobody could stop then goes on, which is an error: it uses what this one has claimed.
+    """
     folder = ExperimentFolder.found_at(root)
     if not folder.journal.exists():
         return []
+    killed, findings = list[int](), list[Finding]()
     try:
         with ExperimentLock(folder.lock):
-            killed = [pid for each in marked_folders(folder) for pid in end_left_over(each)]
-            findings = _ended_by_rooms(root, may_command)
+            for each in marked_folders(folder):
+                left = SystemsFile(each).left()
+                if left is None or left.robot is None or may_command(left.robot):
+                    killed += end_left_over(each)
+                elif going_on := left_over(each):
+                    findings.append(_left_driving(root, left.robot, going_on))
+            findings += _ended_by_rooms(root, may_command)
     except (ExecutionError, StorageError):  # it is executed again, and has ended that itself; or was removed
         return []
     if killed:
         problem = f"an earlier execution was killed; what was left of it was killed: {', '.join(map(str, killed))}"
         findings.insert(0, Finding.warning(str(root), problem))
     return findings
+
+
+def _left_driving(root: Path, robot: str, pids: Sequence[int]) -> Finding:
+    what = f"it may drive a robot ({robot}) that this experiment has not claimed: process {enumerated(map(str, pids))}"
+    fix = "Start that experiment again, which ends it and makes its systems safe."
+    return Finding.error(str(root), f"what is left of a killed execution goes on; {what}", fix)
 
 
 def _finding_of_other(standby: Standby, slot: ExperimentFolder, left: LeftSystems) -> Finding:
@@ -291,8 +312,8 @@ def goes_on(root: Path, *, counts_orphans: bool = True) -> bool:
         root: the folder of the experiment.
         counts_orphans: whether that is also so where programs alone are left of a run, with nobody who ends them.
     """
-    folder = ExperimentFolder.found_at(root)
-    with suppress(OSError, StorageError):  # of a folder that cannot be looked at, that is not known
+    with suppress(OSError, StorageError, ValueError):  # of a folder that cannot be looked at, that is not known
+        folder = ExperimentFolder.found_at(root)
         if holder_of(folder.lock):
             return False
         marked = marked_folders(folder)

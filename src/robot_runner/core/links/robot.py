@@ -103,8 +103,15 @@ class Publisher(Protocol):
 class Advertiser(Protocol):
     """Puts topics on the graph before anything is published on them."""
 
-    def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT) -> bool:
+    def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT, is_commanded: bool = True) -> bool:
         """Return once the subscribers that are there by now would receive a message; it may be called again.
+
+        Args:
+            topic: its name.
+            message_type: such as `geometry_msgs/Twist`.
+            qos: of what is published.
+            is_commanded: whether velocities are commanded there, if it has these: zero has to arrive as the link is
+                closed, and where the process is killed. Else zero is commanded as well as it goes.
 
         Returns:
             whether they would; False where that took too long.

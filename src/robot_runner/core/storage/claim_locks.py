@@ -91,7 +91,7 @@ def claim_holders(claims: Collection[str]) -> dict[str, ClaimHolder]:
 
 
 def claiming_folders() -> list[Path]:
-    """Return the folders of the experiments that have claimed something last; nothing is changed by asking.
+    """Return the folders of experiments that have claimed something last, and are there; nothing is changed by asking.
 
     Raises:
         StorageError: the user has no home folder, as in some containers.
@@ -100,7 +100,7 @@ def claiming_folders() -> list[Path]:
     for path in _files():
         with suppress(StorageError, OSError):
             found.update(dict.fromkeys(_looked_at(path)[0].roots_but("")))
-    return [*map(Path, found)]
+    return [Path(each) for each in found if _is_folder(each)]
 
 
 def _looked_at(path: Path) -> tuple[ClaimHolder, bool]:
@@ -238,11 +238,18 @@ class HeldClaims:
             return
         self._descriptors.append(descriptor)
         # Those who have perhaps left something are looked at again until that was seen to: we may be refused, or die.
-        self._sign(descriptor, [each for each in earlier if Path(each).is_dir()][:_MOST_EARLIER])
+        self._sign(descriptor, [each for each in earlier if _is_folder(each)][:_MOST_EARLIER])
 
     def _sign(self, descriptor: int, before: Sequence[str]) -> None:
         with suppress(OSError):  # on a full disk nobody learns who holds it, and others are kept out all the same
             sign(descriptor, replace(self._signature, since=utc_now(), before=before))
+
+
+def _is_folder(path: str) -> bool:
+    """Whether that is a folder here; it is not where the system cannot tell, as of a share that does not answer."""
+    with suppress(OSError, ValueError):
+        return bool(path) and Path(path).is_dir()
+    return False
 
 
 def _files() -> list[Path]:
