@@ -73,7 +73,7 @@ def verdict_on_breaches(tmp_path_factory: pytest.TempPathFactory) -> dict[str, s
 def test_a_breach_is_noticed(module: str, imported: str, contract: str, verdict_on_breaches: dict[str, str]) -> None:
     (said,) = (text for name, text in verdict_on_breaches.items() if name.startswith(contract))
     name = "robot_runner." + module.removesuffix(".py").replace("/", ".")
-    assert re.search(rf"{name} -> {imported} \(l\." if imported else rf"- {name}\n", said), said
+    assert re.search(rf"{name} -> {imported}\s+\(l\." if imported else rf"- {name}\n", said), said
 
 
 def _circles(package: str) -> list[tuple[str, ...]]:

@@ -106,6 +106,11 @@ class Verification:
         """The experiment's name."""
         return str(self.description.get("experiment") or self.manifest.get("experiment_name") or "")
 
+    @property
+    def has_config(self) -> bool:
+        """Whether it can be executed again: imported results come without a config."""
+        return bool((self.manifest.get("config") or {}).get("file"))
+
 
 def verify_package(package: OpenPackage, progress: Progress = lambda _, __: None) -> Verification:
     """Read a package from end to end and compare it with what it says of itself.

@@ -225,7 +225,7 @@ def connect(address: RosbridgeAddress, timeout: float, closing: ExitStack, *, wh
 
     Args:
         address: of the rosbridge.
-        timeout: how long it may take, s. By TLS, the request to open it is sent once more after that.
+        timeout: how long it may take, s.
         closing: closes it.
         where: for the error.
 
@@ -252,15 +252,8 @@ def connect(address: RosbridgeAddress, timeout: float, closing: ExitStack, *, wh
         if not security.is_tls:
             return closing.enter_context(_bounded(opened()))
         # Our own socket: websockets would send our credentials before a certificate's fingerprint can be seen.
-        secure = partial(secure_socket, address.host, address.port, security, timeout, _SENDING, where=where)
-        first = secure()
-        try:
-            connection = opened(sock=first)
-        except TimeoutError:
-            # The request may be lost where the server's session tickets arrive as it is sent: websockets reads and
-            # writes in two threads, and OpenSSL has one state for both. A slow robot has all of the time once more.
-            connection = opened(sock=secure())
-        return closing.enter_context(connection)
+        secure = secure_socket(address.host, address.port, security, timeout, _SENDING, where=where)
+        return closing.enter_context(opened(sock=secure))
     except (socket.gaierror, UnicodeError) as error:  # a part of the name is empty, or has more than 63 characters
         fix = "Correct the robot's address, or give it as a number."
         raise LinkError(f"the host {address.host!r} is not known", where=where, fix=fix) from error

@@ -7,17 +7,21 @@ so that nothing of them reaches the run's data.
 from __future__ import annotations
 
 import base64
+import errno
 import hashlib
+import math
 import os
 import secrets
+import select
 import socket
 import ssl
+import threading
 import time
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from robot_runner.core.errors import LinkError
 
@@ -180,15 +184,71 @@ def _refused(problem: str, fix: str) -> LinkError:
 
 # The socket: what a server's certificate says is seen before anything of ours is sent.
 
+_T = TypeVar("_T")
+#: How often who waits for the network looks whether another thread has closed the socket, s: no system tells of that.
+_LOOK = 0.5
 
-class _PatientSocket(ssl.SSLSocket):
-    """Its timeout is one of sending alone: a system's own (`SO_SNDTIMEO`) is not seen through TLS."""
+
+class TurnTakingSocket(ssl.SSLSocket):
+    """A connection by TLS that one thread reads and another writes, as those of websockets do.
+
+    OpenSSL keeps one state for both, and Python does not lock it: where both are in it at once, a request was lost, or
+    the connection was. So they take turns, and wait for the network outside of these. Once the handshake is over, the
+    timeout is that of sending alone; what is to be read may take as long as it likes.
+    """
+
+    _turn: threading.Lock | None = None
+    _sending: float | None = None
+
+    def do_handshake(self, block: bool = False) -> None:
+        """Do the handshake with the timeout that the socket has; from then on threads take turns."""
+        super().do_handshake(block)
+        self._sending = self.gettimeout()
+        super().settimeout(0.0)
+        self._turn = threading.Lock()
+
+    def settimeout(self, value: float | None) -> None:
+        """Set how long the network may take nothing of what is sent, s; until the handshake is over, of anything."""
+        if self._turn is None:
+            super().settimeout(value)
+        else:
+            self._sending = value
 
     def recv(self, buflen: int = 1024, flags: int = 0) -> bytes:
         """Return what comes, whenever that is."""
-        while True:
-            with suppress(TimeoutError):
-                return super().recv(buflen, flags)
+        return self._in_turn(partial(super().recv, buflen, flags), None)
+
+    def sendall(self, data: Any, flags: int = 0) -> None:
+        """Send all of it.
+
+        Raises:
+            TimeoutError: the network takes nothing more.
+        """
+        rest = memoryview(data)
+        while rest:
+            rest = rest[self._in_turn(partial(super().send, rest, flags), self._sending) :]
+
+    def _in_turn(self, act: Callable[[], _T], timeout: float | None) -> _T:
+        deadline = math.inf if timeout is None else time.monotonic() + timeout
+        while self._turn is not None:
+            with self._turn:
+                try:
+                    return act()
+                except ssl.SSLWantReadError:
+                    awaited = select.POLLIN
+                except ssl.SSLWantWriteError:
+                    awaited = select.POLLOUT
+            if time.monotonic() > deadline:
+                raise TimeoutError("the network takes nothing more")
+            self._await(awaited, min(_LOOK, deadline - time.monotonic()))
+        return act()  # a socket that listens
+
+    def _await(self, event: int, seconds: float) -> None:
+        if self.fileno() < 0:  # another thread has closed it
+            raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+        poller = select.poll()
+        poller.register(self, event)
+        poller.poll(max(0.0, seconds) * 1000)
 
 
 def secure_socket(
@@ -213,7 +273,7 @@ def secure_socket(
     try:
         plain.settimeout(max(0.01, deadline - time.monotonic()))
         context = security.context()
-        context.sslsocket_class = _PatientSocket
+        context.sslsocket_class = TurnTakingSocket
         secure = context.wrap_socket(plain, server_hostname=host)
         if security.fingerprint:
             _check_fingerprint(secure, security.fingerprint, where)

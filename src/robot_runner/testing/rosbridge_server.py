@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.links.robot import Encoding, Message
 from robot_runner.ros.rosbridge_frames import FrameReader, send_errors, to_protocol
+from robot_runner.ros.rosbridge_security import TurnTakingSocket
 from robot_runner.ros.shapes import completed, plain_type
 from robot_runner.ros.type_catalogue import TypeCatalogue
 from robot_runner.testing.rosbridge_graph import (
@@ -35,7 +36,6 @@ from robot_runner.testing.served_actions import ServedActions
 
 if TYPE_CHECKING:
     from ssl import SSLContext
-
 
 _logger = logging.getLogger(__name__)
 
@@ -287,6 +287,8 @@ class RosbridgeServer:
         self._scheme = "rosbridge" if tls is None else "rosbridge+tls"
         self.secret = secret
         self._authorization = authorization
+        if tls is not None:
+            tls.sslsocket_class = TurnTakingSocket
         self._server = serve(
             self._serve,
             "127.0.0.1",
@@ -382,9 +384,8 @@ class RosbridgeServer:
         return name if self.generation == 1 else name.replace("/", f"/{kind}/", 1)
 
     def _judge(self, connection: Any, request: Any) -> Any:
-        if self._authorization in {"", request.headers.get("Authorization")}:
-            return None
-        return connection.respond(401, "who are you?")
+        is_known = self._authorization in {"", request.headers.get("Authorization")}
+        return None if is_known else connection.respond(401, "who are you?")
 
     def _serve(self, connection: Any) -> None:
         client = ServedClient(self, connection)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pyte
 import pytest
+from rich.cells import cell_len
 
 from robot_runner.cli.screens import plain
 from robot_runner.cli.screens.live import LiveScreen
@@ -158,21 +159,22 @@ def test_a_pause_and_a_host_that_starts_anew_are_told(shown: Shown, notices: Any
         assert "robot-runner continue results" in shown.lines[-1]
 
 
-def test_what_happens_at_each_place_is_a_line(shown: Shown, notices: Any) -> None:
+@pytest.mark.parametrize(("first", "second"), [("alice", "bob"), ("\u4e00\u53f7", "bob")], ids=["narrow", "wide"])
+def test_what_happens_at_each_place_is_a_line(shown: Shown, notices: Any, first: str, second: str) -> None:
     begun = [notices.begun(number) for number in (1, 2)]
     with shown.screen:
         shown.take(notices.started())
         shown.take(
             *(
                 replace(each, task=replace(each.task, place=place, slot=slot))
-                for each, place, slot in zip(begun, ("alice", "bob"), (1, 2), strict=True)
+                for each, place, slot in zip(begun, (first, second), (1, 2), strict=True)
             )
         )
         shown.take(RunRecord("r_2", "event", {"event": "launch_mission"}))
-        alice, bob = shown.lines[-2:]
-    assert alice.startswith("  alice  ▶ r_1: Task=Video")
-    assert bob.startswith("  bob    ▶ r_2: Task=Video")
-    assert "launch_mission" in bob
+        upper, lower = shown.lines[-2:]
+    assert upper.startswith(f"  {first}  ▶ r_1: Task=Video")
+    assert lower.startswith(f"  {second}{' ' * (cell_len(first) - cell_len(second))}  ▶ r_2: Task=Video")
+    assert "launch_mission" in lower
 
 
 def test_records_that_come_faster_than_anybody_reads_are_not_drawn(shown: Shown, notices: Any) -> None:

@@ -7,6 +7,11 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from tests.analysis.importing.foreign_folder import make_earlier_folder
+
+from robot_runner.analysis.importing.adoption import adopt
+from robot_runner.analysis.importing.description import ImportDescription
+from robot_runner.analysis.importing.understanding import understand
 
 
 @pytest.fixture
@@ -20,6 +25,17 @@ def test_an_intact_package_is_called_so(robot_runner, package, packed, tmp_path)
     assert answer.out.startswith("small  intact")
     assert packed.sha256 in answer.out
     assert [path.name for path in tmp_path.iterdir()] == ["small.zip"]
+
+
+@pytest.mark.long
+def test_of_imported_results_it_is_not_proposed_to_execute_them_again(robot_runner, tmp_path):
+    earlier = make_earlier_folder(tmp_path / "earlier")
+    adopt(understand(earlier, ImportDescription()), tmp_path / "ours")
+    assert robot_runner("pack", "ours").code == 0
+    answer = robot_runner("verify", "ours.zip")
+    assert answer.code == 0, answer.err
+    assert "replicate" not in answer.out
+    assert "no config" in answer.out
 
 
 @pytest.mark.parametrize("place", [10, 100], ids=["header", "data"])

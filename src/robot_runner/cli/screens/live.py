@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from typing import Any, Self, TextIO
 
-from rich.cells import cell_len
+from rich.cells import cell_len, set_cell_size
 from rich.console import Group, RenderableType
 from rich.live import Live
 from rich.progress_bar import ProgressBar
@@ -276,7 +276,7 @@ class LiveScreen:
         ]
 
     def _at_place(self, current: CurrentRun, width: int) -> Text:
-        line = Text(f"  {current.task.place.ljust(width)}", style="dim", no_wrap=True, overflow="ellipsis")
+        line = Text(f"  {set_cell_size(current.task.place, width)}", style="dim", no_wrap=True, overflow="ellipsis")
         run, event = self._run(current, with_count=False), self._event(current, "")
         # What happens now is worth more than the last treatments.
         run.truncate(max(_LEAST_OF_RUN, self._console.width - line.cell_len - event.cell_len), overflow="ellipsis")

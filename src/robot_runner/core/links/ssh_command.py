@@ -303,6 +303,6 @@ def _remove_left(folder: Path) -> None:
         try:
             if os.fstat(descriptor).st_uid == os.geteuid():
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                shutil.rmtree(folder)
+                shutil.rmtree(folder, ignore_errors=True)  # its ssh may remove its socket at the same time
         finally:
             os.close(descriptor)

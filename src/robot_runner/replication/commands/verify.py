@@ -122,6 +122,7 @@ def _signature(signer: Signer | None) -> str:
 def _print(verification: Verification, digest: str | None, signer: Signer | None) -> None:
     console = output()
     console.print(Text(one_line(verification.experiment), style="bold").append("  intact", style="green"))
+    again = f"execute it again: {command_line('replicate', str(verification.where))}"
     absent = [f"{each.get('name')} ({each.get('why')})" for each in verification.description.get("left_out", ())]
     print_facts(
         console,
@@ -131,6 +132,6 @@ def _print(verification: Verification, digest: str | None, signer: Signer | None
             ("SHA-256", digest or ""),
             ("Signed", _signature(signer)),
             ("Left out", one_line(", ".join(absent))),
-            ("Next", f"execute it again: {command_line('replicate', str(verification.where))}"),
+            ("Next", again if verification.has_config else "read it: it has no config to execute"),
         ],
     )
