@@ -1,4 +1,4 @@
-"""What a search chooses from, none of it listed, and what it has seen: combinations with their values."""
+"""The space of a search, which is not enumerated, and the combinations that were executed, with their values."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from robot_runner.core.design.planned_runs import RunOrder, arranged
 from robot_runner.core.errors import Finding, did_you_mean
 from robot_runner.core.words import INACTIVE, counted, enumerated, listed
 
-#: Squares of larger values are beyond all numbers.
+#: Larger values are refused, as their squares would overflow.
 _LARGEST = 1e100
 
 
@@ -31,18 +31,18 @@ class Direction(Enum):
 
     @property
     def sign(self) -> int:
-        """What a value is multiplied by, so that less is better."""
+        """The factor by which values are multiplied so that smaller is better."""
         return 1 if self is Direction.MINIMISE else -1
 
 
 @dataclass(slots=True)
 class Explored:
-    """A combination that was executed while it was searched.
+    """A combination that was executed in the search.
 
     Attributes:
         values: of each measure, by its name, by repetition.
-        repetition: the highest one, whether or not it confirms.
-        has_failed: whether a run of the search yielded no value, and not because somebody left it out.
+        repetition: the highest one, those that confirm included.
+        has_failed: whether a run of the search has no value although it was not excluded.
     """
 
     combination: Combination
@@ -57,14 +57,14 @@ class Explored:
 
 
 def explored(told: Sequence[Told], measures: Sequence[str]) -> tuple[list[Explored], list[tuple[str, str]]]:
-    """Return the combinations that were searched among, in the order in which they came up, and what is odd.
+    """Return the executed combinations, in the order of their first runs, and warnings.
 
     Args:
         told: all runs; those of later batches confirm, and only their repetitions count here.
-        measures: what is searched by.
+        measures: those of the search.
 
     Returns:
-        the combinations, and what is to be told of values that are no numbers, as problem and fix.
+        the combinations, and problem and fix for values that are no numbers.
     """
     found: dict[tuple[str, ...], Explored] = {}
     odd = []
@@ -87,7 +87,7 @@ def explored(told: Sequence[Told], measures: Sequence[str]) -> tuple[list[Explor
 
 
 def best_of(points: Sequence[Explored], directions: Mapping[str, Direction]) -> list[Explored]:
-    """Return the best combinations: the one with the best mean, or those that no other one beats in all measures."""
+    """Return the best combinations: the one with the best mean, or the Pareto front of several measures."""
     measures = list(directions)
     signs = [directions[name].sign for name in measures]
     known = [
@@ -104,7 +104,7 @@ def _dominates(one: Sequence[float], other: Sequence[float]) -> bool:
 
 
 def without_values(measures: Sequence[str]) -> tuple[str, str]:
-    """Return what is told where no combination has a value, as problem and fix."""
+    """Return problem and fix where no combination has a value."""
     return f"no combination has a value of {enumerated(measures)}", "See why its runs failed, or yielded none."
 
 
@@ -114,20 +114,20 @@ def shown(combination: Mapping[str, Any]) -> str:
 
 
 def in_direction(name: str, direction: Direction) -> str:
-    """Return what is searched for in words, such as `the least Energy`."""
+    """Return the aim of a search in words, such as `the least Energy`."""
     return f"the {'least' if direction is Direction.MINIMISE else 'most'} {name}"
 
 
 def decided(name: str, words: str, facts: Mapping[str, Any], **more: Any) -> Decision:
-    """Return a decision whose reason is said and kept in the same words."""
+    """Return a decision with its reason, for people and in its facts."""
     return Decision(name=name, in_words=words, facts={"why": words, **facts}, **more)
 
 
-# What comes after a search: runs that confirm what it found.
+# Runs that confirm the result of a search.
 
 
 def confirmation(points: Sequence[Explored], often: int, known: str, facts: Mapping[str, Any]) -> Decision:
-    """Return the decision to confirm what was found, by so many runs of each of these combinations."""
+    """Return the decision to confirm the result by `often` runs of each of these combinations."""
     # As written: each once, then all again.
     runs = [(each.combination, each.repetition + number) for number in range(1, often + 1) for each in points]
     what = listed(shown(each.combination) for each in points)
@@ -135,11 +135,11 @@ def confirmation(points: Sequence[Explored], often: int, known: str, facts: Mapp
     return decided("confirmation", words, facts, runs=runs, confirms=True)
 
 
-# What is wrong with what was asked for.
+# Checks of arguments.
 
 
 def direction_findings(where: str, directions: object) -> Iterator[Finding]:
-    """Say which measures or directions cannot be."""
+    """Yield an error for each invalid measure or direction."""
     if not isinstance(directions, dict) or not directions:
         yield Finding.error(where, f"the measure is {directions!r}", "Name a measure, such as 'Energy'.")
         return
@@ -153,7 +153,7 @@ def direction_findings(where: str, directions: object) -> Iterator[Finding]:
 
 
 def count_findings(where: str, least: int = 0, **counts: object) -> Iterator[Finding]:
-    """Say which counts are no whole numbers from `least`."""
+    """Yield an error for each count that is no integer of at least `least`."""
     for name, value in counts.items():
         if not is_whole(value):
             yield Finding.error(where, f"{name} is {value!r}, of type {type(value).__name__}", "Give a whole number.")
@@ -161,26 +161,26 @@ def count_findings(where: str, least: int = 0, **counts: object) -> Iterator[Fin
             yield Finding.error(where, f"{name} is {value}", f"Give a whole number from {least}.")
 
 
-#: A combination as the place of each factor's treatment.
+#: A combination as the index of each factor's treatment.
 Places = tuple[int, ...]
 
 #: How many combinations are drawn, at most, to find one that is allowed and new.
 _DRAWS = 2000
-#: A space of so many combinations is gone through, one by one, where drawing finds none.
+#: A space with at most so many combinations is enumerated if drawing finds none.
 _FEW = 20_000
 
 
 class SearchedSpace:
-    """What a search chooses from.
+    """The combinations from which a search chooses.
 
-    Treatments that are numbers have places in ascending order, others as they are listed; a range has all its steps.
+    Numbers have indices in ascending order, other treatments in their listed order; a range has all its steps.
 
     Args:
         factors: what is varied.
-        is_allowed: whether the exclusions leave a combination.
+        is_allowed: returns whether a combination is not excluded.
 
     Attributes:
-        levels: the treatments of each factor, by place.
+        levels: the treatments of each factor, by index.
         are_numbers: whether those of each factor are numbers.
 
     Example:
@@ -197,7 +197,7 @@ class SearchedSpace:
             for factor, is_numeric in zip(factors, self.are_numbers, strict=True)
         ]
         self._is_allowed = is_allowed
-        # Exclusions know the ends of a range and no step between them, so that its conditions are looked at here.
+        # Exclusions know only the ends of a range, not its steps, so that its conditions are checked here.
         self._conditions = [
             (factor.name, [(other, set(map(str, wanted))) for other, wanted in factor.when.items()])
             for factor in factors
@@ -212,19 +212,19 @@ class SearchedSpace:
         return prod(map(len, self.levels))
 
     def combination(self, places: Places) -> Combination:
-        """Return the combination of treatments at these places."""
+        """Return the combination of treatments at these indices."""
         treatments = (levels[place] for levels, place in zip(self.levels, places, strict=True))
         return Combination(self._names, tuple(treatments))
 
     def places(self, combination: Combination) -> Places | None:
-        """Return the places of a combination's treatments; None where the config has them no longer."""
+        """Return the indices of a combination's treatments; None where the config does not have them any more."""
         try:
             return tuple(own[str(each)] for own, each in zip(self._place_of, combination.treatments, strict=True))
         except KeyError:
             return None
 
     def is_allowed(self, places: Places) -> bool:
-        """Return whether the exclusions leave this combination, and each factor applies where it has a treatment."""
+        """Return whether a combination is not excluded, and each factor applies where it has a treatment."""
         combination = self.combination(places)
         for name, conditions in self._conditions:
             holds = all(str(combination[other]) in wanted for other, wanted in conditions)
@@ -233,9 +233,9 @@ class SearchedSpace:
         return self._is_allowed(combination)
 
     def spread(self, count: int, seed: str) -> list[Places]:
-        """Return so many combinations, spread over the space, or fewer where it has no more that are allowed.
+        """Return `count` combinations, spread over the space, or all that are allowed if these are fewer.
 
-        A Latin hypercube that reaches both ends of each factor: the best is often there.
+        A Latin hypercube that includes both ends of each factor, where the best one often is.
         """
         if count < 2:  # noqa: PLR2004 - one combination has no ends
             return self._filled([], count, seed)
@@ -259,25 +259,25 @@ class SearchedSpace:
         """Return any combination that is allowed and not among these; None where none is found."""
         draw = Random(seed).random  # noqa: S311 - reproducible, not secret
         drawn = (tuple(int(draw() * len(levels)) for levels in self.levels) for _ in range(_DRAWS))
-        # The first factor changes first, as it always did: the same seed gives the same runs.
+        # The first factor changes fastest: another order would give other runs for the same seed.
         listed = (each[::-1] for each in product(*(range(len(levels)) for levels in reversed(self.levels))))
         candidates = chain(drawn, listed) if self.size <= _FEW else drawn
         return next((each for each in candidates if each not in tried and self.is_allowed(each)), None)
 
 
 def settings(factor: Factor) -> list[Any]:
-    """Return what a factor can be set to: its treatments, or of a range all of its steps."""
+    """Return the treatments of a factor, or all steps of its range."""
     span = factor.range
     if span is None:
         return list(factor.treatments)
-    own = dict(zip(factor.texts, factor.treatments, strict=True))  # its own objects: exclusions go by these
+    own = dict(zip(factor.texts, factor.treatments, strict=True))  # its own objects, which exclusions compare
     steps = (span.at(number / span.step_count) for number in range(span.step_count + 1))
     found = {str(each): own.get(str(each), each) for each in steps}
     return [*found.values(), *(each for each in factor.treatments if each is INACTIVE)]
 
 
 def baseline_findings(where: str, factors: Sequence[Factor], baseline: Mapping[str, Any]) -> Iterator[Finding]:
-    """Say where a baseline is no combination of these factors."""
+    """Yield errors where a baseline is no combination of these factors."""
     known = {factor.name: factor for factor in factors}
     for name, treatment in baseline.items():
         if name not in known:
@@ -294,7 +294,7 @@ def baseline_findings(where: str, factors: Sequence[Factor], baseline: Mapping[s
 
 
 def baseline_of(factors: Sequence[Factor], baseline: Mapping[str, Any]) -> Combination:
-    """Return the combination that a baseline names, which has no findings; factors of one treatment need no mention."""
+    """Return the combination of a valid baseline; factors with one treatment may be left out."""
     treatments = []
     for factor in factors:
         whole = factor.with_treatments(settings(factor))

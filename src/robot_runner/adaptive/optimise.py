@@ -1,4 +1,4 @@
-"""A search for the treatments with which measures are best, by Bayesian optimisation."""
+"""A search for the best treatments, by Bayesian optimisation."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import DesignError, Finding
 from robot_runner.core.words import counted, enumerated, listed
 
-#: Combinations before there is a model: with two more than twice the factors, and five at least, one of them is near.
+#: The fewest combinations before there is a model; by default two more than twice the number of factors.
 _LEAST_START = 5
 #: How long Optuna may take to answer, in s: it takes one or two.
 _PATIENCE = 300.0
@@ -47,23 +47,23 @@ _PROGRAM = "robot_runner.adaptive.optuna_program"
 class Optimise:
     """Search for the treatments with which a measure is least or most, by Bayesian optimisation (Optuna's TPE).
 
-    The first combinations are spread over all treatments; each further one is where Optuna expects the best by then.
-    None is tried twice. Treatments that are numbers are searched in their order, others as alternatives.
+    The first combinations are spread over all treatments; each further one is where Optuna expects the best. None is
+    tried twice. Treatments that are numbers are searched in their order, others as categories.
 
     Attributes:
-        directions: which values of which measure are better. Of several measures, those combinations are best that no
-            other one beats in all of them.
-        runs: how many runs the search has, those that fail included; each combination has `repetitions` of them.
-        start: how many combinations come before what is known is used; None for twice the factors and two, five at
-            least.
-        at_a_time: how many combinations are decided on at a time: as many as runs are executed side by side.
+        directions: which values of which measure are better. For several measures, the best combinations are the Pareto
+            front.
+        runs: how many runs the search has, failed ones included; each combination has `repetitions` of them.
+        start: how many combinations come before there is a model; None for twice the number of factors and two, at
+            least five.
+        at_a_time: how many combinations are decided on at a time: as many as there are runs side by side.
         confirm: how many further runs each of the best combinations has after the search. Only these are analysed as a
-            planned experiment is; 0 for none.
+            planned experiment; 0 for none.
         baseline: the treatments of a combination that is executed beside the best when it is confirmed.
-        seed: what chance comes from.
+        seed: of all random choices.
 
     Raises:
-        DesignError: one of them cannot be; `findings` lists everything that was found.
+        DesignError: an attribute is invalid; `findings` lists all problems.
 
     Example:
         >>> search = Optimise("Energy", "minimise", runs=40, confirm=10)
@@ -111,7 +111,7 @@ class Optimise:
 
     @property
     def measures(self) -> Sequence[str]:
-        """The measures that it decides by."""
+        """The measures by which it decides."""
         return tuple(self.directions)
 
     @property
@@ -119,7 +119,7 @@ class Optimise:
         return f"Optimise({', '.join(self.measures)})"
 
     def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
-        """Say why the search cannot be: nothing to vary, no Optuna, a baseline that does not fit."""
+        """Yield errors: nothing to vary, no Optuna, a baseline that does not fit."""
         where = self._where
         if find_spec("optuna") is None:
             problem = "the library Optuna is not installed, which decides where to search"
@@ -131,7 +131,7 @@ class Optimise:
             yield from baseline_findings(where, factors, self.baseline)
 
     def repetition_findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
-        """Say why it cannot be: too few runs to search with."""
+        """Yield an error if there are too few runs to search with."""
         start = self._start(factors)
         if self.runs // repetitions <= start:
             problem = (
@@ -150,10 +150,10 @@ class Optimise:
         }
 
     def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
-        """Return the combinations that the search begins with.
+        """Return the first combinations of the search.
 
         Raises:
-            DesignError: the exclusions leave none, or not the baseline.
+            DesignError: all are excluded, or the baseline is.
         """
         space = SearchedSpace(factors, is_allowed)
         first = space.spread(self._start(factors), f"{self.seed} start")
@@ -166,7 +166,7 @@ class Optimise:
         return ChosenCombinations([space.combination(places) for places in first], self._facts())
 
     def asking(self, factors: Sequence[Factor], is_allowed: IsAllowed, repetitions: int) -> _Search:
-        """Return what decides where to search next."""
+        """Return the object that decides where to search next."""
         return _Search(self, factors, is_allowed, repetitions)
 
     def _start(self, factors: Sequence[Factor]) -> int:
@@ -199,7 +199,7 @@ class _Search:
         self.measures = design.measures
 
     def may_add(self, runs: Sequence[PlannedRun]) -> bool:
-        """Return whether there may be further runs: of the search, or such that confirm it."""
+        """Return whether there may be further runs, of the search or to confirm it."""
         searched = sum(run.batch == 1 for run in runs)
         return searched + self._repetitions <= self._design.runs or (self._design.confirm > 0 and searched == len(runs))
 
@@ -213,7 +213,7 @@ class _Search:
         if any(each.run.batch > 1 for each in told):
             words = f"{words}. The runs that confirm it are done"
             return decided("end", words, facts, findings=odd)
-        # Where nothing has a value, the fault is not in the treatments: the runs that are left are worth keeping.
+        # Where nothing has a value, the treatments are not the cause: the remaining runs are not wasted.
         left = design.runs // self._repetitions - len(points) if best else 0
         wanted = self._next(points, min(design.at_a_time, left)) if left > 0 else []
         if wanted:
@@ -240,10 +240,10 @@ class _Search:
         return [space.combination(places) for places in found]
 
     def _offered(self, tried: Sequence[tuple[Places, Explored]], count: int) -> list[list[Places]]:
-        """Return what Optuna offers for each of so many combinations.
+        """Return Optuna's candidates for each of `count` combinations.
 
         Raises:
-            DesignError: it cannot be asked.
+            DesignError: it does not answer.
         """
         design, space = self._design, self._space
         seed = Random(f"{design.seed} {len(tried)}").getrandbits(32)  # noqa: S311 - reproducible, not secret
@@ -287,7 +287,7 @@ class _Search:
         return list(chosen.values())
 
     def _known(self, points: Sequence[Explored], best: Sequence[Explored]) -> dict[str, Any]:
-        """Return what is known by now as plain data."""
+        """Return the state of the search as plain data."""
         return {
             "combinations": len(points),
             "without_value": sum(each.means(self.measures) is None for each in points),

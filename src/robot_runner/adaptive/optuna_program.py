@@ -1,7 +1,7 @@
 """Ask Optuna which combinations to try next: a program of its own, from JSON on its input to JSON on its output.
 
-It is none of the orchestrator's modules: numpy starts threads when it is imported, and the process that forks runs has
-none. It keeps nothing from one call to the next, so that the same history and seed give the same answer.
+The orchestrator must not import it, as NumPy starts threads. It keeps no state between calls, so that the same history
+and seed give the same answer.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ import sys
 import warnings
 from typing import Any
 
-#: How often Optuna is asked for one combination, at most, and how many different ones it may come up with for it.
+#: How often Optuna is asked at most for one combination, and how many candidates are returned for it.
 _ASKED = 60
 _WANTED = 8
 
 
 def candidates(question: dict[str, Any]) -> list[list[list[int]]]:
-    """Return the combinations to try next: for each one, several of which the first is preferred.
+    """Return the combinations to try next: several candidates for each, the preferred one first.
 
     Args:
         question: `levels` (how many treatments each factor has), `are_numbers`, `directions` (of Optuna), `points`
-            (pairs of places and values; no values where the runs failed), `tried` (places that are not to come again),
+            (pairs of indices and values; no values where the runs failed), `tried` (indices that must not come again),
             `start` (how many combinations come before Optuna has a model), `count` and `seed`.
     """
     import optuna  # noqa: PLC0415 - a second
@@ -42,7 +42,7 @@ def candidates(question: dict[str, Any]) -> list[list[list[int]]]:
     tried = set(map(tuple, question["tried"]))
     for places, values in question["points"]:
         params = {name: places[int(name)] for name in space}
-        # Failed trials would be passed over by the model; pruned ones without any value are the worst that there are.
+        # The model ignores failed trials; pruned ones without a value count as the worst.
         state = TrialState.COMPLETE if values is not None else TrialState.PRUNED
         study.add_trial(create_trial(params=params, distributions=space, values=values, state=state))
     answer = []
@@ -55,7 +55,7 @@ def candidates(question: dict[str, Any]) -> list[list[list[int]]]:
             tried.add(tuple(places))
             if is_new:
                 found.append(places)
-            if not is_new or len(found) > 1:  # the first one is to be executed: Optuna takes that into account
+            if not is_new or len(found) > 1:  # the first one stays running: Optuna takes that into account
                 study.tell(trial, state=TrialState.FAIL)
             if len(found) == _WANTED:
                 break

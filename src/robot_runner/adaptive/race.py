@@ -31,11 +31,11 @@ from robot_runner.core.design.repeated_intervals import half_width_of, level_at_
 from robot_runner.core.errors import DesignError, Finding
 from robot_runner.core.words import counted, listed
 
-#: How often the best combination of a race is dropped, at most.
+#: The probability, at most, that the best combination is dropped.
 _ERROR = 0.05
-#: The levels of single comparisons are known to be right for as many combinations as this.
+#: The levels of single comparisons were checked for up to so many combinations.
 _MOST_COMBINATIONS = 100
-#: Values that differ by less than this share of themselves are equal, as for the statistics of the report.
+#: Values with a smaller relative difference count as equal, as in the statistics of the report.
 _ROUNDING = 1e-13
 
 
@@ -43,19 +43,19 @@ _ROUNDING = 1e-13
 class Race:
     """Execute all combinations repetition by repetition, and drop those that are clearly worse than another one.
 
-    Each repetition is a block: every combination that is left once, in random order where the model shuffles.
-    Combinations are compared within repetitions. One is dropped where the repeated interval (Jennison and Turnbull
-    1989) of its difference from another says that it is worse, at a level with which the best one is dropped in at most
-    5 % of all races, all looks and all other combinations together (Bonferroni).
+    Each repetition is a block: every remaining combination once, in random order where the model shuffles. Combinations
+    are compared within repetitions. One is dropped where the repeated interval (Jennison and Turnbull 1989) of its
+    difference from another shows that it is worse, at a level with which the best one is dropped in at most 5 % of all
+    races, over all looks and all other combinations (Bonferroni).
 
     Attributes:
         directions: which values of the measure are better.
-        at_most: how many repetitions there are, all together; `repetitions` of the model are the least.
-        confirm: how many further runs each combination has that is left in the end, analysed as a planned experiment
-            is; 0 for none.
+        at_most: the largest number of repetitions; the model's `repetitions` are the smallest.
+        confirm: how many further runs each remaining combination has at the end, analysed as a planned experiment; 0
+            for none.
 
     Raises:
-        DesignError: one of them cannot be; `findings` lists everything that was found.
+        DesignError: an attribute is invalid; `findings` lists all problems.
 
     Example:
         >>> Race("Energy", "minimise", at_most=30).as_mapping()["at_most"]
@@ -82,11 +82,11 @@ class Race:
 
     @property
     def measures(self) -> Sequence[str]:
-        """The measure that it decides by."""
+        """The measure by which it decides."""
         return tuple(self.directions)
 
     def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
-        """Say why the race cannot be: too many or too few combinations."""
+        """Yield errors: too many or too few combinations."""
         where = f"Race({self.measures[0]})"
         many = full_size(factors)
         if many == 1:
@@ -97,7 +97,7 @@ class Race:
             yield Finding.error(where, problem, "Search among them: Optimise(...).")
 
     def repetition_findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
-        """Say why it cannot be: too few repetitions, or more than there are to be."""
+        """Yield errors: too few repetitions, or more than `at_most`."""
         del factors
         where = f"Race({self.measures[0]})"
         if repetitions < LEAST_REPETITIONS:
@@ -133,7 +133,7 @@ class Race:
         return DesignedRuns(runs, self._facts(len(combinations), repetitions))
 
     def asking(self, factors: Sequence[Factor], is_allowed: IsAllowed, repetitions: int) -> _Racing:
-        """Return what decides which combinations go on."""
+        """Return the object that decides which combinations remain."""
         del factors, is_allowed
         return _Racing(self, repetitions)
 
@@ -150,7 +150,7 @@ class Race:
 
 
 class _Racing:
-    """Decides which combinations go on; see `Asking`."""
+    """Decides which combinations remain; see `Asking`."""
 
     def __init__(self, design: Race, repetitions: int) -> None:
         self._design = design
@@ -158,12 +158,12 @@ class _Racing:
         self.measures = design.measures
 
     def may_add(self, runs: Sequence[PlannedRun]) -> bool:
-        """Return whether there may be a repetition more, or runs that confirm the outcome."""
+        """Return whether there may be another repetition, or runs that confirm the result."""
         raced = [run.repetition for run in runs if run.batch == 1]
         return max(raced) < self._design.at_most or (self._design.confirm > 0 and len(raced) == len(runs))
 
     def ask(self, told: Sequence[Told]) -> Decision:
-        """Return the next repetition of those that are left, then the runs that confirm them, then nothing."""
+        """Return the next repetition of the remaining combinations, then the runs that confirm them, then nothing."""
         design = self._design
         points, odd = explored(told, self.measures)
         raced = [each.run for each in told if each.run.batch == 1]
@@ -180,7 +180,7 @@ class _Racing:
         if any(each.run.batch > 1 for each in told):
             words = f"{words}. The runs that confirm it are done"
         elif not any(each.values for each in runners):
-            # The fault is not in the combinations: the repetitions that are left are worth keeping.
+            # The combinations are not the cause: the remaining repetitions are not wasted.
             odd = [*odd, without_values(self.measures)]
         elif len(left) > 1 and now < design.at_most:
             words = f"{words}. Next: repetition {now + 1} of {counted(len(left), 'combination')}"
@@ -191,11 +191,11 @@ class _Racing:
         return decided("end", words, facts, findings=odd)
 
     def _worse(self, runners: Sequence[Explored], raced: int) -> dict[int, str]:
-        """Return those that are clearly worse than another one, by their identity, and than which.
+        """Return the combinations that are clearly worse than another one, by `id`, and which one that is.
 
-        Each pair has the same share of the error, and its interval holds for all looks; only errors to one side drop
-        best one, so that each interval has twice its share. One whose runs failed and that has no value is dropped,
-        too; of one whose values were all left out, nobody knows.
+        Each pair has the same share of the error, and its interval covers at all looks; only errors to one side drop
+        the best one, so that each interval has twice its share. A combination without values whose runs failed is
+        dropped, too, but not one whose values were all left out.
         """
         (name, direction), *_ = self._design.directions.items()
         level = level_at_each_look(self._least, self._design.at_most, 1 - 2 * _ERROR / (raced - 1))
@@ -221,14 +221,14 @@ class _Racing:
         best = best_of(left, self._design.directions)
         ahead = f"{in_direction(name, direction)} has {shown(best[0].combination)}" if best else f"none has {name}"
         gone = f"; dropped: {listed(dropped)}" if dropped else ""
-        # Where none has a value, that is said instead.
+        # Where none has a value, the beginning says so.
         unknown = [shown(each.combination) for each in left if best and not each.values and not each.has_failed]
         gone += f"; of {listed(unknown)}, no value counts" if unknown else ""
         return f"after {counted(now, 'repetition')}, {ahead}, {counted(len(left), 'combination')} left{gone}"
 
 
 def _within_repetitions(one: Explored, other: Explored, measure: str, sign: int) -> list[float]:
-    """Return by how much one is worse than another in each repetition that has both; by rounding alone, it is not."""
+    """Return by how much `one` is worse in each repetition that has both; a difference by rounding counts as 0."""
     mine, its = one.values.get(measure, {}), other.values.get(measure, {})
     pairs = [(mine[each], its[each]) for each in sorted(mine.keys() & its.keys())]
     return [0.0 if math.isclose(*pair, rel_tol=_ROUNDING) else sign * (pair[0] - pair[1]) for pair in pairs]

@@ -1,6 +1,6 @@
-"""From an experiment's folder to data frames, statistics, figures and a report; the folder is all that is needed.
+"""Data frames, statistics, figures and a report from an experiment's folder.
 
-It reads, and needs neither a robot nor a plugin nor the config. `load_results` is where everything begins:
+Nothing else is needed: no robot, no plugin and no config. Begin with `load_results`:
 
 ```python
 from robot_runner.analysis import load_results

@@ -1,4 +1,4 @@
-"""Samples of several profilers on one grid of times, although each was sampled at a rate of its own."""
+"""Resample several profilers, each with its own sampling rate, onto one time grid."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-#: A value is made between samples that are this many of their periods apart at most; beyond that there is a hole.
+#: Interpolate between samples that are at most this many of their periods apart; a wider gap stays a gap.
 _MOST_PERIODS = 3.0
 _ROUNDING = 1e-9
 _BYTES, _GIGA = 8, 1e9
 
 
 class Resampling(Enum):
-    """How a value is made for a time of the grid.
+    """How the value at a time of the grid is computed.
 
-    MEAN takes the mean of the samples nearer to that time than to any other of the grid, and where there is none goes
-    along the straight line between the neighbours; LINEAR always does that; PREVIOUS takes the last sample before.
+    MEAN: the mean of the samples that are nearer to this time than to any other of the grid; where there are none,
+    linear interpolation. LINEAR: always linear interpolation. PREVIOUS: the last sample before this time.
     """
 
     MEAN = "mean"
@@ -38,16 +38,16 @@ class Resampling(Enum):
 
 @dataclass(frozen=True, slots=True)
 class AlignedColumn:
-    """What one column of aligned samples is made from.
+    """The source of one column of aligned samples.
 
     Attributes:
-        name: of the column: the plugin's and its own, as in `Ina219.power_W`.
-        unit: as its heading tells; empty where it does not.
+        name: the plugin's name and the column's, as in `Ina219.power_W`.
+        unit: the unit in the column's heading; empty where it has none.
         period: the median time between its samples, s.
-        interpolated: the share of its values that lie between samples and were made from them, percent.
+        interpolated: the share of its values that were interpolated, percent.
         missing: the share of its values that are missing, percent.
-        clock_uncertainty: how far its times may be wrong beside the others', s: the largest of all runs, as the plugin
-            noted it; None where it was stamped by the run's own clock, or where it is not known.
+        clock_uncertainty: how far its times may be off relative to the others', s: the largest of all runs, as the
+            plugin noted it; None where samples were stamped by the run's own clock, or where it is not known.
     """
 
     name: str
@@ -64,10 +64,10 @@ class AlignedSamples:
 
     Attributes:
         frame: `run_id` (categorical), the factors, `time_s` (s since the start of the mission, multiples of the
-            period), and the columns; where nothing was sampled near a time, NaN.
+            period), and the columns; NaN at a time without samples near it.
         period: of the grid, s.
-        resampling: how values were made.
-        columns: what each column is made from.
+        resampling: how values were computed.
+        columns: the source of each column.
     """
 
     frame: pd.DataFrame
@@ -77,7 +77,7 @@ class AlignedSamples:
 
 
 class Aligned(NamedTuple):
-    """Values at the times of a grid, and which of them lie between samples."""
+    """Values at the times of a grid, and which of them were interpolated."""
 
     course: Floats
     is_interpolated: NDArray[np.bool_]
@@ -91,16 +91,16 @@ def median_period(times: Floats) -> float:
 def grid_of(
     spans: Sequence[tuple[float, float]], period: float, window: tuple[float, float] | None, *, columns: int = 1
 ) -> Floats:
-    """Return the times at which samples are to stand: multiples of the period, s since the start of the mission.
+    """Return the times of a grid: multiples of the period, s since the start of the mission.
 
     Args:
         spans: the first and the last time of each source.
         period: s.
-        window: the measured one; None for the time that all sources cover.
-        columns: how many columns of all runs are to be held on such a grid.
+        window: the measured window; None for the time that all sources cover.
+        columns: the number of columns, of all runs together, that will be held on such a grid.
 
     Raises:
-        AnalysisError: they would take more memory than this machine has.
+        AnalysisError: the columns would take more memory than this machine has.
 
     Example:
         >>> grid_of([(-0.1, 1.3), (0.2, 1.0)], 0.5, None).tolist()
@@ -114,7 +114,7 @@ def grid_of(
         fix = f"Give a longer period, or fewer runs and columns: this machine has {there:,.3g} GB of memory."
         raise AnalysisError(problem, where="aligned samples", fix=fix)
     first, last = np.ceil(low / period - _ROUNDING), np.floor(high / period + _ROUNDING)
-    return np.arange(first, last + 1) * period + 0.0  # of -0.0, 0.0
+    return np.arange(first, last + 1) * period + 0.0  # turns -0.0 into 0.0
 
 
 def align_values(times: Floats, values: Floats, grid: Floats, period: float, how: Resampling) -> Aligned:
@@ -122,10 +122,10 @@ def align_values(times: Floats, values: Floats, grid: Floats, period: float, how
 
     Args:
         times: of its samples, s, ascending.
-        values: as many; NaN where one is missing.
-        grid: s, ascending, `period` apart.
+        values: of its samples; NaN for a missing one.
+        grid: the times of the grid, s, ascending, `period` apart.
         period: of the grid, s.
-        how: how a value is made.
+        how: how a value is computed.
     """
     there = np.isfinite(times) & np.isfinite(values)
     times, values = times[there], values[there]
@@ -149,7 +149,7 @@ def align_values(times: Floats, values: Floats, grid: Floats, period: float, how
 
 
 def _between(times: Floats, values: Floats, grid: Floats, reach: float) -> Floats:
-    """Return values on the straight lines between neighbours; NaN beyond the ends and in holes wider than `reach`."""
+    """Interpolate linearly; NaN beyond the ends and in gaps wider than `reach`."""
     made = np.interp(grid, times, values, left=np.nan, right=np.nan)
     after = np.clip(np.searchsorted(times, grid, side="left"), 0, len(times) - 1)
     before = np.clip(np.searchsorted(times, grid, side="right") - 1, 0, len(times) - 1)

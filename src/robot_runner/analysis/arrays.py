@@ -1,4 +1,4 @@
-"""Arrays of numbers, as signatures name them."""
+"""Types of arrays of numbers, for signatures."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-#: Places, codes and counts.
+#: Indices, codes and counts.
 Numbers = NDArray[np.intp]

@@ -1,4 +1,4 @@
-"""The design of results that were made elsewhere, as their user declares it, so that the analysis follows it."""
+"""The design of results from elsewhere, declared by the user, so that the analysis follows it."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 
 class _Kind(NamedTuple):
-    """A kind of design: which parts name columns, and which of them are needed."""
+    """A kind of design: the parts that name columns, and which of them are required."""
 
     needed: tuple[str, ...] = ()
     possible: tuple[str, ...] = ()
     others: tuple[str, ...] = ()
 
 
-#: The kinds that change the analysis; the parts that name columns are called as in `robot_runner.designs`.
+#: The kinds that change the analysis; their parts have the names of `robot_runner.designs`.
 _KINDS = {
     "blocks": _Kind(("blocks",)),
     "latin_square": _Kind(("rows", "columns"), ("square",)),
@@ -38,7 +38,7 @@ _KINDS = {
     "one_factor_at_a_time": _Kind((), ("blocks",), ("base",)),
     "response_surface": _Kind((), ("blocks",), ("ranges",)),
 }
-#: What the facts of a design call its parts; see `known_design`.
+#: The names of the parts in the facts of a design; see `known_design`.
 _FACTS = {
     "blocks": "block",
     "rows": "row",
@@ -49,7 +49,7 @@ _FACTS = {
     "period": "period",
     "plot": "whole_plot",
 }
-#: A polynomial of second degree takes as many treatments of a factor.
+#: The number of treatments of a factor that a polynomial of second degree needs.
 _OF_A_CURVE = 3
 #: The one part that may name several columns.
 _SEVERAL = "blocks"
@@ -59,17 +59,17 @@ _WORDS = {"yes": True, "true": True, "no": False, "false": False}
 
 @dataclass(frozen=True, slots=True)
 class DeclaredDesign:
-    """What the columns of a run table are in a design that the table itself does not tell.
+    """The parts that columns of a run table have in a design which the table does not show.
 
     Attributes:
         kind: one of `blocks`, `latin_square`, `graeco_latin_square`, `crossover`, `split_plot`,
             `fractional_factorial`, `one_factor_at_a_time` and `response_surface`.
         columns: the columns of each part: `unit` and `period` of a crossover, the whole plots as `plot`, and so on.
-        washout: whether what one treatment leaves is gone before the next; then no carry-over is in the model of a
-            crossover.
-        base: the combination that one factor at a time departs from.
-        ranges: the ends that count as -1 and 1 of the factors of a surface; the least and the largest treatment for
-            those that are left out.
+        washout: whether the effect of one treatment is gone before the next; if so, the model of a crossover has no
+            carry-over.
+        base: the combination from which one factor at a time is changed.
+        ranges: the treatments that are coded as -1 and 1, for the factors of a surface; by default a factor's smallest
+            and largest.
 
     Example:
         >>> DeclaredDesign.of_mapping({"kind": "crossover", "unit": "Robot", "period": "Day"}).names
@@ -87,7 +87,7 @@ class DeclaredDesign:
         """Return the design that plain data declare, such as a table of a TOML file.
 
         Raises:
-            AnalysisError: it is no such design; `findings` lists everything that was found.
+            AnalysisError: the data are not a design; `findings` lists all problems.
         """
         kind = plain.get("kind")
         if kind not in _KINDS:
@@ -121,30 +121,30 @@ class DeclaredDesign:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The columns that are no factors."""
+        """The columns of the parts, which are not factors."""
         return tuple(dict.fromkeys(name for names in self.columns.values() for name in names))
 
     @property
     def in_words(self) -> str:
-        """The design as a reader knows it, with its columns."""
+        """The usual name of the design, with its columns."""
         parts = [f"{part} {enumerated(names)}" for part, names in self.columns.items()]
         parts += ["washed out"] if self.washout else []
         words = ", ".join(parts)
         return f"{design_in_words(self.kind)} ({words})" if words else design_in_words(self.kind)
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return it as plain data, as `of_mapping` takes it."""
+        """Return the design as plain data, for `of_mapping`."""
         columns = {part: names[0] if len(names) == 1 else list(names) for part, names in self.columns.items()}
         ranges = {name: list(ends) for name, ends in self.ranges.items()}
         others = {"washout": self.washout, "base": dict(self.base), "ranges": ranges}
         return {"kind": self.kind, **columns, **{name: value for name, value in others.items() if value}}
 
     def facts(self, whence: str, heading: Callable[[str], str] = str) -> dict[str, Any]:
-        """Return the facts that a design of ours would have written into the manifest.
+        """Return the facts that one of our designs would have written into the manifest.
 
         Args:
             whence: where it was declared, in words.
-            heading: what a column is called in the run table.
+            heading: returns the heading of a column in the run table.
         """
         found: dict[str, Any] = {
             _FACTS[part]: heading(names[0]) if len(names) == 1 else [heading(name) for name in names]
@@ -164,15 +164,15 @@ class DeclaredDesign:
 
 
 def design_in_words(kind: str) -> str:
-    """Return a kind of design as a reader knows it."""
+    """Return the usual name of a kind of design."""
     return kind.replace("_", " ").replace("graeco latin", "Graeco-Latin").replace("latin", "Latin")
 
 
 def parse_design(text: str) -> DeclaredDesign:
-    """Return the design that is written as `KIND:PART=COLUMN,...`.
+    """Parse a design of the form `KIND:PART=COLUMN,...`.
 
     Raises:
-        AnalysisError: the text is no design.
+        AnalysisError: the text is not a design.
 
     Example:
         >>> parse_design("split_plot:plot=Laying,blocks=Day").columns
@@ -193,11 +193,11 @@ def parse_design(text: str) -> DeclaredDesign:
 
 
 def with_declared_design(results: Results, declared: DeclaredDesign, whence: str) -> Results:
-    """Return results whose analysis follows a design that was declared for them.
+    """Return results whose analysis follows a declared design.
 
     Args:
-        results: of an experiment that says nothing of its design beyond factors and blocks.
-        declared: what the columns are.
+        results: the results of an experiment whose manifest has only factors and blocks.
+        declared: the design.
         whence: where it was declared, such as the name of a file.
 
     Raises:
@@ -232,7 +232,7 @@ def _unknown(declared: DeclaredDesign, names: Sequence[str], results: Results, w
 def structure_findings(
     declared: DeclaredDesign, runs: pd.DataFrame, factors: Sequence[str], where: str
 ) -> Iterator[Finding]:
-    """Say why runs cannot have been planned by a design of this kind."""
+    """Yield why runs cannot come from a design of this kind."""
     varied = [name for name in factors if len(set(runs[name])) > 1]
     if not varied:
         fix = "Name a factor of two treatments and more: --factor."
@@ -258,7 +258,7 @@ def _crossing(declared: DeclaredDesign, runs: pd.DataFrame, varied: Sequence[str
 
 
 def _one_in_each(*parts: str) -> _Check:
-    """Return what says which cell of these parts has several combinations."""
+    """Return a check that finds a cell of these parts with several combinations."""
 
     def check(declared: DeclaredDesign, runs: pd.DataFrame, varied: Sequence[str], where: str) -> Iterator[Finding]:
         columns = [name for part in parts for name in declared.columns.get(part, ())]
@@ -299,7 +299,7 @@ def _curves(declared: DeclaredDesign, runs: pd.DataFrame, varied: Sequence[str],
         yield Finding.error(where, problem, "Declare a fractional_factorial, or no design.")
 
 
-#: What the runs of some kinds have to be like.
+#: The checks of the runs, for kinds of designs that have one.
 _STRUCTURES: Mapping[str, _Check] = {
     "crossover": _crossing,
     "latin_square": _one_in_each("rows", "columns", "square"),

@@ -1,4 +1,4 @@
-"""Raw samples read batch by batch, so that more of them can be gone through than fit into memory."""
+"""Raw samples read batch by batch, for more of them than fit into memory."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.sample_files import PhaseSpans
 
-#: Bytes of a file that are parsed at once, some 20,000 samples of six columns; Arrow reads some 30 of them ahead.
+#: Bytes of a file that are parsed at once: about 20,000 samples of six columns. Arrow reads about 30 blocks ahead.
 _BLOCK = 1 << 20
 
 
 @dataclass(frozen=True)
 class LazySamples:
-    """Raw samples that were chosen and are not read yet; each use reads the files anew, one batch at a time.
+    """A selection of raw samples; each use reads the files again, one batch at a time.
 
-    Columns are those of `Results.samples`. Numbers are float64 in every batch, so that all batches have one schema.
+    The columns are those of `Results.samples`. Numbers are float64 in every batch, so that all batches have one schema.
 
     Attributes:
-        request: which file, runs and columns.
+        request: the kind of file, the runs and the columns.
         within_window: whether samples outside the measured window are left out.
-        only_phases: the phases of each run to keep to; None for all, and what is outside of phases.
+        only_phases: the phases of each run whose samples are kept; None keeps all samples.
 
     Example:
         >>> samples = load_results("experiments/long").lazy_samples("Ina219", columns=["power_W"])  # doctest: +SKIP
@@ -56,10 +56,10 @@ class LazySamples:
     only_phases: Mapping[str, PhaseSpans] | None = None
 
     def reader(self) -> pa.RecordBatchReader:
-        """Return a stream of Arrow record batches, as DuckDB, Polars, pyarrow.dataset and Parquet writers take it.
+        """Return a stream of Arrow record batches, for DuckDB, Polars, pyarrow.dataset and Parquet writers.
 
         Raises:
-            AnalysisError: there is no such column; and while it is read: a file does not hold what the first does.
+            AnalysisError: there is no such column; while reading: a file does not have the types of the first one.
             StorageError: a file cannot be read.
         """
         checked_columns(self.request)
@@ -67,16 +67,16 @@ class LazySamples:
         return pa.RecordBatchReader.from_batches(self._schema(types), self._batches(types))
 
     def frames(self) -> Iterator[pd.DataFrame]:
-        """Yield data frames of some 20,000 samples, each of one run, in the order of the runs."""
+        """Yield data frames of about 20,000 samples, each of one run, in the order of the runs."""
         for batch in self.reader():
             yield batch.to_pandas()
 
     def frame(self) -> pd.DataFrame:
-        """Return all that was chosen as one data frame; it must fit into memory."""
+        """Return the whole selection as one data frame, which must fit into memory."""
         return self.reader().read_pandas()
 
     def _types(self) -> dict[str, pa.DataType]:
-        """Return the type of each column, found out from the first block of each file until all are known."""
+        """Return the type of each column, from the first blocks of files until all types are known."""
         types: dict[str, pa.DataType] = {self.request.file.time: pa.float64()}
         for run_id in self.request.run_ids:
             missing = [name for name in self.request.columns if name not in types]
@@ -119,7 +119,7 @@ class LazySamples:
                 yield batch if chosen is None else batch.filter(pa.array(chosen))
 
     def _told(self, run_id: str, times: Floats, names: list[str]) -> tuple[list[pa.Array], NDArray[np.bool_] | None]:
-        """Return the columns of the window and the phases, and which samples are chosen (None for all)."""
+        """Return the columns of the window and the phases, and which samples are selected (None for all)."""
         request, whole = self.request, {run_id: slice(0, len(times))}
         arrays: list[pa.Array] = []
         chosen: NDArray[np.bool_] | None = None
@@ -147,7 +147,7 @@ class LazySamples:
 
 
 class _Labels:
-    """The run and its treatments as columns; what they can be is held once for all batches."""
+    """The run and its treatments as dictionary-encoded columns; all batches share the dictionaries."""
 
     def __init__(self, request: SampleRequest) -> None:
         self._run_ids = pa.array(list(request.run_ids), pa.string())
@@ -164,7 +164,7 @@ def _dictionary(codes: NDArray[np.int32], words: pa.Array, *, ordered: bool = Fa
 
 
 def _widened(kind: pa.DataType) -> pa.DataType:
-    """Return the type that a column has in all files: whole numbers in one may be fractions in the next."""
+    """Return the type of a column in all files: whole numbers in one file may be fractions in the next."""
     is_kept = pa.types.is_boolean(kind) or pa.types.is_timestamp(kind)
     is_number = pa.types.is_integer(kind) or pa.types.is_floating(kind)
     return pa.float64() if is_number else kind if is_kept else pa.string()
@@ -172,11 +172,11 @@ def _widened(kind: pa.DataType) -> pa.DataType:
 
 @contextmanager
 def _refusals(path: Path) -> Iterator[None]:
-    """Raise errors of ours for a file that is read.
+    """Raise errors of reading a file as ours.
 
     Raises:
-        AnalysisError: it does not hold what the first one does.
-        StorageError: it cannot be read.
+        AnalysisError: the file does not have the columns and types of the first one.
+        StorageError: the file cannot be read.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""The libraries of the `analysis` extra: heavier than a robot's computer should carry, so they may be absent."""
+"""The libraries of the `analysis` extra, which may be absent: they are too heavy for a robot's computer."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ class MissingLibraryError(AnalysisError, ImportError):
 
 
 def require_libraries() -> None:
-    """Find out, without importing them, whether the libraries of the extra are installed.
+    """Check, without importing them, that the libraries of the extra are installed.
 
     Raises:
-        MissingLibraryError: some are not; names them and how to install them.
+        MissingLibraryError: some are not; it names them and says how to install them.
     """
     missing = [name for name in _NEEDED if find_spec(name) is None]
     if missing:

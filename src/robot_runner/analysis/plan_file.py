@@ -1,6 +1,6 @@
-"""A plan of the analysis in a file of its own, for results whose config fixed none; and its choices in words.
+"""Analysis plans in files, for results whose config has none; and their choices in words.
 
-The file may declare the design, too, by which results were planned that were made elsewhere.
+The file may also declare the design of results from elsewhere.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _DESIGN = "design"
 
 
 class PlanFile(NamedTuple):
-    """What a file of a plan holds; None where it says nothing of it."""
+    """The contents of a plan file; None for a part that the file does not have."""
 
     analysis: AnalysisPlan | None
     design: DeclaredDesign | None
@@ -31,8 +31,8 @@ def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file that a user wrote.
 
     Raises:
-        AnalysisError: the file is no TOML.
-        StorageError: it cannot be read.
+        AnalysisError: the file is not TOML.
+        StorageError: the file cannot be read.
     """
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
@@ -43,12 +43,12 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def read_plan(path: Path) -> PlanFile:
-    """Read a plan from a TOML file, whose entries are the choices of `AnalysisPlan`, and `[design]`.
+    """Read a plan from a TOML file, which has the attributes of `AnalysisPlan`, and `[design]`.
 
     Raises:
-        AnalysisError: the file is no TOML, or what it declares is no design.
-        DesignError: what it holds is no plan.
-        StorageError: it cannot be read.
+        AnalysisError: the file is not TOML, or its design is invalid.
+        DesignError: the plan is invalid.
+        StorageError: the file cannot be read.
     """
     plain = read_toml(path)
     declared = plain.pop(_DESIGN, None)
@@ -59,12 +59,12 @@ def read_plan(path: Path) -> PlanFile:
 
 
 def choices_in_words(plan: AnalysisPlan, unit: Callable[[str], str]) -> Iterator[str]:
-    """Yield what a plan says of outliers, doubtful values and covariates, where it says anything."""
+    """Yield the choices of a plan for outliers, doubtful values and covariates, as far as it makes any."""
     if plan.outliers is not None:
         rules: dict[str, list[str]] = {}
         for name in plan.outliers.bounds:
             rules.setdefault(plan.outliers.in_words(name, unit(name)), []).append(name)
-        # A rule of spread holds for all measures, exploratory ones as well; only bounds are of one.
+        # A rule of spread holds for all measures, exploratory ones included; bounds hold for one measure.
         rules.setdefault(plan.outliers.in_words(""), []).append(f"every {'other ' * bool(rules)}numeric measure")
         for rule, of in rules.items():
             if rule:

@@ -1,4 +1,4 @@
-"""The results of an experiment as typed data frames, from its folder alone: also partial ones, also while it runs."""
+"""The results of an experiment as typed data frames, from its folder alone, also partial ones and while it runs."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Results(ExperimentFacts):
-    """Everything that an experiment's folder holds, each part read when it is first asked for.
+    """The contents of an experiment's folder; each part is read when it is first used.
 
     Attributes:
         folder: the experiment's folder.
         manifest: the circumstances, as in `manifest.json`.
-        columns: what each column of the run table is, by its heading: role, type, unit, owner, origin.
-        with_excluded: whether runs that were excluded are among the others.
-        with_warm_ups: whether warm-up runs are among the others; else they are left out everywhere.
+        columns: role, type, unit, owner and origin of each column of the run table, by its heading.
+        with_excluded: whether excluded runs are included.
+        with_warm_ups: whether warm-up runs are included; otherwise they are left out everywhere.
         only_confirming: whether runs of a search are left out everywhere; see `confirming`.
 
     Example:
@@ -64,47 +64,47 @@ class Results(ExperimentFacts):
 
     @property
     def confirming(self) -> Results:
-        """The results with those runs alone that a planned analysis is about.
+        """The results with only the runs of the planned analysis.
 
-        Where a design decided on its runs and had what it found confirmed, these are the runs that confirm it;
-        else all. Statistics and reports are of these.
+        Where an adaptive design confirmed its findings, these are the confirming runs; otherwise all runs. Statistics
+        and reports use these.
         """
         return replace(self, only_confirming=True) if self.confirming_batches and self.batch else self
 
     @property
     def with_exploration(self) -> Results:
-        """The results with all runs, those that a design searched among included."""
+        """The results with all runs, including those of a design's search."""
         return replace(self, only_confirming=False) if self.only_confirming else self
 
     @property
     def is_exploratory(self) -> bool:
-        """Whether these are runs of a search, so that no test is right: the best of many looks better than it is."""
+        """Whether these are runs of a search, for which no test is valid: the best of many looks better than it is."""
         return self.is_adaptive and not self.only_confirming
 
     @property
     def warm_ups(self) -> tuple[str, ...]:
-        """The ids of the warm-up runs, whether they are among the runs or left out."""
+        """The ids of the warm-up runs, whether they are included or left out."""
         return self._run_frame.warm_ups
 
     @property
     def is_running(self) -> bool:
-        """Whether somebody executes the experiment at this moment."""
+        """Whether the experiment is being executed at this moment."""
         return holder_of(self._files.lock) is not None
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What looked odd in the run table's file."""
+        """Anomalies of the run table's file."""
         return self._run_frame.findings
 
     @property
     def runs(self) -> pd.DataFrame:
-        """The run table: one row a run, in the order of the file, without the runs that were excluded.
+        """The run table: one row a run, in the order of the file, without excluded runs.
 
         Columns are those of `run_table.csv`: `run_id` (str), `status` (ordered categorical), time stamps
-        (datetime64, UTC), factors (ordered categoricals, in the order in which the config has the treatments), the
+        (datetime64, UTC), factors (ordered categoricals, in the config's order of treatments), the
         repetition and the batch (Int64), whether it warms up (boolean), measures (float64, Int64, boolean or str), a
-        user's own columns. What is missing is NaN, NaT or <NA>. `attrs["units"]` has the units. With `with_excluded`,
-        all runs are there; where any run was ever excluded, the column `excluded` has the reason.
+        user's own columns. What is missing is NaN, NaT or `<NA>`. `attrs["units"]` has the units. With
+        `with_excluded`, all runs are there; where any run was ever excluded, the column `excluded` has the reason.
         """
         frame = self.all_runs
         if self.with_excluded or EXCLUDED not in frame:
@@ -113,30 +113,30 @@ class Results(ExperimentFacts):
 
     @property
     def all_runs(self) -> pd.DataFrame:
-        """The whole run table, runs that were excluded among the others, as `runs` has it."""
+        """The whole run table, with excluded runs; columns as in `runs`."""
         return self._run_frame.frame.copy(deep=False)
 
     @property
     def excluded(self) -> pd.DataFrame:
-        """The runs that were excluded, as `all_runs` has them: `excluded` is the reason, `excluded_at` when (UTC)."""
+        """The excluded runs, as in `all_runs`: `excluded` is the reason, `excluded_at` the time (UTC)."""
         return excluded_frame(self.all_runs, ExcludedRuns.read(self._files.journal))
 
     @property
     def done(self) -> pd.DataFrame:
-        """The rows of `runs` that are done: what statistics are computed from."""
+        """The rows of `runs` that are done, from which statistics are computed."""
         return self.runs[self.runs[STATUS] == RunStatus.DONE.value].reset_index(drop=True)
 
     @property
     def attempts(self) -> pd.DataFrame:
         """All attempts: `run_id`, `attempt`, `status` (done, failed, unfinished), `started_at`, `seconds`, `failure`.
 
-        `seconds` are of real time, as the orchestrator saw them.
+        `seconds` is real time, measured by the orchestrator.
         """
         return self._history.attempts.copy(deep=False)
 
     @property
     def published(self) -> pd.DataFrame:
-        """All measures that runs published in their last attempt, with a column in the run table or without.
+        """All measures that runs published in their last attempt, with or without a column in the run table.
 
         One row a value: `run_id`, `measure`, `value` (object), `owner`, `origin`.
         """
@@ -145,15 +145,15 @@ class Results(ExperimentFacts):
 
     @property
     def odd(self) -> pd.DataFrame:
-        """What plugins found odd about runs: `run_id`, `attempt`, `owner`, `problem`, `fix`."""
+        """Anomalies that plugins reported about runs: `run_id`, `attempt`, `owner`, `problem`, `fix`."""
         return self._history.odd.copy(deep=False)
 
     @property
     def quality(self) -> pd.DataFrame:
-        """How far each value of the runs that are done can be trusted, one row a value.
+        """The quality of each value of the runs that are done, one row a value.
 
-        Columns: `run_id`, `measure`, `quality` (ordered categorical: good, doubtful, missing) and `reasons` (text, with
-        `; ` between them; empty for a good value). What an operator did not answer, mostly as nobody asked, has none.
+        Columns: `run_id`, `measure`, `quality` (ordered categorical: good, doubtful, missing) and `reasons` (text,
+        separated by `; `; empty for a good value). An operator's missing answer has no row: mostly, nobody asked.
 
         Example:
             >>> quality = load_results("experiments/basic_experiment").quality  # doctest: +SKIP
@@ -165,25 +165,25 @@ class Results(ExperimentFacts):
         return found[~unasked].reset_index(drop=True)
 
     def _reasons(self, run_id: str, measure: str) -> tuple[str, ...]:
-        """Return what the journal says of a value; the schema, where the journal does not know the run."""
+        """Return the doubts about a value: the journal's, or the schema's where the journal does not have the run."""
         told = self._history.doubts.get(run_id)
         return self.columns[measure].doubts.get(run_id, ()) if told is None else told.get(measure, ())
 
     @property
     def readers(self) -> Mapping[str, tuple[str, ...]] | None:
-        """Who read the treatment of each factor in runs that are done, or has a parameter bound to it.
+        """The plugins (or `config`) that read each factor's treatment in runs that are done, or are bound to it.
 
-        By the factor's name: plugins, and `config`. A factor that is missing was read by nobody. None where a version
-        of Robot Runner executed them, or another tool, that did not look.
+        By the factor's name. Nobody read a factor that is missing here. None where the runs were executed by another
+        tool, or by a version of Robot Runner, that did not record it.
         """
         return self._history.readers
 
     def events(self, runs: str | Sequence[str] | None = None) -> pd.DataFrame:
-        """Return the events of runs (of all for None), of the last attempt at each.
+        """Return the events of runs (None: of all), of the last attempt at each.
 
         Columns: `run_id`, `event` (ordered categorical), `at` (datetime64, UTC), `clock_s` (s on the run's clock) and
         `since_start_s` (s since the start of the mission); the last two are missing for `before_run` and
-        `continue`, which take place outside the run and its clock.
+        `continue`, which happen outside the run and its clock.
 
         Raises:
             AnalysisError: there is no such run.
@@ -192,19 +192,19 @@ class Results(ExperimentFacts):
         return events[events["run_id"].isin(self._chosen(runs))].reset_index(drop=True)
 
     def phases(self, runs: str | Sequence[str] | None = None) -> pd.DataFrame:
-        """Return the phases of missions (of all runs for None), as systems wrote them to `phases.csv`, or told them.
+        """Return the phases of missions (None: of all runs), from `phases.csv` of systems or from the journal.
 
-        Columns: `run_id`, the factors, `plugin` (missing where the journal alone has it), `number`, `phase`, `start_s`
-        and `end_s` (s since the start of the mission), and what else the system wrote, such as `task` and `x_m`.
+        Columns: `run_id`, the factors, `plugin` (missing for a phase from the journal), `number`, `phase`, `start_s`
+        and `end_s` (s since the start of the mission), and the system's other columns, such as `task` and `x_m`.
 
         Raises:
-            AnalysisError: there is no such run, or a file of phases does not say when they are.
+            AnalysisError: there is no such run, or a file of phases lacks names or times.
         """
         return self._raw.mission_phases(self._chosen(runs))
 
     @property
     def sample_files(self) -> tuple[SampleFile, ...]:
-        """The kinds of raw-sample files that there are: plugin, file, columns, and the runs that have one."""
+        """The kinds of raw-sample files: plugin, file, columns, and the runs that have one."""
         return self._raw.sample_files
 
     def samples(
@@ -218,25 +218,25 @@ class Results(ExperimentFacts):
         with_phases: bool = True,
         with_window: bool = True,
     ) -> pd.DataFrame:
-        """Return raw samples of any or all runs as one tidy table, one row a sample.
+        """Return raw samples of some or all runs as one tidy table, one row a sample.
 
         Columns: `run_id` (categorical), the factors (ordered categoricals), `time_s` (s since the start of the
         mission; negative before it), `in_window` (whether it lies in the measured window, which is the mission),
-        `phase` (categorical; of several at once the one that began last) and `phase_number` (0 outside all phases),
-        then the value columns as the plugin wrote them. Where the mission is not known, times are counted from the
-        start of measurement, or from the first sample, and all samples count as within.
+        `phase` (categorical; of simultaneous phases the one that began last) and `phase_number` (0 outside all phases),
+        then the value columns as the plugin wrote them. Where the mission's times are not known, times count from the
+        start of measurement, or from the first sample, and all samples count as inside the window.
 
         Args:
-            plugin: whose samples; may be left out where only one plugin has any.
-            file: which file, such as `samples.csv`; may be left out where the plugin has only one kind.
+            plugin: the name of the plugin; optional where only one plugin has samples.
+            file: the name of the file, such as `samples.csv`; optional where the plugin has only one kind.
             runs: ids of the runs; None for all that have samples.
-            columns: the value columns; None for all. Few are read faster than many.
-            with_factors: whether each row carries the treatments of its run (and the repetition).
-            with_phases: whether each row carries the phase that it falls into.
-            with_window: whether each row says if it lies in the measured window.
+            columns: the value columns; None for all. Fewer columns are read faster.
+            with_factors: whether to add the treatments of each run (and the repetition).
+            with_phases: whether to add the phase of each sample.
+            with_window: whether to add `in_window`.
 
         Raises:
-            AnalysisError: there are no such samples, runs or columns; names those that there are.
+            AnalysisError: there are no such samples, runs or columns; the error names the existing ones.
             StorageError: a file cannot be read.
         """
         raw = self._raw
@@ -261,19 +261,19 @@ class Results(ExperimentFacts):
         phases: str | Sequence[str] | None = None,
         within_window: bool = False,
     ) -> LazySamples:
-        """Choose raw samples without reading them: they come in batches, however many there are.
+        """Select raw samples without reading them; they are read in batches, however many there are.
 
         Args:
-            plugin: as of `samples`.
-            file: as of `samples`.
-            runs: as of `samples`.
-            treatments: those to keep to, by factor: `{"Task": "Video"}`, or several in a list.
-            columns: as of `samples`.
-            phases: the names of the phases to keep to; None for all samples.
+            plugin: as in `samples`.
+            file: as in `samples`.
+            runs: as in `samples`.
+            treatments: the treatments to keep, by factor: `{"Task": "Video"}`, or several in a list.
+            columns: as in `samples`.
+            phases: the names of the phases to keep; None for all samples.
             within_window: whether samples outside the measured window are left out.
 
         Raises:
-            AnalysisError: there are no such samples, runs, treatments or phases; names those that there are.
+            AnalysisError: there are no such samples, runs, treatments or phases; the error names the existing ones.
         """
         kind = choose_file(self._raw.sample_files, plugin, file)
         request = self._raw.request(kind, self._raw.with_treatments(self._chosen(runs), treatments or {}), columns)
@@ -288,22 +288,22 @@ class Results(ExperimentFacts):
         runs: str | Sequence[str] | None = None,
         treatments: Mapping[str, object] | None = None,
     ) -> AlignedSamples:
-        """Return samples of several profilers on one grid of times, with what was interpolated.
+        """Return samples of several profilers on one time grid, with the share of interpolated values.
 
-        Times are those of the run's clock, onto which samples of other computers were placed when they were taken. The
-        grid covers the measured window, else what all profilers cover. Runs that one of them has no samples of are left
-        out. Runs are read one after another.
+        Times are on the run's clock; samples of other computers were converted to it when they were taken. The grid
+        covers the measured window or, without one, the time that all profilers cover. A run without samples of one of
+        the profilers is left out. Runs are read one after another.
 
         Args:
-            columns: of each plugin: `{"Ina219": ["power_W"], "PsUtil": ["cpu_percent"]}`; `Ina219/samples.csv` where a
-                plugin has several files.
-            period: from one time to the next, s.
-            resampling: how a value is made for a time.
-            runs: as of `samples`.
-            treatments: as of `lazy_samples`.
+            columns: the columns of each plugin: `{"Ina219": ["power_W"], "PsUtil": ["cpu_percent"]}`; write
+                `Ina219/samples.csv` where a plugin has several files.
+            period: of the grid, s.
+            resampling: how the value at a time of the grid is computed.
+            runs: as in `samples`.
+            treatments: as in `lazy_samples`.
 
         Raises:
-            AnalysisError: there are no such samples, runs or columns, or they are no numbers.
+            AnalysisError: there are no such samples, runs or columns, or columns are not numbers.
             StorageError: a file cannot be read.
         """
         chosen = self._raw.with_treatments(self._chosen(runs), treatments or {})
@@ -313,12 +313,11 @@ class Results(ExperimentFacts):
         """Write the run table and all raw samples as Parquet, and a data package that describes everything.
 
         Args:
-            folder: where the files go, `datapackage.json` among them; None is `export/` in the experiment's folder.
-            for_spreadsheets: whether the tables are written into `spreadsheets/`, too, with no cell that a spreadsheet
-                would execute.
+            folder: the folder to write into; None for `export/` in the experiment's folder.
+            for_spreadsheets: whether the tables are written into `spreadsheets/`, too, as workbooks without formulas.
 
         Returns:
-            The files that were written.
+            The written files, `datapackage.json` among them.
 
         Raises:
             StorageError: a file cannot be written.
@@ -334,7 +333,7 @@ class Results(ExperimentFacts):
 
     @property
     def _labels(self) -> list[str]:
-        """The columns that say which combination a run is of: the factors, declared repetitions among them."""
+        """The columns that tell the combination of a run: the factors, and declared repetitions."""
         return list(self._named(ColumnRole.FACTOR))
 
     @cached_property
@@ -368,13 +367,13 @@ def load_results(folder: Path | str, *, with_excluded: bool = False, with_warm_u
     """Read the results of an experiment.
 
     Args:
-        folder: the experiment's folder: the one that holds `run_table.csv` and `manifest.json`.
-        with_excluded: whether runs that were excluded (`robot-runner exclude`) are among the others. By default they
-            are in `excluded` and `all_runs` alone, and in no statistics.
-        with_warm_ups: whether warm-up runs are among the others; `Results.warm_ups` names them in any case.
+        folder: the experiment's folder, with `run_table.csv` and `manifest.json`.
+        with_excluded: whether to include runs that were excluded (`robot-runner exclude`). By default they are only in
+            `excluded` and `all_runs`, and in no statistics.
+        with_warm_ups: whether to include warm-up runs; `Results.warm_ups` names them in any case.
 
     Raises:
-        StorageError: there is no experiment here, or it cannot be read.
+        StorageError: the folder holds no experiment, or cannot be read.
     """
     root = Path(folder).expanduser().resolve()
     files = ExperimentFolder.found_at(root)
@@ -387,5 +386,5 @@ def load_results(folder: Path | str, *, with_excluded: bool = False, with_warm_u
 
 
 def results_of(experiment: Results | Path | str) -> Results:
-    """Return the results of an experiment that was given by these, or by its folder."""
+    """Return the results of an experiment, which is given as results or as a folder."""
     return experiment if isinstance(experiment, Results) else load_results(experiment)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 def several(names: str | Sequence[str]) -> Sequence[str]:
-    """Return names that were given, of which one alone may be given as it is.
+    """Return names as a sequence; a single one may be given as a plain text.
 
     Example:
         >>> several("Energy"), several(["Energy", "CPU"])
@@ -42,10 +42,10 @@ def several(names: str | Sequence[str]) -> Sequence[str]:
 
 
 def require_choice(given: object, kind: type[Enum], what: str, where: str) -> None:
-    """Refuse what is no member of an enumeration, such as the text of one: compared with a member it is another.
+    """Check that a value is a member of an enumeration; a text never equals a member.
 
     Raises:
-        AnalysisError: it is none.
+        AnalysisError: the value is not a member.
     """
     if not isinstance(given, kind):
         names = ", ".join(f"{kind.__name__}.{each.name}" for each in kind)
@@ -59,7 +59,7 @@ class ExperimentFacts:
     Attributes:
         folder: the experiment's folder.
         manifest: the circumstances, as in `manifest.json`.
-        columns: what each column of the run table is, by its heading: role, type, unit, owner, origin.
+        columns: role, type, unit, owner and origin of each column of the run table, by its heading.
     """
 
     folder: Path
@@ -73,7 +73,7 @@ class ExperimentFacts:
 
     @property
     def factors(self) -> tuple[str, ...]:
-        """The factors, without the one that only counts repetitions (as in the paper's Listing 1)."""
+        """The factors, except one that only counts repetitions (as in the paper's Listing 1)."""
         return tuple(name for name in self._named(ColumnRole.FACTOR) if name != self.repetition)
 
     @property
@@ -91,35 +91,35 @@ class ExperimentFacts:
 
     @property
     def batch(self) -> str | None:
-        """The column that says in which batch a run was planned, where the experiment was extended: a stratum."""
+        """The column of the batch (a stratum) in which a run was planned, where the experiment was extended."""
         return next(iter(self._named(ColumnRole.BATCH)), None)
 
     @property
     def is_adaptive(self) -> bool:
-        """Whether the design decided on runs from results: what it searched among is exploratory."""
+        """Whether the design chose runs by results: the runs of its search are exploratory."""
         return bool((self.manifest.get("design") or {}).get("facts", {}).get("decides"))
 
     @property
     def confirming_batches(self) -> tuple[int, ...]:
-        """The batches that confirm what a design has found that decides on its runs."""
+        """The batches that confirm the findings of an adaptive design."""
         batches = (self.manifest.get("design") or {}).get("batches", ())
         return tuple(each["batch"] for each in batches if each.get("role") == CONFIRMATION)
 
     @property
     def measures(self) -> tuple[str, ...]:
-        """The measures that have a column in the run table, in its order; columns of qualities are left out."""
+        """The measures with a column in the run table, in its order, without columns of qualities."""
         named = self._named(ColumnRole.MEASURE)
         telling = {name + QUALITY_SUFFIX for name in named}
         return tuple(name for name in named if name not in telling)
 
     @property
     def plan(self) -> AnalysisPlan | None:
-        """What was fixed for the analysis before the experiment, or None."""
+        """The analysis plan that was fixed before the experiment, or None."""
         return AnalysisPlan.of_mapping(plain) if (plain := self.manifest.get("analysis")) else None
 
     @property
     def seed(self) -> int | None:
-        """What the order of the runs comes from; None where it is not known."""
+        """The seed of the order of the runs; None where it is not known."""
         return None if (seed := self.manifest.get("seed")) is None else int(seed)
 
     def unit(self, name: str) -> str:
@@ -135,7 +135,7 @@ class ExperimentFacts:
 
 
 _TYPED_TREATMENTS = frozenset({"integer", "number", "boolean"})
-_LARGEST = 2**63 - 1  # that a column of whole numbers holds
+_LARGEST = 2**63 - 1  # of an Int64 column
 _DTYPES = {"integer": "Int64", "boolean": "boolean", "string": "str"}
 
 
@@ -145,7 +145,7 @@ class RunFrame:
 
     Attributes:
         frame: one row a run, in the order of the file.
-        findings: what looked odd in the file.
+        findings: anomalies of the file.
         warm_ups: the ids of the warm-up runs.
     """
 
@@ -158,7 +158,7 @@ class RunFrame:
         return self._with(~self.frame[RUN_ID].isin(self.warm_ups)) if self.warm_ups else self
 
     def of_batches(self, batch: str, numbers: Sequence[int]) -> RunFrame:
-        """Return the table with the runs of these batches alone."""
+        """Return the table with only the runs of these batches."""
         return self._with(self.frame[batch].isin(numbers))
 
     def _with(self, rows: pd.Series) -> RunFrame:
@@ -168,7 +168,7 @@ class RunFrame:
 
 
 def column_descriptions(folder: ExperimentFolder, manifest: Mapping[str, Any]) -> tuple[ColumnDescription, ...]:
-    """Return what each column of the run table is; from the manifest where there is no schema.
+    """Return the descriptions of the run table's columns; from the manifest where there is no schema.
 
     Raises:
         StorageError: the schema cannot be read.
@@ -191,12 +191,12 @@ def column_descriptions(folder: ExperimentFolder, manifest: Mapping[str, Any]) -
 def read_run_frame(
     folder: ExperimentFolder, columns: Sequence[ColumnDescription], manifest: Mapping[str, Any]
 ) -> RunFrame:
-    """Read the run table, with what the journal has of runs that ended since the file was written last.
+    """Read the run table, and add runs from the journal that ended since the file was last written.
 
     Raises:
         StorageError: there is no run table, or it cannot be read.
     """
-    # The journal comes first: a table written meanwhile is newer than what the journal adds to it, never older.
+    # Read the journal first: a table that is written meanwhile is newer than its records, never older.
     ended: set[str] = set()
     newer = _ended_since_table(read_journal(folder.journal, kinds={"attempt_finished", "table_written"}), ended)
     if not folder.run_table.exists():
@@ -210,11 +210,11 @@ def read_run_frame(
     for record in newer.values():
         if rows.place_of(record["run"]) is not None:
             _take(rows, record)
-    if excluded is not None:  # the journal is the truth; a cell that was edited by hand is settled by the next session
+    if excluded is not None:  # the journal decides; the next session settles a cell that was edited by hand
         for run_id in rows.values(RUN_ID) if rows.layout.has_exclusions else ():
             rows.exclude(run_id, excluded.reason(run_id))
     warm_ups = tuple(run.run_id for run in rows.planned if run.is_warm_up)
-    # Of an experiment that is executed the end of a run may have come since the journal was read.
+    # While the experiment is executed, a run may have ended since the journal was read.
     done = rows.done_runs if holder_of(folder.lock) is None else ()
     lost = unrecorded_findings(folder.journal, done, ended, manifest)
     edited = edited_findings(folder.journal, folder.run_table, rows)
@@ -222,7 +222,7 @@ def read_run_frame(
 
 
 def excluded_frame(frame: pd.DataFrame, known: ExcludedRuns) -> pd.DataFrame:
-    """Return the rows of a run table that are left out, with `excluded_at`, when they were (UTC)."""
+    """Return the excluded rows of a run table, with the time of exclusion as `excluded_at` (UTC)."""
     chosen = frame[frame[EXCLUDED].notna()] if EXCLUDED in frame else frame.iloc[:0].assign(**{EXCLUDED: None})
     at = [known.present[run_id].at if run_id in known.present else None for run_id in chosen[RUN_ID]]
     stamps = pd.to_datetime(pd.Series(at, dtype="object"), utc=True, format="ISO8601")
@@ -232,7 +232,7 @@ def excluded_frame(frame: pd.DataFrame, known: ExcludedRuns) -> pd.DataFrame:
 def quality_frame(
     done: pd.DataFrame, measures: Sequence[str], reasons_of: Callable[[str, str], Sequence[str]]
 ) -> pd.DataFrame:
-    """Return how far each value of runs that are done can be trusted, one row a value."""
+    """Return the quality of each value of runs that are done, one row a value."""
     rows = [
         (run_id, name, quality_of_value(None if pd.isna(value) else value, reasons).value, "; ".join(reasons))
         for name in measures
@@ -246,12 +246,12 @@ def quality_frame(
 
 
 def treatment_texts(values: pd.Series) -> pd.Series:
-    """Return a factor's column as text, as the treatments are written in the run table."""
+    """Return a factor's column as texts, as in the run table."""
     return values.cat.rename_categories([str(each) for each in values.cat.categories])
 
 
 def _ended_since_table(records: Iterable[Mapping[str, Any]], ended: set[str]) -> dict[str, Mapping[str, Any]]:
-    """Return the ends of runs since the table was written last, and note all runs that have ended."""
+    """Return the ends of runs since the table was last written, and add all ended runs to `ended`."""
     newer: dict[str, Mapping[str, Any]] = {}
     for record in records:
         if record["kind"] == "table_written":
@@ -297,17 +297,17 @@ def _frame(rows: RunTableRows, columns: Sequence[ColumnDescription], manifest: M
 
 
 def _factor(values: Sequence[Any], kind: str, declared: Sequence[str]) -> pd.Categorical:
-    """Return an ordered categorical: first the treatments as the config has them, then others as they come."""
+    """Return an ordered categorical: first the treatments in the config's order, then others as they occur."""
     texts = list(map(_text, values))
     found = dict(zip(texts, values, strict=True))
     order = list(dict.fromkeys([*declared, *(found if declared else _in_order(found.values()))]))
     categories: list[Any] = order
     if kind in _TYPED_TREATMENTS:
         typed = [typed_value(text, kind) for text in order]
-        # `1` and `1.0`, or `01`, are one number: treatments that are told apart stay texts.
+        # `1` and `1.0`, or `01`, are the same number: different treatments stay texts.
         if len(set(typed)) == len(order) and type_of_values(typed) == kind:
             categories = typed
-    # Of its own, pandas makes 1.0 of a treatment 1 beside 0.5, which neither table nor hypotheses call so.
+    # Without this, pandas turns a treatment 1 beside 0.5 into 1.0, a name that neither table nor hypotheses use.
     kept = object if len(set(map(type, categories))) > 1 else None
     return pd.Categorical(texts, order, ordered=True).rename_categories(pd.Index(categories, dtype=kept))
 
@@ -317,7 +317,7 @@ def _text(value: Any) -> str:
 
 
 def _in_order(values: Iterable[Any]) -> list[str]:
-    """Return the texts of treatments whose order nobody declared: numbers ascending, else as they come."""
+    """Return the texts of treatments without a declared order: numbers ascending, others as they occur."""
     listed = list(values)
     if type_of_values(listed) in {"integer", "number"} and None not in listed:
         listed.sort()
@@ -325,7 +325,7 @@ def _in_order(values: Iterable[Any]) -> list[str]:
 
 
 def _values(values: Sequence[Any], kind: str) -> Any:
-    """Return a measure's values as an array of the type that they all have; None becomes a missing value."""
+    """Return a measure's values as an array of their common type; None becomes a missing value."""
     is_missing = all(value is None for value in values)
     found = type_of_values(values)
     if found == "any" and is_missing:

@@ -1,4 +1,4 @@
-"""Raw samples of many runs as one table, made column by column, so that hardly more than the table itself is held."""
+"""Raw samples of many runs as one table, built column by column to need little more memory than the table itself."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 
 
 class GrowingColumn:
-    """One column of samples that grows run by run, so that no run's samples are held twice.
+    """One column of samples that grows run by run, so that no sample is in memory twice.
 
-    It holds whole numbers, floats (NaN for what is missing), moments, or texts; its type widens when a piece needs it.
-    Joining the pieces at the end (`pyarrow.concat_tables`) takes nearly twice the memory, which 10 million samples do
-    not leave.
+    It holds whole numbers, floats (NaN for missing values), timestamps or texts; its type widens when a piece needs it.
+    Joining the pieces at the end (`pyarrow.concat_tables`) would take nearly twice the memory, too much for 10 million
+    samples.
 
     Example:
         >>> column = GrowingColumn(expected=3)
@@ -58,7 +58,7 @@ class GrowingColumn:
             self._append_numbers(piece)
 
     def values(self) -> Any:
-        """Return all values: an array, or a categorical where they are texts."""
+        """Return all values: an array, or a categorical for texts."""
         if self._texts is not None:
             return _categorical(self._texts)
         if self._numbers is None:
@@ -139,24 +139,23 @@ def _categorical(texts: list[pa.Array]) -> pd.Categorical:
 
 _MOST_THREADS = 8
 
-#: Memory that is asked for and not touched costs nothing; growing later costs a copy.
+#: Allocated memory that is never touched costs nothing; growing later costs a copy.
 _SPARE = 1.05
 
 
 @dataclass(frozen=True, slots=True)
 class SampleRequest:
-    """What is to be read.
+    """The file, runs and columns to read.
 
     Attributes:
         file: the kind of file.
-        run_ids: the runs, in the order in which they are to stand.
+        run_ids: the runs, in the order of the rows.
         columns: the value columns.
-        starts: the moment from which each run's times are counted, s on the samples' clock; where that is not known,
-            they are counted from its first sample.
-        windows: when each run's measured window began and ended, s on the samples' clock; all samples of a run that is
-            not among them count as within. None to leave the column out.
+        starts: the zero of each run's times, s on the samples' clock; a run without one counts from its first sample.
+        windows: beginning and end of each run's measured window, s on the samples' clock; all samples of a run without
+            one count as inside. None to leave the column out.
         phases: the phases of each run; None to leave them out.
-        factors: the treatments of each run as categoricals of the length of `run_ids`, by factor.
+        factors: the treatments of each run, by factor: categoricals as long as `run_ids`.
         unfinished: runs that are not done: the last line of their files may be cut off.
     """
 
@@ -171,10 +170,10 @@ class SampleRequest:
 
 
 def read_samples(request: SampleRequest) -> pd.DataFrame:
-    """Read raw samples of several runs; `attrs["skipped_rows"]` counts, by run, rows that are no rows of the table.
+    """Read raw samples of several runs; `attrs["skipped_rows"]` counts malformed rows, by run.
 
     Raises:
-        AnalysisError: there is no such column, or a file is no table.
+        AnalysisError: there is no such column, or a file is not a table.
         StorageError: a file cannot be read.
     """
     checked_columns(request)
@@ -187,10 +186,10 @@ def read_samples(request: SampleRequest) -> pd.DataFrame:
 
 
 def checked_columns(request: SampleRequest) -> None:
-    """Look whether the columns of a request are there.
+    """Check that the columns of a request exist.
 
     Raises:
-        AnalysisError: one is not; names the nearest.
+        AnalysisError: one does not; the error names the nearest.
     """
     for name in request.columns:
         if name not in request.file.columns:
@@ -199,10 +198,10 @@ def checked_columns(request: SampleRequest) -> None:
 
 
 def sample_source(request: SampleRequest, run_id: str) -> Any:
-    """Return what Arrow reads the file of a run from, to be closed; of a run that is not done, its whole lines.
+    """Open the file of a run for Arrow, to be closed by the caller; of a run that is not done, its complete lines.
 
     Raises:
-        StorageError: it is no regular file, or cannot be read.
+        StorageError: the file is not a regular one, or cannot be read.
     """
     file = open_to_read(request.file.paths[run_id])
     if run_id not in request.unfinished:
@@ -215,7 +214,7 @@ def sample_source(request: SampleRequest, run_id: str) -> Any:
 def csv_options(
     request: SampleRequest, types: Mapping[str, pa.DataType], skip: Callable[[object], str] = lambda _: "skip"
 ) -> dict[str, Any]:
-    """Return how Arrow parses and converts files of a request; `skip` gets each row of too many or too few cells."""
+    """Return Arrow's options for the files of a request; `skip` is called for rows with too many or too few cells."""
     return {
         "parse_options": arrow_csv.ParseOptions(invalid_row_handler=skip),
         "convert_options": arrow_csv.ConvertOptions(
@@ -228,7 +227,7 @@ def csv_options(
 
 
 def _gather(reader: _Reader) -> tuple[NDArray[np.int64], dict[str, Any]]:
-    """Copy each table into the columns as soon as it is read; only a few tables are held at once."""
+    """Copy each table into the columns as soon as it is read, so that only a few tables are in memory at once."""
     lengths: list[int] = []
     columns: dict[str, GrowingColumn] = {}
     for table in reader.tables():
@@ -290,7 +289,7 @@ class _Reader:
             return
         first = self._read_one(run_ids[0], {})
         yield first
-        # What the first file holds is taken for what all hold, so that types need not be found out anew for each.
+        # The types of the first file are used for all, so that Arrow need not infer them for each.
         types = {each.name: each.type for each in first.schema if not pa.types.is_null(each.type)}
         del first
         threads = min(_MOST_THREADS, cpu_count() or 1)
@@ -304,7 +303,7 @@ class _Reader:
                 yield ahead.popleft().result()
 
     def expected_rows(self, first: int) -> int:
-        """Return about how many rows all files have, by their sizes and the rows of the first."""
+        """Estimate the number of rows of all files from their sizes and the rows of the first."""
         sizes = [self._request.file.paths[run_id].stat().st_size for run_id in self._request.run_ids]
         return int(first * sum(sizes) / max(1, sizes[0]) * _SPARE) + first
 
@@ -335,7 +334,7 @@ class _Reader:
 def labels_of(
     run_ids: Sequence[str], factors: Mapping[str, pd.Categorical], lengths: NDArray[np.int64]
 ) -> dict[str, Any]:
-    """Return the run and its treatments for each sample, of so many of each run: one small number each."""
+    """Return the run and its treatments for each sample as categoricals, given the number of samples of each run."""
     count = len(run_ids)
     kind = next(kind for kind in (np.int8, np.int16, np.int32) if count <= np.iinfo(kind).max)
     places = np.repeat(np.arange(count, dtype=kind), lengths)
@@ -352,13 +351,13 @@ def places_of_phases(
     """Return the phase of each sample, by its time on the run's clock.
 
     Args:
-        phases: those of each run.
+        phases: the phases of each run.
         names: all names of phases.
         times: of the samples, s on the run's clock.
-        slices: which samples are of which run.
+        slices: the samples of each run.
 
     Returns:
-        The place of the phase's name among `names`, and its number; -1 and 0 outside all phases.
+        The index of the phase's name in `names`, and its number; -1 and 0 outside all phases.
     """
     codes: NDArray[Any] = np.full(len(times), -1, dtype=np.int8 if len(names) <= np.iinfo(np.int8).max else np.int32)
     numbers: NDArray[np.int16] = np.zeros(len(times), dtype=np.int16)

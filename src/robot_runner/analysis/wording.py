@@ -12,16 +12,16 @@ from robot_runner.core import words
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.tested import Interval
 
-#: Stands where a value is missing.
+#: Shown in the place of a missing value.
 MISSING = "\N{EN DASH}"
 MINUS = "\N{MINUS SIGN}"
 TIMES = "\N{MULTIPLICATION SIGN}"
 ALPHA = "\N{GREEK SMALL LETTER ALPHA}"
 RHO = "\N{GREEK SMALL LETTER RHO}"
-#: What differs between findings of one kind: the processes in brackets that disturbed a run, and numbers.
+#: The parts that differ between findings of one kind: processes in brackets that disturbed a run, and numbers.
 _VARYING = re.compile(r"\([^()]*, pid \d+[^()]*\)|\d+(?:[.,]\d+)*")
 _SMALLEST_P = 0.001
-#: Usual levels of significance: no p-value is rounded to one, so that it is seen on which side it lies.
+#: Usual levels of significance: a p-value is never rounded to one of them, so that readers see on which side it lies.
 _LEVELS = (0.1, 0.05, 0.01, 0.005)
 _P_DIGITS, _STATISTIC_DIGITS, _MOST_DIGITS = 3, 3, 17
 _DIGITS = 4
@@ -29,7 +29,7 @@ _LARGE, _SMALL, _HUGE = 1e4, 1e-4, 1e7
 
 
 def shown_number(value: float | None, digits: int = _DIGITS) -> str:
-    """Return a number in so many significant digits; whole parts are never rounded away.
+    """Return a number with so many significant digits; digits before the decimal point are kept up to ten million.
 
     Example:
         >>> [shown_number(each) for each in (877.1234, 0.012346, 16, 123456.7)]
@@ -40,25 +40,25 @@ def shown_number(value: float | None, digits: int = _DIGITS) -> str:
     if value == 0:
         return "0"
     if isinstance(value, int):
-        text = f"{value:,}"  # and not as a float, which has 53 bits
+        text = f"{value:,}"  # a float would have 53 bits
     elif _LARGE <= abs(value) < _HUGE:
         text = f"{value:,.0f}"
     elif abs(value) < _SMALL or abs(value) >= _HUGE:
         text = f"{value:.{digits - 1}e}"
     else:
         text = f"{value:#.{digits}g}".rstrip(".")
-        text = f"{value:,.0f}" if "e" in text and abs(value) > 1 else text  # it was rounded up to where exponents begin
+        text = f"{value:,.0f}" if "e" in text and abs(value) > 1 else text  # rounding up made an exponent
     return text.replace("-", MINUS, 1) if text.startswith("-") else text
 
 
 def labelled(name: str, unit: str) -> str:
-    """Return a name with its unit, as in `Energy (J)`; a name that ends in it, as imported headings do, is left."""
+    """Return a name with its unit, as in `Energy (J)`; a name that ends in the unit, as imported ones do, is kept."""
     has_it = unit in {"", "1"} or name.endswith((f"({unit})", f"[{unit}]"))
     return name if has_it else f"{name} ({unit})"
 
 
 def kind_of(problem: str, run_id: str) -> str:
-    """Return what a finding has in common with those of its kind about other runs, which are told together.
+    """Return a finding without its numbers, processes and run id, so that similar findings can be grouped.
 
     Example:
         >>> kind_of("12 samples were lost during slow_a", "slow_a")
@@ -74,7 +74,7 @@ def with_unit(value: float | None, unit: str, digits: int = _DIGITS) -> str:
 
 
 def shown_level(level: float) -> str:
-    """Return a level of confidence or a power in percent, not rounded: 99.9 % is not certain.
+    """Return a level of confidence or a power in percent, without rounding 99.9 % to 100 %.
 
     Example:
         >>> shown_level(0.95), shown_level(1 - 0.001)
@@ -84,12 +84,12 @@ def shown_level(level: float) -> str:
 
 
 def difference_unit(unit: str) -> str:
-    """Return the unit of a difference: that of percentages is not a percentage of anything."""
+    """Return the unit of a difference: a difference of percentages is in percentage points."""
     return "percentage points" if unit == "%" else unit
 
 
 def shown_p(p_value: float | None) -> str:
-    """Return a p-value as papers print it, in more digits where it is close to a usual level of significance.
+    """Return a p-value as papers print it, with more digits where it is close to a usual level of significance.
 
     Example:
         >>> shown_p(0.0002), shown_p(0.04321), shown_p(0.0496)
@@ -104,7 +104,7 @@ def shown_p(p_value: float | None) -> str:
 
 
 def p_in_words(p_value: float) -> str:
-    """Return a p-value as it stands in a sentence.
+    """Return a p-value for a sentence.
 
     Example:
         >>> p_in_words(0.0159), p_in_words(2e-16)
@@ -114,7 +114,7 @@ def p_in_words(p_value: float) -> str:
 
 
 def p_values_in_words(p_value: float, adjusted: float | None) -> str:
-    """Return a p-value as it stands in a sentence, with that after correction where it is another.
+    """Return a p-value for a sentence, with the corrected one where they differ.
 
     Example:
         >>> p_values_in_words(0.0159, 0.0318), p_values_in_words(0.3, 0.3)
@@ -126,7 +126,7 @@ def p_values_in_words(p_value: float, adjusted: float | None) -> str:
 
 
 def shown_test(name: str, freedom: Iterable[float], statistic: float | None) -> str:
-    """Return a statistic with its degrees of freedom, as papers print it; zeros at its end are digits, too.
+    """Return a statistic with its degrees of freedom, as papers print it; trailing zeros are kept.
 
     Example:
         >>> shown_test("F", (2, 11.8642), 6.6), shown_test("t", (8,), 1830.2)
@@ -137,7 +137,7 @@ def shown_test(name: str, freedom: Iterable[float], statistic: float | None) -> 
 
 
 def shown_coefficient(value: float | None) -> str:
-    """Return a correlation or an effect size; what is less than 1 is not rounded to it.
+    """Return a correlation or an effect size; a value below 1 is never rounded to 1.
 
     Example:
         >>> [shown_coefficient(each) for each in (0.5, 0.9944, 0.9996, 0.99996, 1.0, 12.34)]
@@ -148,7 +148,7 @@ def shown_coefficient(value: float | None) -> str:
 
 
 def shown_share(share: float) -> str:
-    """Return a share in percent; what is less than all of it is not rounded to 100%.
+    """Return a share in percent; a share below 1 is never rounded to 100%.
 
     Example:
         >>> [shown_share(each) for each in (0.94, 0.9999996, 1.0)]
@@ -159,18 +159,18 @@ def shown_share(share: float) -> str:
 
 
 def shown_interval(interval: Interval | None, shown: Callable[[float | None], str] = shown_number) -> str:
-    """Return a confidence interval in brackets, as in `[1.2, 3.4]`, its ends as `shown` writes such numbers."""
+    """Return a confidence interval in brackets, as in `[1.2, 3.4]`, its ends formatted by `shown`."""
     return MISSING if interval is None else f"[{shown(interval.low)}, {shown(interval.high)}]"
 
 
 def about_intervals(intervals: Iterable[Interval | None], more: str = "") -> str:
-    """Return a sentence on what a table has as CI, with a space behind it; nothing where it has none."""
+    """Return a sentence that says what CI means in a table, with a trailing space; empty without intervals."""
     levels = dict.fromkeys(shown_level(each.level) for each in intervals if each is not None)
     return f"CI: {' or '.join(levels)} confidence interval{more}. " if levels else ""
 
 
 def sentence(text: str) -> str:
-    """Return a text that begins with a capital letter and ends with a full stop.
+    """Return a text with a capital letter in front and a full stop at its end.
 
     Example:
         >>> sentence("the measure is not a number")
@@ -181,7 +181,7 @@ def sentence(text: str) -> str:
 
 
 def listed(names: Iterable[object], shown: int = 6) -> str:
-    """Return names as a list that does not grow without end; a report has room for more than a terminal.
+    """Return the first names as a list, and how many more there are; a report has room for more than a terminal.
 
     Example:
         >>> listed("abc"), listed(range(9), shown=3)

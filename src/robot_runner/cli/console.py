@@ -25,7 +25,7 @@ from robot_runner.cli.harmless_stream import HarmlessStream, unguarded
 from robot_runner.core.storage.declared_shapes import finite
 from robot_runner.core.words import harmless, harmless_json, one_line
 
-#: Wide enough that nothing is folded where nobody looks at a screen.
+#: Wide enough that nothing is folded where the output is no terminal.
 _UNLIMITED = 100_000
 _PROGRAM = "robot-runner"
 
@@ -34,13 +34,13 @@ class UserConsole(Console):
     """A rich console, coloured on a terminal, that shows text as it is: no markup, and no escape sequence but its own.
 
     Attributes:
-        lines: takes plain lines, and makes them harmless, too.
+        lines: a stream for plain lines; they are made harmless, too.
     """
 
     def __init__(self, stream: TextIO) -> None:
         width = None if stream.isatty() else _UNLIMITED
         self.lines = HarmlessStream(stream)
-        # Past the stream that makes text harmless, which would show rich's colours as text.
+        # Not through the stream that makes text harmless: it would show rich's colours as text.
         terminal = unguarded(stream)
         super().__init__(file=terminal, width=width, highlight=False, markup=False, emoji=False, soft_wrap=False)
 
@@ -50,17 +50,17 @@ class UserConsole(Console):
             if segment.control:
                 yield segment
             else:
-                # A link is an escape sequence, too, and its address is somebody's text.
+                # A link is an escape sequence, too, and its address is text from outside.
                 style = segment.style.update_link(None) if segment.style and segment.style.link else segment.style
                 yield segment._replace(text=harmless(segment.text), style=style)
 
     def tell(self, text: str, style: str = "") -> None:
-        """Print a text; where it is longer than a line it goes on in the next one, and no word is broken."""
+        """Print a text; a long one is continued on the next line, and no word is broken."""
         for line in folded(text, self.width):
             self.print(Text(line, style=style), soft_wrap=True)
 
     def erase_line(self) -> None:
-        """Begin the line anew that is being shown."""
+        """Erase the line that is being shown, and return to its beginning."""
         self.control(Control(ControlType.CARRIAGE_RETURN, (ControlType.ERASE_IN_LINE, 2)))
 
     def on_broken_pipe(self) -> None:
@@ -73,17 +73,17 @@ class UserConsole(Console):
 
 
 def output() -> UserConsole:
-    """Return the console for what was asked for."""
+    """Return the console for results: stdout."""
     return UserConsole(sys.stdout)
 
 
 def complaints() -> UserConsole:
-    """Return the console for what went wrong."""
+    """Return the console for problems: stderr."""
     return UserConsole(sys.stderr)
 
 
 def is_live_terminal(stream: TextIO) -> bool:
-    """Whether lines on it can be drawn again."""
+    """Whether a stream is a terminal on which lines can be redrawn."""
     return stream.isatty() and os.environ.get("TERM", "dumb") not in {"dumb", "unknown"}
 
 
@@ -94,7 +94,7 @@ def print_json(facts: Any) -> None:
 
 
 def shown_path(path: Path) -> str:
-    """Return a path as short as it still works when it is pasted into a shell here.
+    """Return the shortest form of a path that works when it is pasted into a shell in the current folder.
 
     Example:
         >>> shown_path(Path.cwd() / "results")
@@ -108,7 +108,7 @@ def shown_path(path: Path) -> str:
 
 
 def command_line(*words: str) -> str:
-    """Return a command of ours as it works when it is pasted into this shell, wherever the program was installed.
+    """Return a command of Robot Runner that works when it is pasted into this shell, wherever the program is installed.
 
     Example:
         >>> command_line("check", "my study.py")
@@ -130,7 +130,7 @@ def is_on_path(program: Path) -> bool:
 
 @contextmanager
 def quiet_loading() -> Iterator[None]:
-    """While a config is looked at, what its code prints goes to stderr, and nothing is written beside it."""
+    """While a config is loaded, send what its code prints to stderr, and write no compiled files beside it."""
     with no_byte_code(), redirect_stdout(sys.stderr):
         yield
 
@@ -140,7 +140,7 @@ _NARROWEST = 20
 
 
 def print_facts(console: UserConsole, facts: Iterable[tuple[str, str]], *, indent: int = 2) -> None:
-    """Print facts beneath each other; long ones are folded beneath themselves, and empty ones left out."""
+    """Print facts, one a line; long ones are folded and indented, empty ones left out."""
     told = [(one_line(name), fact) for name, fact in facts if fact]
     names = max((len(name) for name, _ in told), default=0) + indent + 2
     for name, fact in told:
@@ -148,7 +148,7 @@ def print_facts(console: UserConsole, facts: Iterable[tuple[str, str]], *, inden
 
 
 def print_folded(console: UserConsole, head: str, text: str, *, style: str) -> None:
-    """Print a text after a head in this style; where it is folded, it goes on beneath itself."""
+    """Print a text after a head in this style; the lines after the first are indented to its beginning."""
     first, *more = folded(text, console.width - len(head))
     console.print(Text(head, style=style).append(first, "not bold default"), soft_wrap=True)
     for line in more:

@@ -17,7 +17,7 @@ from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.events.measure import QUALITY_SUFFIX, MeasureColumns
 from robot_runner.core.words import INACTIVE, counted, enumerated, listed, plain, shown_treatment
 
-# The columns that tell runs apart: id, treatments, repetition.
+# The columns that distinguish runs: id, treatments, repetition.
 
 
 def run_columns(model: RunTableModel, last_run_id: str) -> list[Column]:
@@ -61,7 +61,7 @@ def print_runs(
         console.print(f"No room for: {names}. A wider terminal shows them, and so does --json.", style="dim")
 
 
-#: As many factors or measures are named in one line; of more factors of a design only the number is told.
+#: How many factors or measures are named in one line at most; for more factors of a design only their number is shown.
 _MOST_NAMES = 12
 
 
@@ -126,7 +126,7 @@ def design_in_words(model: RunTableModel) -> list[tuple[str, str]]:
     if model.is_full_factorial:
         return []
     facts = model.design_facts
-    if "layout" in facts:  # it is printed as tables, which tell the rest
+    if "layout" in facts:  # it is printed as tables, which show the rest
         return [("Design", "; ".join([kind_in_words(model), *facts.get("notes", ())]))]
     told = [f"{name.replace('_', ' ')}: {_fact(value)}" for name, value in facts.items() if name not in _TOLD_APART]
     return [

@@ -1,4 +1,4 @@
-"""Leaving runs out of the analysis, and taking them in again: recorded with the reason, nothing is removed."""
+"""Excluding runs from the analysis, and including them again: recorded with the reason; nothing is removed."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def _reason_findings(reason: str) -> Iterator[Finding]:
 
 
 def refuse_without_journal(folder: ExperimentFolder) -> None:
-    """Let only an experiment pass that has its journal: a new one would look as if nothing had been executed.
+    """Refuse an experiment whose journal is missing: with a new one it would look as if nothing had been executed.
 
     Raises:
-        StorageError: it is missing.
+        StorageError: the journal is missing.
     """
     if not folder.journal.exists():
         fix = "Restore it from a backup; or have the run table count without it: robot-runner run CONFIG --table file"
@@ -45,32 +45,32 @@ def refuse_without_journal(folder: ExperimentFolder) -> None:
 
 
 def exclude_runs(folder: ExperimentFolder, expressions: Sequence[str], reason: str) -> tuple[str, ...]:
-    """Leave runs out of the analysis; those that are still to do are not executed either.
+    """Exclude runs from the analysis; those that are still to do are not executed either.
 
     Returns:
-        The ids of the runs that were not left out before with the same reason.
+        The ids of the runs that were not excluded before with the same reason.
 
     Raises:
-        RobotRunnerError: there are no such runs, there is no reason, or somebody executes the experiment.
+        RobotRunnerError: there are no such runs, there is no reason, or the experiment is being executed.
     """
     with _correcting(folder) as table:
         chosen = table.chosen(expressions, _reason_findings(reason))
         reason = _on_one_line(reason)
         new = [run_id for run_id in chosen if table.excluded.reason(run_id) != reason]
         table.record("excluded", new, reason=reason)
-        for run_id in chosen:  # also of those that the journal has, and a kill kept out of the table
+        for run_id in chosen:  # also those that the journal has and the table, after a kill, has not
             table.rows.exclude(run_id, reason)
     return tuple(new)
 
 
 def include_runs(folder: ExperimentFolder, expressions: Sequence[str], reason: str = "") -> tuple[str, ...]:
-    """Take runs in again that were left out.
+    """Include runs again that were excluded.
 
     Returns:
         Their ids.
 
     Raises:
-        RobotRunnerError: there are no such runs, none of them is left out, or somebody executes the experiment.
+        RobotRunnerError: there are no such runs, none of them is excluded, or the experiment is being executed.
     """
     with _correcting(folder) as table:
         chosen = table.chosen(expressions, _reason_findings(reason) if reason else ())
@@ -107,12 +107,12 @@ class _Table:
 
 @contextmanager
 def _correcting(folder: ExperimentFolder) -> Iterator[_Table]:
-    """Hold an experiment's folder, and write its table and schema afterwards.
+    """Lock an experiment's folder, and write its table and schema at the end.
 
-    The journal gets no `table_written` record: the next session compares the file with the journal, so that what was
-    edited by hand before is found as if nothing had been corrected.
+    The journal gets no `table_written` record: so the next session compares the file with the journal, and still finds
+    what was edited by hand before this correction.
     """
-    read_manifest(folder.manifest)  # says where there is no experiment
+    read_manifest(folder.manifest)  # raises where there is no experiment
     with ExperimentLock(folder.lock):
         refuse_without_journal(folder)
         for path in (folder.run_table, folder.schema):
@@ -123,8 +123,8 @@ def _correcting(folder: ExperimentFolder) -> Iterator[_Table]:
         rows = _read_rows(folder, schema)
         with Journal(folder.journal) as journal:
             yield _Table(rows, ExcludedRuns.read(folder.journal), journal)
-        # The journal has it: should the table not be written now, it is made to agree when the experiment goes on.
-        # The schema comes first: a table that has the column, and not the schema, has a column of the user's own.
+        # The journal has the correction: if writing the table fails, the next execution brings it up to date.
+        # The schema comes first: where only the table has the column, it would be taken for one of the user's own.
         write_schema(folder.schema, _with_exclusion(schema))
         write_run_table(folder.run_table, rows)
 

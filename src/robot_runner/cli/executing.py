@@ -1,4 +1,4 @@
-"""An experiment executed before the eyes of a user, with a live page beside it where that was asked for."""
+"""Executes an experiment and shows it on the screen, with a live page beside it where that was asked for."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Execution:
     Attributes:
         finished: how it ended; None where it could not go on.
         progress: what the screen saw of it.
-        was_shown_live: whether the table of its runs stands on the terminal.
+        was_shown_live: whether the table of its runs is on the terminal already.
     """
 
     finished: ExperimentFinished | None
@@ -64,7 +64,7 @@ def execute_on_screen(
     resumption: Resumption | None = None,
     waits_for_claims: bool = False,
 ) -> Execution:
-    """Execute an experiment and show it meanwhile; where another one has claimed the same, it may wait.
+    """Execute an experiment and show it; with `waits_for_claims` it waits where another one has claimed the same.
 
     Raises:
         RobotRunnerError: it cannot start.
@@ -87,7 +87,7 @@ def execute_on_screen(
 
 @contextmanager
 def read_or_not() -> Iterator[None]:
-    """While the end is told: that nobody reads it changes nothing of how the experiment went."""
+    """While the end is printed: ignore that nobody reads it, as that says nothing about the experiment."""
     try:
         yield
         sys.stdout.flush()
@@ -100,12 +100,12 @@ def page_beside(folder: Path, address: str | None) -> Iterator[str]:
     """Serve the page of an experiment while the block lasts (`HOST:PORT`, HOST, or None for this machine alone).
 
     Raises:
-        ExecutionError: the page cannot be served; says why.
+        ExecutionError: the page cannot be served; the message says why.
     """
     host, port = (None, None) if address is None else _parts(address)
     words = [f"{option}={value}" for option, value in (("--host", host), ("--port", port)) if value is not None]
     command = [sys.executable, "-P", "-m", "robot_runner", "watch", str(folder), "--until-closed", *words]
-    # In a session of its own: Ctrl-C is meant for the experiment, and the page shows how that ends.
+    # In a session of its own: Ctrl-C is for the experiment alone; the page goes on and shows how that ends.
     with subprocess.Popen(  # noqa: S603 - our own program
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
     ) as page:
@@ -123,16 +123,16 @@ def _parts(address: str) -> tuple[str | None, str | None]:
         [('0.0.0.0', None), (None, '8080'), ('[::1]', '8080'), ('::1', None)]
     """
     host, colon, port = address.rpartition(":")
-    if not colon or (":" in host and not host.endswith("]")):  # of an IPv6 address without brackets all is the host
+    if not colon or (":" in host and not host.endswith("]")):  # an IPv6 address without brackets has no port
         return address, None
     return host or None, port
 
 
 def _told(page: subprocess.Popen[bytes], address: str | None) -> str:
-    """Return what the page printed until it listened.
+    """Return what the page printed, once it listens.
 
     Raises:
-        ExecutionError: it ended instead.
+        ExecutionError: it ended, or did not listen in time.
     """
     said, end = b"", time.monotonic() + _DEADLINE
     while page.stdout is not None:
@@ -151,7 +151,7 @@ def _told(page: subprocess.Popen[bytes], address: str | None) -> str:
 
 
 def _refusal(text: str, address: str | None) -> ExecutionError:
-    """Return what the page said, under the option that asked for it: it knows those of `watch` alone."""
+    """Return the page's error in terms of the option that asked for it: the page knows only those of `watch`."""
     lines = [line.strip() for line in text.splitlines()]
     problem = next((line.removeprefix("error: ") for line in lines if line.startswith("error: ")), "the page ended")
     fix = next((line.removeprefix("fix: ") for line in lines if line.startswith("fix: ")), "")

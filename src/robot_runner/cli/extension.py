@@ -1,7 +1,6 @@
 """Adding runs to an experiment that has begun: a batch with a seed of its own, in the journal and in the run table.
 
-What was executed is not touched. Once there is a batch, the plan of the experiment is what the journal lists, and no
-longer what the config makes.
+What was executed is not touched. Once there is a batch, the journal, and no longer the config, says what is planned.
 """
 
 from __future__ import annotations
@@ -53,9 +52,9 @@ class ExtensionRequest:
     """What the user asks for.
 
     Attributes:
-        added: what there is to be more of, beyond what the config has.
-        seed: what the order of the new runs comes from; None draws one.
-        as_written: whether the new runs keep the order of the config, and are not randomised.
+        added: what is added beyond what the config has.
+        seed: of the order of the new runs; None draws one.
+        as_written: whether the new runs keep the order of the config instead of being randomised.
         accept_changes: go on though the config differs in more than its design, or the run table from the plan.
         dry_run: find out what would be added, and write nothing.
     """
@@ -75,7 +74,7 @@ class Extension:
         batch: the new one.
         model: the design with it.
         runs: those of the new batch, in the order of execution.
-        findings: what looked odd, and refused nothing.
+        findings: warnings.
     """
 
     batch: Batch
@@ -149,7 +148,7 @@ class _Extending:
         return Extension(batch, model, runs, (*self._findings, *recovered.findings))
 
     def _recovered(self) -> RecoveredTable:
-        """Return the run table as it stands, compared with the journal, before anything is added."""
+        """Return the run table as it is before anything is added, compared with the journal."""
         resumption = Resumption(accept_changes=self._request.accept_changes)
         try:
             recovered = recover_table(self._as_executed(), self._manifest, resumption)
@@ -168,7 +167,7 @@ class _Extending:
         """Return the experiment with the design that it was executed with, where the config has another one now.
 
         Raises:
-            ExecutionError: nothing tells any more which runs were planned.
+            ExecutionError: it cannot be found out any more which runs were planned.
         """
         experiment = self._experiment
         has_changed = unplanned_additions(experiment.config_path, experiment.model, self._manifest) or config_changes(
@@ -217,7 +216,7 @@ class _Extending:
         )
 
     def _factor_there(self, column: FactorColumn, runs: Sequence[PlannedRun]) -> Factor:
-        """Return a factor with the treatments that it had so far, those of a changed table included."""
+        """Return a factor with the treatments that it has had so far, including those of a changed table."""
         there = {str(run.combination[column.name]): run.combination[column.name] for run in runs}
         own = dict(zip(column.factor.texts, column.factor.treatments, strict=True)) if column.factor else {}
         recorded = {*self._design["factors"].get(column.name, ()), *there}
@@ -238,7 +237,7 @@ class _Extending:
         ExecutionError.refuse(finding for finding in found if finding.is_error)
 
     def _write(self, recovered: RecoveredTable, model: GrownRunTableModel) -> None:
-        """Write everything down; the journal's record is what counts, should this break off."""
+        """Write everything; if this is interrupted, the journal's record counts."""
         *_, fields = records_of(model.batches)
         keep_config_files(self._experiment)
         with Journal(self._folder.journal) as journal:
@@ -254,10 +253,10 @@ class _Extending:
 def runs_of_grown_design(
     begun: Begun, config: RunTableModel, design: GrownDesign, order: RunOrder
 ) -> list[tuple[Combination, int]]:
-    """Return the runs that the design plans beyond those that there are, in its order, which has the first seed.
+    """Return the runs that the design plans beyond the existing ones, in the design's order, made from its first seed.
 
     Raises:
-        DesignError: it cannot be made for so many, or it would have planned other runs than there are.
+        DesignError: there is no such design for so many runs, or it would not contain the existing ones.
     """
     if not isinstance(config.design, Design):
         return []

@@ -1,4 +1,4 @@
-"""Findings as a user reads them: severity, place, problem and fix; what many runs say alike is said once."""
+"""Findings as a user reads them: severity, place, problem and fix; the same finding of many runs is printed once."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _STYLES = {"error": "bold red", "warning": "bold yellow"}
 
 
 def show_findings(findings: Sequence[Finding]) -> None:
-    """Print findings to stderr, errors first, and how many they are."""
+    """Print findings to stderr, errors first, and how many there are."""
     console = complaints()
     print_findings(console, findings)
     if len(findings) > 1:
@@ -40,9 +40,9 @@ _ADDING = re.compile(r"(?<!-m )\bpip install (?='?robot-runner\[)")
 
 
 def installed_here(fix: str) -> str:
-    """Return a remedy in which an extra is added to this very environment, whichever tool has made it.
+    """Return a fix whose `pip install` adds the extra to this very environment, whichever tool has made it.
 
-    A plain pip is that of the user's shell, which knows nothing of what uv or pipx keep elsewhere.
+    A plain `pip` is that of the user's shell, which does not reach the environments of uv or pipx.
     """
     return _ADDING.sub(lambda _: _pip_install(), fix)
 
@@ -112,7 +112,7 @@ def print_odd(
     findings: Sequence[Finding],
     run_ids: Collection[str] | None,
 ) -> None:
-    """Print why runs failed, a line each, and what looked odd; without `run_ids`, ids are known by their looks."""
+    """Print why runs failed, a line each, and the warnings; without `run_ids`, ids are recognised by their form."""
     reasons = _reasons(failures)
     for reason in reasons[:_MOST]:
         print_folded(console, "  ✗ ", one_line(reason), style="bold red")
@@ -139,7 +139,7 @@ def _reasons(failures: Sequence[str]) -> list[str]:
 
 
 def grouped(findings: Iterable[Finding], run_ids: Collection[str] | None) -> list[tuple[str, str]]:
-    """Return each finding's text and fix; findings that differ in run and numbers alone, or in the owner, become one.
+    """Return each finding's text and fix; findings that differ only in run and numbers, or in the owner, become one.
 
     Example:
         >>> from robot_runner.core.errors import Finding

@@ -1,4 +1,4 @@
-"""Between a command and the shell: each outcome has its exit code, and no user sees a traceback of ours."""
+"""Executes commands for the shell: each outcome has its exit code, and an error is printed without a traceback."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 
 SOME_FAILED = 1
 REFUSED = 2
-#: Our own fault, as in sysexits.h (EX_SOFTWARE).
+#: A fault of Robot Runner, as in sysexits.h (EX_SOFTWARE).
 FAULT = 70
 INTERRUPTED = 130
-#: What the system refuses of a file or folder, mostly another user's: to look whether it is there may be refused, too.
+#: Errors by which the system refuses access to a file or folder, mostly another user's; even `exists` may raise them.
 _REFUSALS = frozenset({errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG, errno.EMFILE, errno.ENFILE})
-#: As a shell shows the death by SIGPIPE.
+#: As a shell shows that SIGPIPE ended a program.
 BROKEN_PIPE = 141
 
 
@@ -49,7 +49,7 @@ def _executed(command: Callable[[], int], *, show_traceback: bool) -> int:
 
 
 def show_fault(error: Exception, *, show_traceback: bool) -> None:
-    """Say that this is our fault; the traceback goes to the terminal, or to a file that is named."""
+    """Say that this is a fault of Robot Runner; the traceback goes to the terminal, or to a file that is named."""
     import traceback  # noqa: PLC0415 - as above
 
     from robot_runner.cli.findings import show_findings  # noqa: PLC0415 - as above
@@ -143,7 +143,7 @@ def _replace_closed_streams() -> None:
 
 
 def _make_streams_lenient() -> None:
-    # A terminal that knows only ASCII shows question marks, and fails nothing.
+    # On a terminal that knows only ASCII, other characters become question marks instead of errors.
     for stream in (sys.stdout, sys.stderr):
         if (getattr(stream, "encoding", None) or "utf-8").lower().replace("-", "") != "utf8":
             try:  # noqa: SIM105 - `contextlib` takes long to import

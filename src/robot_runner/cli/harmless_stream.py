@@ -1,4 +1,4 @@
-"""The one way of text to a terminal: no file, config or message of a robot can send it escape sequences."""
+"""All text to the terminal passes through here: no file, config or message of a robot can send escape sequences."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 class HarmlessStream:
     """A text stream that shows control characters and escape sequences instead of obeying them.
 
-    Everything else of the stream is as it was. Who draws on a terminal (rich) writes past it, to `unguarded`.
+    Everything else of the stream is as it was. What draws on the terminal (rich) writes to `unguarded` instead.
     """
 
     def __init__(self, stream: TextIO) -> None:
         self.unguarded = unguarded(stream)
 
     def write(self, text: str) -> int:
-        """Write a text that is made harmless; returns its length as it was handed over."""
+        """Make a text harmless and write it; return its original length."""
         self.unguarded.write(harmless(text))
         return len(text)
 
@@ -48,14 +48,14 @@ def let_go_of(stream: TextIO) -> None:
 
 
 class _LastingStream:
-    """A text stream that drops what cannot be written, and says so once; everything else of it is as it was."""
+    """A text stream that drops what cannot be written, and says so once; it is otherwise unchanged."""
 
     def __init__(self, stream: TextIO, say: Callable[[str], object]) -> None:
         self._stream = stream
         self._say = say
 
     def write(self, text: str) -> int:
-        """Write a text, or drop it; returns its length."""
+        """Write a text, or drop it; return its length."""
         try:
             return self._stream.write(text)
         except OSError as error:
@@ -68,18 +68,18 @@ class _LastingStream:
             self.write(line)
 
     def flush(self) -> None:
-        """Hand what was written to the system, or drop it."""
+        """Flush what was written, or drop it."""
         try:
             self._stream.flush()
         except OSError as error:
             self._drop(error)
 
     def close(self) -> None:
-        """Leave it open: a callback that closes it takes it away from the screen, too."""
+        """Do nothing: a callback that closed the stream would close it for the screen, too."""
         self.flush()
 
     def _drop(self, error: OSError) -> None:
-        let_go_of(self._stream)  # what is kept for it would fail each time, and at the end as well
+        let_go_of(self._stream)  # else what is buffered would fail again at each write, and at exit
         say, self._say = self._say, lambda _said: None
         if not isinstance(error, BrokenPipeError):  # `| head` has read enough
             say(f"output is dropped from here on ({error.strerror}); the experiment goes on\n")
@@ -89,7 +89,7 @@ class _LastingStream:
 
 
 class DroppedOutput:
-    """While this lasts, what cannot be printed fails nothing: neither a callback that prints, nor a screen."""
+    """While this lasts, failing to print raises nothing: neither in a callback that prints, nor in a screen."""
 
     def __enter__(self) -> None:
         self._earlier = sys.stdout, sys.stderr
@@ -107,12 +107,12 @@ def _lasting(stream: TextIO, say: Callable[[str], object]) -> Any:
 
 
 def unguarded(stream: Any) -> TextIO:
-    """Return the stream itself, without what makes text harmless."""
+    """Return the stream beneath a `HarmlessStream`."""
     return stream.unguarded if isinstance(stream, HarmlessStream) else stream
 
 
 def guard_streams() -> tuple[Any, Any]:
-    """Have everything that this process prints made harmless; returns stdout and stderr as they were."""
+    """Make everything that this process prints harmless; return stdout and stderr as they were."""
     earlier = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = (each and HarmlessStream(each) for each in earlier)
     return earlier

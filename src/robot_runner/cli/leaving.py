@@ -1,7 +1,7 @@
-"""The end of the program: what a callback has started and not ended is named, and does not keep the program for ever.
+"""Exits in time: what a callback has started and not ended is named, and does not keep the program for ever.
 
-Python waits for threads that are no daemons, for children of `multiprocessing`, and for what `atexit` was given. It has
-no deadline and says nothing: a queue or a CI job would wait as well.
+Python waits for threads that are no daemons, for children of `multiprocessing`, and for functions registered with
+`atexit`. It has no deadline and says nothing: a queue or a CI job would wait as well.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from typing import Any
 
 from robot_runner.core.words import enumerated, shown_duration
 
-#: How long the program may take to end before it says what it waits for, and how long after that it is ended, s.
+#: After how long the program says what it waits for at its end, and how long after that it is ended, s.
 TELL_AFTER, END_AFTER = 5.0, 600.0
 
 
 def leave_in_time(code: int, tell_after: float = TELL_AFTER, end_after: float = END_AFTER) -> None:
-    """Have this process end in time, with an exit code, though something keeps it. Call it once all is done.
+    """Make sure that this process ends in time, with an exit code. Call it once all is done.
 
     Args:
         code: the exit code.
-        tell_after: how long it may take without a word, s.
-        end_after: how long what keeps it may take after that was told, s.
+        tell_after: after how long to say what it waits for, s.
+        end_after: how long after that to end it, s.
     """
     # A daemon lives until Python has waited for everything else.
     with suppress(RuntimeError):  # no thread can be started, by the limits of this user: then it ends as Python does

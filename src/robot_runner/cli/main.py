@@ -12,12 +12,12 @@ TYPE_CHECKING = False  # `typing` takes long to import, and `--help` is to be qu
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-#: Wide enough that nothing is folded where nobody looks at a screen.
+#: Wide enough that nothing is folded where the output is no terminal.
 _UNLIMITED = 100_000
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Do what the words of the command line say, and return the exit code.
+    """Execute the command line, and return the exit code.
 
     0: all is done; 1: a run failed; 2: refused; 70: a fault of Robot Runner itself; 130: interrupted.
 
@@ -29,7 +29,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if argv is None else argv)
     code = guarded(lambda: _execute(words), show_traceback="--debug" in words)
-    # Where a config could be loaded, something of its author's may still go on.
+    # Where a config was loaded, a thread or child process that it started may still be running.
     if argv is None and "robot_runner.core.config.loader" in sys.modules:
         from robot_runner.cli.leaving import leave_in_time  # noqa: PLC0415 - for a quick --help
 
@@ -90,7 +90,7 @@ def _row(name: str, summary: str) -> str:
 
 
 def _lines(text: str, width: int) -> list[str]:
-    # As `textwrap.wrap` does it, which takes longer to import than all of this help takes.
+    # Like `textwrap.wrap`, whose import takes longer than printing this whole help.
     lines = [""]
     for word in text.split(" "):
         if lines[-1] and len(lines[-1]) + 1 + len(word) > width:

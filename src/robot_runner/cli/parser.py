@@ -1,4 +1,4 @@
-"""The parser of a command, what it says of an unknown word, and the arguments that several commands take."""
+"""The parser of a command, its errors for unknown words, and the arguments that several commands take."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Parser(argparse.ArgumentParser):
             allow_abbrev=False,
             formatter_class=_Folding,
         )
-        self.color = False  # which Python 3.14 and later would write as escapes, and we show as text
+        self.color = False  # Python 3.14 and later would write escape sequences, which are shown as text here
 
     def add_argument(
         self, *names: Any, completer: Callable[..., Iterable[str]] | None = None, **settings: Any
@@ -104,10 +104,10 @@ class CommandModule(Protocol):
     """The module of a command."""
 
     def add_arguments(self, parser: Parser) -> None:
-        """Add what the command takes."""
+        """Add the command's arguments."""
 
     def execute(self, arguments: argparse.Namespace) -> int:
-        """Do what the arguments say, and return the exit code."""
+        """Execute the command, and return the exit code."""
 
 
 def parser_of(command: str, module: CommandModule) -> Parser:
@@ -151,7 +151,7 @@ def add_target(parser: Parser, *, is_the_only_one: bool = False) -> None:
 
     Args:
         parser: of the command.
-        is_the_only_one: whether it may be left out, for the only experiment that is here (`only_experiment`).
+        is_the_only_one: whether it may be left out where there is only one experiment (`only_experiment`).
     """
     left_out = "; the only experiment here, or at most two folders below, where it is left out"
     parser.add_argument(

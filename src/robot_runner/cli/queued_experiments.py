@@ -1,8 +1,8 @@
 """The queue of a user's experiments on this machine: a file for each, so that it outlives whoever executes them.
 
-`$XDG_STATE_HOME/robot-runner/queue/<host>` is the user's alone, as what stands in it is executed. Experiment 7 is
-`7.json`. Who executes it holds a lock on `7.lock`, which the system lets go of when the process dies, however it dies:
-an experiment that has begun, not ended, and whose lock is free is begun again, and resumes.
+`$XDG_STATE_HOME/robot-runner/queue/<host>` is writable for the user alone, as what is in it is executed. Experiment 7
+is `7.json`. The process that executes it holds a lock on `7.lock`, which the system releases however the process ends:
+an experiment that has begun and not ended, and whose lock is free, is begun again, and resumes.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from robot_runner.core.storage.lock_files import is_held_exclusively, lock_exclu
 
 _FILE = re.compile(r"([1-9][0-9]{0,8})\.json")
 _READ = tuple(QueuedFile.__annotations__)
-#: How long another process may take that adds an experiment at this moment, s, and how often to look.
+#: How long to wait for another process that is adding an experiment, and how often to look, s.
 _PATIENCE, _LOOK = 10.0, 0.02
 _ATTENDED = "attended.lock"
 _OWN = "Set XDG_STATE_HOME to a folder of your own."
@@ -52,7 +52,7 @@ class QueuedExperiment:
         config_sha256: of the config file when it was added.
         added_at, began_at, ended_at: UTC.
         exit_code: of `robot-runner run`, once it has ended.
-        problem: what is to be told of it, if anything is.
+        problem: what went wrong, if anything did.
     """
 
     number: int
@@ -86,7 +86,7 @@ class ExperimentQueue:
     """The queue on the disk.
 
     Raises:
-        StorageError: its folder cannot be made, or somebody else may write in it.
+        StorageError: its folder cannot be made, or others may write in it.
     """
 
     def __init__(self) -> None:
@@ -109,7 +109,7 @@ class ExperimentQueue:
             StorageError: it cannot be written.
         """
         with self._adding() as descriptor:
-            last = os.pread(descriptor, 9, 0)  # it may have been dropped: nobody is to meet another under its number
+            last = os.pread(descriptor, 9, 0)  # the number of a dropped experiment is not given out again
             number = max(*self._numbers(), int(last) if last.isdigit() else 0, 0) + 1
             added = QueuedExperiment(number, **facts)
             self.write(added)
@@ -131,7 +131,7 @@ class ExperimentQueue:
         return found, findings
 
     def write(self, queued: QueuedExperiment) -> None:
-        """Put what is known of an experiment on the disk, whole or not at all.
+        """Write what is known of an experiment to the disk, completely or not at all.
 
         Raises:
             StorageError: it cannot be written.
@@ -213,7 +213,7 @@ class ExperimentQueue:
 
     @contextmanager
     def _adding(self) -> Iterator[int]:
-        """Keep others from taking the same number; the descriptor that it gives is of a file with the last one."""
+        """Keep others from taking the same number; yield the descriptor of the file that holds the last one."""
         path = self.folder / "adding.lock"
         deadline = time.monotonic() + _PATIENCE
         while (descriptor := lock_exclusively(path)) is None:

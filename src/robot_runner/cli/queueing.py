@@ -1,8 +1,8 @@
 """Experiments of the queue, executed one after another, each by a process of its own.
 
-`QueueRunner` begins one after another; nothing of what becomes of them depends on it. The process that executes an
-experiment takes it from the queue and writes down how it ended, so that either of the two may be killed: the experiment
-goes on without the runner, and without its own process it is begun again by whoever executes the queue then.
+`QueueRunner` starts a process for each. That process, and not the runner, takes the experiment from the queue and
+writes down how it ended. So either of the two may be killed: without the runner the experiment goes on, and without its
+own process it is begun again when the queue is executed next.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _REST, _LONGEST_REST = 1.0, 60.0
 
 
 def named(queued: QueuedExperiment) -> str:
-    """Return how an experiment of the queue is called."""
+    """Return what an experiment of the queue is called in messages."""
     return f"{queued.number} ({queued.experiment})"
 
 
@@ -59,7 +59,7 @@ def digest_of(config: str) -> str:
         raise StorageError(f"the config cannot be read: {error.strerror}", where=config, fix=fix) from error
 
 
-# Who waits for whom.
+# Which experiment waits for which.
 
 
 def awaited_by(queue: ExperimentQueue, queued: QueuedExperiment, known: Sequence[QueuedExperiment]) -> str:
@@ -85,7 +85,7 @@ def awaited_by(queue: ExperimentQueue, queued: QueuedExperiment, known: Sequence
 def execute_queued(queue: ExperimentQueue, number: int) -> int:
     """Execute an experiment of the queue in this process, note how it ended, and return the exit code.
 
-    One that is interrupted stays in the queue, to go on another time.
+    One that is interrupted stays in the queue, to be resumed later.
 
     Raises:
         ExecutionError: there is none of this number, it has ended, or another process executes it.
@@ -124,7 +124,7 @@ def _change(queued: QueuedExperiment) -> str:
     try:
         is_changed = digest_of(queued.config) != queued.config_sha256
     except StorageError:
-        return ""  # told as the reason why it was not executed
+        return ""  # this is reported as the reason why it was not executed
     if not is_changed:
         return ""
     problem = f"the config has changed since it was added at {queued.added_at}; it is executed as it is now"
@@ -167,8 +167,8 @@ def _reason(code: int, queued: QueuedExperiment) -> str:
 class QueueRunner:
     """Executes what is in the queue: the first experiment whose claims are free, then the next, until none is left.
 
-    None overtakes an earlier one that claims the same. Several runners may be at work at once: each executes another
-    experiment. A stop signal is passed on to the experiment that is being executed, and ends the runner after it.
+    None overtakes an earlier one that claims the same. Several runners may work at once, each on another experiment. A
+    stop signal is passed on to the experiment that is being executed; the runner ends after it.
 
     Args:
         queue: from which they are taken.
@@ -236,7 +236,7 @@ class QueueRunner:
         if not os.access(python, os.X_OK):
             python = sys.executable
             print(f"{queued.python}, with which it was added, is gone: {python} executes it", flush=True)
-        # Nobody is asked anything: a queue goes on without its user. In a session of its own, each signal comes once.
+        # No input: a queue goes on without its user. A session of its own: so each signal arrives once.
         with subprocess.Popen(  # noqa: S603 - our own program
             [python, "-P", "-m", "robot_runner", "queue", "run", str(queued.number)],
             stdin=subprocess.DEVNULL,
@@ -257,7 +257,7 @@ class QueueRunner:
         self._pass_on()
 
     def _pass_on(self) -> None:
-        """Send each signal to the experiment once; one that came before it has a process waits for the process."""
+        """Send each signal to the experiment once, also one that came before its process had started."""
         while self._process is not None and self._asked:
             self._process.send_signal(self._asked.pop(0))
 
@@ -272,7 +272,7 @@ class QueueRunner:
         self._tell("\n".join(f"{named(each)} waits for {awaited}" for each, awaited in waiting if awaited))
 
     def _tell(self, text: str, findings: Sequence[Finding] = ()) -> None:
-        """Say something, unless it was said last."""
+        """Print a text, unless it was the last one printed."""
         if text == self._told:
             return
         if findings:

@@ -1,4 +1,4 @@
-"""What validation says of an experiment that a cluster is to execute."""
+"""The checks of an experiment that a cluster is to execute."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _TLS = "distributed.comm.tls"
 
 
 def check_cluster(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> list[Finding]:
-    """Return what keeps the workers of a cluster from executing the experiment; nothing where none is to."""
+    """Return what keeps the workers of a cluster from executing the experiment; nothing where no cluster is used."""
     del plugins
     if parameters.cluster is None:
         return []
@@ -36,7 +36,7 @@ def check_cluster(where: str, parameters: Parameters, plugins: Sequence[Plugin])
 
 
 def cluster_settings() -> dict[str, Any]:
-    """Return what is set in Dask's own configuration: `lease` and `patience` in s, and `in_place`.
+    """Return our settings in Dask's own configuration: `lease` and `patience` in s, and `in_place`.
 
     Raises:
         ConfigError: a setting is no length of time, or neither True nor False.
@@ -63,7 +63,7 @@ def _seconds(given: Any) -> float | None:
 
     try:
         seconds = parse_timedelta(given)
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError):  # whatever it stumbles over
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError):  # whatever Dask's parser raises
         return None
     return seconds if seconds and 0 < seconds < float("inf") else None
 

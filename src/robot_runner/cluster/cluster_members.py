@@ -1,4 +1,4 @@
-"""The workers of a cluster as the gateway knows them: how each is asked, and what it takes to join an experiment."""
+"""The workers of a cluster as the gateway knows them: how it calls them, and how they join an experiment."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class UnansweredError(Exception):
     """A worker answered with an exception, or not at all."""
 
 
-#: How many files are sent together, as far as they are small.
+#: How many pieces of files are sent together at most.
 _MOST_PIECES = 500
 
 #: What is raised where a worker does not answer as it should.
@@ -40,11 +40,11 @@ class Member:
 
     Attributes:
         address: Dask's.
-        name: what it was called when it was started, or its address.
+        name: the one that it was started with, or its address.
         threads: how many runs it executes at a time.
-        resources: what it was started with, as in `--resources "robot:alice=1"`.
-        id: of the part that it takes in the experiment; another worker at the same address has another, and so has this
-            one once it was lost.
+        resources: those that it was started with, as in `--resources "robot:alice=1"`.
+        id: of its part in the experiment: another worker at the same address has another id, and so has this worker
+            when it joins again after it was lost.
         host: the name of its machine.
         renewed: when it was asked last to renew its lease, s on the monotonic clock.
     """
@@ -60,7 +60,7 @@ class Member:
     has_joined: bool = False
 
     def facts(self) -> dict[str, Any]:
-        """Return the same for the orchestrator."""
+        """Return what the orchestrator needs of these, as plain data."""
         return {
             "address": self.address,
             "name": self.name,
@@ -75,9 +75,9 @@ async def answer_of(client: Client, member: Member, seconds: float, ask: Callabl
     """Call a function on a worker, beside its tasks, and return what it returns.
 
     Raises:
-        UnansweredError: it raised something there.
+        UnansweredError: the function raised an exception there.
         OSError: the worker, or the scheduler, is out of reach.
-        TimeoutError: it took longer than that many seconds.
+        TimeoutError: the call took longer than `seconds`.
     """
     async with asyncio.timeout(seconds):
         answers = await client.run(ask, *arguments, workers=[member.address], on_error="return")
@@ -90,7 +90,7 @@ async def answer_of(client: Client, member: Member, seconds: float, ask: Callabl
 
 
 def why_unanswered(member: Member, lease: float, error: Exception) -> str:
-    """Return in words what became of a worker that did not answer as it should: one of `ANSWER`."""
+    """Return in words what happened to a worker, from the error, one of `ANSWER`, that a call raised."""
     if isinstance(error, TimeoutError):
         return f"worker {member.name} has not answered for {lease:g} s"
     if isinstance(error, OSError):
@@ -99,17 +99,17 @@ def why_unanswered(member: Member, lease: float, error: Exception) -> str:
 
 
 def refusal_of(member: Member, lease: float, error: Exception) -> list[dict[str, str]]:
-    """Return that a worker cannot join, as plain findings: else nobody would learn why nothing is executed there."""
+    """Return, as plain findings, that a worker cannot join: so the user learns why nothing is executed there."""
     because = str(error) if isinstance(error, UnansweredError) else why_unanswered(member, lease, error)
     fix = "Mend this there; it is asked again until it joins."
     return [_plain(Finding.warning(f"worker {member.name}", f"cannot join: {because}", fix))]
 
 
 async def joined(client: Client, member: Member, facts: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Have a worker join the experiment; return what keeps it from that, as plain findings.
+    """Have a worker join the experiment; return what keeps it from joining, as plain findings.
 
     Raises:
-        UnansweredError, OSError, TimeoutError: as `answer_of` says, once it is known that Robot Runner is there.
+        UnansweredError, OSError, TimeoutError: as in `answer_of`, once Robot Runner is known to be installed there.
     """
     lease = facts["lease"]
     try:
@@ -131,7 +131,7 @@ async def joined(client: Client, member: Member, facts: Mapping[str, Any]) -> li
         except StorageError as error:
             return [_plain(finding) for finding in error.findings]
     await answer_of(client, member, lease, _settle, facts["session"], is_shared)
-    if unfitness := await _unfitness(client, member, facts):  # else each such worker would cost a run an attempt
+    if unfitness := await _unfitness(client, member, facts):  # found now, so that it does not cost a run an attempt
         await answer_of(client, member, lease, on_worker.leave, facts["session"])
         fix = "Mend this there, and start the worker again."
         return [_plain(Finding.warning(f"worker {member.name}", f"executes no runs: {unfitness}", fix))]
@@ -152,7 +152,7 @@ def _settle(session: str, is_shared: bool) -> None:
 
 
 def _inputs_in(root: Path) -> Iterator[list[tuple[str, bytes]]]:
-    """Yield the copies of what an experiment reads, and their index, some pieces of files at a time."""
+    """Yield the copies of the files that an experiment reads, and their index, some pieces at a time."""
     kept = ExperimentFolder(root).config
     pieces: list[tuple[str, bytes]] = []
     room = PIECE
@@ -171,11 +171,11 @@ def _inputs_in(root: Path) -> Iterator[list[tuple[str, bytes]]]:
 
 
 def _is_answered(root: Path, answered: Mapping[str, str]) -> bool:
-    """Return whether the worker's answer to the probe stands in our folder: it reads and writes the same files."""
+    """Return whether the worker's answer to the probe is in our folder: then it reads and writes the same files."""
     name = answered["answer"]
     if not name or "/" in name:
         return False
-    with suppress(StorageError):  # it is not there, or a link or a pipe stands there
+    with suppress(StorageError):  # there is none, or a link or a pipe in its place
         content = guarded_files.read_bytes(root / name, root, limit=64)
         guarded_files.remove(root / name, root)
         return hashlib.sha256(content).hexdigest() == answered["digest"]

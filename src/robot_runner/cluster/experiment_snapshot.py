@@ -1,7 +1,7 @@
-"""An experiment on its way to a worker: the config file and its modules, what it reads, and what was set from outside.
+"""An experiment as it is sent to a worker: config file, its modules, what it reads, and settings from outside.
 
-The worker loads the config as a fresh interpreter does (`RunProcess.SPAWN`): what `before_experiment` and `before_run`
-set up in the memory of the orchestrator is not there.
+The worker loads the config as a fresh interpreter does (`RunProcess.SPAWN`): it has nothing of what `before_experiment`
+and `before_run` set up in the memory of the orchestrator.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from robot_runner.core.storage.input_files import copy_kept, kept_copies, missin
 from robot_runner.core.storage.journal import journal_lines
 from robot_runner.core.storage.layout import ExperimentFolder
 
-#: How a worker spells that it has no cluster of its own: it executes its runs itself.
+#: The setting by which a worker has no cluster of its own, and executes its runs itself.
 _NO_CLUSTER = "none"
-#: The folder of the config and its modules, in that of the process that executes runs.
+#: The folder of the config and its modules, within the folder of the process that executes runs.
 SOURCE = "source"
 _TREES_FIX = "Have XDG_CACHE_HOME be a folder that workers see as well, and start the experiment again."
 
@@ -35,7 +35,7 @@ def snapshot_of(experiment: Experiment) -> dict[str, Any]:
     """Return an experiment as plain data.
 
     Raises:
-        ExecutionError: it cannot travel: its config stands in no file.
+        ExecutionError: it cannot be sent: its config is in no file.
     """
     if experiment.kept != "file":
         raise ExecutionError(
@@ -52,7 +52,7 @@ def snapshot_of(experiment: Experiment) -> dict[str, Any]:
             place.relative_to(experiment.folder.config).as_posix(): path.read_bytes().decode("latin-1")
             for path, place in config_files(experiment).items()
         },
-        # A robot that was found by `auto` was found here, and is meant there as well.
+        # The robot that `auto` has found here is the one for the worker, too.
         "set": {**experiment.overrides, **({"robot": robot} if isinstance(robot, str) else {})},
         "batches": "".join(line.decode("utf-8").rstrip("\n") + "\n" for line in batches),
         "revisions": describe_revisions(experiment.model.factors),
@@ -60,11 +60,11 @@ def snapshot_of(experiment: Experiment) -> dict[str, Any]:
 
 
 def experiment_of(snapshot: Mapping[str, Any], folder: Path) -> Experiment:
-    """Return the experiment of a snapshot as it is executed on this worker.
+    """Return the experiment of a snapshot, to be executed on this worker.
 
     Args:
         snapshot: what `snapshot_of` returned.
-        folder: the worker's own; the config and all that a run writes go into it.
+        folder: the worker's own, for the config and all that a run writes.
 
     Raises:
         ConfigError: the config cannot be loaded here, or this worker lacks what it needs; carries every finding.
@@ -75,7 +75,7 @@ def experiment_of(snapshot: Mapping[str, Any], folder: Path) -> Experiment:
         path.write_bytes(text.encode("latin-1"))
     settings = {**snapshot["set"], "cluster": _NO_CLUSTER, "results_output_path": str(folder / "experiments")}
     path = folder / SOURCE / snapshot["config"]
-    if snapshot["batches"]:  # the design has grown; where to look for that is known once the config was read
+    if snapshot["batches"]:  # the design has grown; the folder of its journal is known once the config is loaded
         name = _loaded(path, settings).parameters.experiment_name
         journal = ExperimentFolder(folder / "experiments" / name).journal
         journal.parent.mkdir(parents=True, exist_ok=True)
@@ -90,14 +90,14 @@ def experiment_of(snapshot: Mapping[str, Any], folder: Path) -> Experiment:
 
 @contextmanager
 def inputs_of(kept: Path, folder: Path) -> Iterator[None]:
-    """While this lasts, the experiment reads the copies that were sent with it, and not files of this machine.
+    """While this lasts, the experiment reads the copies that were sent with it instead of files of this machine.
 
     Args:
-        kept: the experiment's folder of configs, or what was sent of it.
+        kept: the experiment's folder of configs, or the part of it that was sent.
         folder: as for `experiment_of`, and empty.
 
     Raises:
-        ConfigError: a file is too large to have a copy, and is not here, or is another one here.
+        ConfigError: a file that is too large to be copied is missing or different here.
         StorageError: a copy cannot be read or written.
     """
     fix = "Put it there, as it is on the machine that starts the experiment."
@@ -108,7 +108,7 @@ def inputs_of(kept: Path, folder: Path) -> Iterator[None]:
 
 
 def _loaded(path: Path, settings: Mapping[str, str]) -> Experiment:
-    # The orchestrator has checked the disk for all runs, and the registration; neither is this machine's business.
+    # Not the disk space for all runs, nor the registration: the orchestrator has checked both.
     preparation = prepare(path, settings, is_for_here=False)
     if preparation.experiment is None:
         raise ConfigError.of_findings(preparation.findings)
@@ -119,7 +119,7 @@ def _refuse_unfit(experiment: Experiment, revisions: Sequence[Sequence[str]]) ->
     """Look whether this machine has what the experiment needs.
 
     Raises:
-        ConfigError: it has not; all findings at once.
+        ConfigError: it has not; carries every finding.
     """
     parameters = experiment.parameters
     found = [

@@ -1,8 +1,8 @@
-"""What a Dask worker does for an experiment: it joins, executes runs, and hands over what they wrote.
+"""What a Dask worker does for an experiment: it joins, executes runs, and sends what they wrote.
 
 The functions of the first part are called through Dask: `execute` is a task, and occupies a thread of the worker as
-long as the run lasts; the others are answered by the worker's event loop, and return at once. A worker that does not
-know the session that they name has been started anew meanwhile.
+long as the run lasts; the others are executed by the worker's event loop, and return at once. A worker that does not
+know the session in a call has been restarted meanwhile.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from robot_runner.cluster.worker_versions import described_versions
 if TYPE_CHECKING:
     from distributed import Worker
 
-#: What workers tell of runs goes through the scheduler under this topic, which keeps the last thousand messages of it.
+#: The topic for messages about runs, from workers through the scheduler, which keeps the last thousand of them.
 TOPIC = "robot-runner"
-#: What Dask samples a worker's threads by, a hundred times a second: it would be part of what runs measure of their
-#: machine, and finds nothing, as they are other processes.
+#: Dask's callbacks that sample a worker's threads, a hundred times a second. They would be part of what runs measure of
+#: their machine, and would see nothing of the runs, which are other processes.
 _PROFILING = {"profile", "profile-cycle"}
 #: How often to look whether a process has loaded the experiment, s.
 _LOOK = 0.05
-#: As much of a lease is left for a run to begin; half of it is, where it was renewed as it should be, see the gateway.
+#: A run begins only while at least this part of the lease is left. With regular renewals half of it is (`gateway.py`).
 _ENOUGH = 0.25
-#: How long a host may take to close a run after its worker has let go of it, s, beside the grace.
+#: How long a host may take, beside the grace, to close its run once its worker sends no more requests, s.
 _CLOSING = 30.0
-#: After as many leases without a renewal nobody comes back: who is there has taken the worker for lost by then.
+#: After this many leases without a renewal the orchestrator does not come back: it has given up the worker by then.
 _ABANDONED = 10
 
 _sessions: dict[str, _Session] = {}
-#: What samples the worker and was stopped, each with the event loop in which it is started again.
+#: The sampling callbacks that were stopped, each with the event loop in which to start it again.
 _stopped: list[tuple[Any, Any]] = []
 
 
 def be_there() -> None:
-    """Do nothing, at the scheduler: it unpickles tasks, and can only do so where this module is there as well."""
+    """Do nothing, on the scheduler: it has to unpickle tasks, which works only where this module is installed."""
 
 
 def describe() -> dict[str, Any]:
@@ -54,15 +54,15 @@ def describe() -> dict[str, Any]:
 
 
 def join(facts: Mapping[str, Any], dask_worker: Worker) -> dict[str, Any]:
-    """Begin to take part in an experiment; what is left of a time before is ended.
+    """Begin to take part in an experiment; an earlier part in the same one is ended first.
 
     Args:
-        facts: `session`, the `id` of the part that this worker takes in it, `snapshot`, `probe` with its `path` and
+        facts: `session`, the `id` of this worker's part in it, `snapshot`, `probe` with its `path` and
             `digest`, `root` of the experiment's folder, `runs` in it, and `lease` in s.
         dask_worker: given by Dask.
 
     Returns:
-        whether the experiment's folder is shared with the orchestrator, and where the answer to its probe stands.
+        whether the experiment's folder is shared with the orchestrator, and where the answer to its probe is.
     """
     leave(facts["session"])
     for name in _PROFILING & dask_worker.periodic_callbacks.keys():
@@ -76,7 +76,7 @@ def join(facts: Mapping[str, Any], dask_worker: Worker) -> dict[str, Any]:
 
 
 def take_inputs(session: str, pieces: Sequence[tuple[str, bytes]]) -> None:
-    """Keep pieces of files that the experiment reads, each behind those of its file that have come before."""
+    """Keep pieces of files that the experiment reads; each is appended to its file."""
     _sessions[session].take_inputs(pieces)
 
 
@@ -86,7 +86,7 @@ def settle(session: str, *, is_shared: bool) -> None:
 
 
 async def unfitness(session: str, seconds: float) -> str | None:
-    """Return why no run can be executed here, empty where one can; None where so many seconds do not tell."""
+    """Return why no run can be executed here, empty where one can; None where that is unknown after `seconds`."""
     until = time.monotonic() + seconds
     while True:
         found = _sessions[session].unfitness()
@@ -96,12 +96,12 @@ async def unfitness(session: str, seconds: float) -> str | None:
 
 
 def renew(session: str) -> None:
-    """Renew the lease of the session: the orchestrator was there after the last time that this was answered."""
+    """Renew the lease of the session: by this call the orchestrator shows that it got the answer to the last one."""
     _sessions[session].renew()
 
 
 def stop(session: str, token: str, request: Mapping[str, Any]) -> bool:
-    """Have the run of an attempt end soon, or at once; return whether it was begun. If not, it never will be."""
+    """Have the run of an attempt end, soon or at once; return whether it had begun. If not, it never will."""
     return _sessions[session].stop(token, request)
 
 
@@ -115,19 +115,19 @@ def read_piece(session: str, token: str, name: str, offset: int, size: int) -> t
 
 
 def discard(session: str, token: str) -> None:
-    """Remove what an attempt has left: it is home."""
+    """Remove the files of an attempt, once the orchestrator has them."""
     _sessions[session].discard(token)
 
 
 def _leave_once_abandoned(session: _Session) -> None:
-    """Leave an experiment whose orchestrator was killed, or lost the scheduler, and so has not said that it ended."""
+    """Leave an experiment whose orchestrator was killed, or lost the scheduler, and so did not call `leave`."""
     session.await_abandonment()
     if _sessions.get(session.name) is session:
         leave(session.name)
 
 
 def leave(session: str) -> None:
-    """End the part that this worker takes in an experiment, with its run if there is one; nothing of it is left."""
+    """End this worker's part in an experiment, with its run if there is one, and remove all that it has left."""
     left = _sessions.pop(session, None)
     if left is not None:
         threading.Thread(target=_end, args=[left], daemon=True, name="robot-runner-leave").start()
@@ -146,7 +146,7 @@ def _sample_again() -> None:
 
 
 def execute(order: dict[str, Any]) -> None:
-    """Execute one attempt at a run: a task of Dask. What happens is told under the topic, and nothing is returned.
+    """Execute one attempt at a run: a task of Dask. It sends messages under the topic, and returns nothing.
 
     Args:
         order: `session`, `token` of the attempt, the id of the `worker` that is meant, and the `task`.
@@ -159,7 +159,7 @@ def execute(order: dict[str, Any]) -> None:
     worker = get_worker()
     session = _sessions.get(order["session"])
     if session is None or session.id != order["worker"]:
-        # Dask gives the tasks of a worker that it has lost to another one that listens at the same address.
+        # Dask gives the tasks of a lost worker to another one that listens at the same address.
         raise RuntimeError("the order was meant for a worker that was lost")
     session.execute(order, lambda message: worker.log_event(TOPIC, message))
 
@@ -212,7 +212,7 @@ class _Session:
         self._idle.append(self._started_host())
 
     def unfitness(self) -> str | None:
-        """Return what the first of these processes says that keeps it from executing runs, once it says anything."""
+        """Return why the first of these processes cannot execute runs, as in `unfitness` above."""
         with self._lock:
             self._seen = time.monotonic()
             (first,) = self._idle
@@ -223,10 +223,10 @@ class _Session:
         return unfitness
 
     def renew(self) -> None:
-        """Move the end of the lease on.
+        """Postpone the end of the lease.
 
-        The orchestrator asks again only once it has the answer to the last time. So it was there when that was
-        answered, and knows that the lease does not outlast the moment at which it asks by more than its length.
+        The orchestrator calls again only once it has the answer to the last call. So it was there at the time of that
+        answer, from which the lease is counted; and it knows that the lease ends at most its length after this call.
         """
         with self._changed:
             self._until, self._seen = self._seen + self._facts["lease"], time.monotonic()
@@ -235,7 +235,7 @@ class _Session:
                 host.ask("lease", {"until": self._until})
 
     def await_abandonment(self) -> None:
-        """Wait until the lease has not been renewed for long, or this has ended."""
+        """Wait until the lease has not been renewed for long, or this session has ended."""
         with self._changed:
             while not self._has_left:
                 left = self._seen + _ABANDONED * self._facts["lease"] - time.monotonic()
@@ -244,7 +244,7 @@ class _Session:
                 self._changed.wait(left)
 
     def stop(self, token: str, request: Mapping[str, Any]) -> bool:
-        """Pass the request on to the process that executes the run; one that has not begun does not begin.
+        """Pass the request on to the process that executes the run; a run that has not begun will not begin.
 
         Returns:
             whether it was begun: Dask holds it back for as long as another experiment has the thread, or the resource.
@@ -259,7 +259,7 @@ class _Session:
         return is_begun
 
     def execute(self, order: Mapping[str, Any], tell: Any) -> None:
-        """Have an attempt executed, and tell of it until it has ended."""
+        """Have an attempt executed, and send messages about it until it has ended."""
         token = order["token"]
         with self._lock:
             if token in self._begun:
@@ -272,7 +272,7 @@ class _Session:
             outgoing.end(ended_unbegun(stopped))
             return
         host = self._free_host()
-        with self._lock:  # who stops it from here on asks the host, and only once that knows of it
+        with self._lock:  # from here on a stop is a request to the host, which has to have its order before
             self._of_attempt[token] = host
             host.ask("execute", {"token": token, "until": self._until, "task": order["task"]})
             if (asked := self._stopped.get(token)) is not None:
@@ -291,8 +291,8 @@ class _Session:
     def _await_lease(self, token: str) -> None:
         """Wait until enough of the lease is left, or the attempt is stopped. The lock is held.
 
-        Where the network was cut for nearly as long as the lease, the first renewal after it leaves hardly anything: a
-        run that began then would be lost at once, and with it all of its attempts.
+        After a network failure nearly as long as the lease, the first renewal leaves hardly anything of it: a run that
+        began then would be lost at once, and so would its other attempts.
 
         Raises:
             RuntimeError: the lease is not renewed any more.
@@ -303,7 +303,7 @@ class _Session:
             raise RuntimeError("the orchestrator did not renew the lease of its worker")
 
     def outbox(self, token: str, name: str) -> Path:
-        """Return the file of an attempt that is to be sent home, or, without a name, the list of them."""
+        """Return the file of an attempt that is to be transferred, or, without a name, the list of them."""
         outbox = self._of_attempt[token].folder / OUTBOX
         return outbox / token / name if name else outbox / f"{token}.list"
 
@@ -324,7 +324,7 @@ class _Session:
             host.let_go()
         for host in hosts:
             host.wait(self._facts["grace"] + _CLOSING)
-        for host in self._idle:  # whoever follows a busy one leaves it himself
+        for host in self._idle:  # a busy one is ended by the thread that follows it
             host.close()
         shutil.rmtree(self.folder, ignore_errors=True)
 

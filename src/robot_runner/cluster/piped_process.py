@@ -1,6 +1,6 @@
-"""Programs of ours in processes beside this one, such as the one that executes runs (`run_host.py`) for its worker.
+"""Child processes that execute modules of ours, such as the one that executes runs for a worker (`run_host.py`).
 
-Requests and replies are records, each over a pipe of its own; the gateway answers from its event loop.
+Requests and replies are records, each over a pipe of its own; the gateway replies from its event loop.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from robot_runner.core.execution.run_records import RecordReader, RecordWriter
 
 
 class PipedProcess:
-    """A fresh interpreter that executes a module of ours; it notices the end of its requests, and ends.
+    """A fresh interpreter that executes a module of ours, and ends when its pipe of requests is closed.
 
     Attributes:
         descriptor: readable when there are replies, or the process has ended.
 
     Args:
-        module: what it executes, with the descriptors of requests and replies as its first words.
-        words: what follows them.
+        module: the one that it executes, with the descriptors of requests and replies as its first arguments.
+        words: the arguments after these.
     """
 
     def __init__(self, module: str, *words: str) -> None:
@@ -48,12 +48,12 @@ class PipedProcess:
         self._reader = RecordReader(self.descriptor)
 
     def ask(self, kind: str, fields: Mapping[str, Any]) -> None:
-        """Send a request; where the process is gone, the end of its replies tells."""
+        """Send a request; that the process is gone shows in the end of its replies."""
         with suppress(OSError):
             self._writer(kind, dict(fields))
 
     def replies(self) -> tuple[list[tuple[str, dict[str, Any]]], bool]:
-        """Return the replies that have come, and whether there may be more."""
+        """Return the replies that have arrived, and whether there may be more."""
         return self._reader.read()
 
     def let_go(self) -> None:
@@ -62,7 +62,7 @@ class PipedProcess:
             self._writer.close()
 
     def wait(self, seconds: float | None = None) -> int:
-        """Wait for its end, kill it where that takes longer, and return its exit code."""
+        """Wait for its end, kill it after that many seconds, and return its exit code."""
         try:
             return self._process.wait(seconds)
         except subprocess.TimeoutExpired:
@@ -70,7 +70,7 @@ class PipedProcess:
             return self._process.wait()
 
     def close(self) -> None:
-        """Leave its replies; it has ended."""
+        """Close the pipe of replies, once the process has ended."""
         os.close(self.descriptor)
 
 
@@ -79,11 +79,11 @@ _SENDING, _MOST_RECORDS = 0.5, 200
 
 
 class HostProcess(PipedProcess):
-    """A process that executes runs; a run that it executes is stopped once it is let go, and ends when it is killed.
+    """A process that executes runs; its run is stopped after `let_go`, and ends with the process if that is killed.
 
     Attributes:
-        folder: its own, in that of the worker's session.
-        is_alive: whether it has not ended, as far as is known.
+        folder: its own, within that of the worker's session.
+        is_alive: whether it runs, as far as is known.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -94,7 +94,7 @@ class HostProcess(PipedProcess):
         self.is_alive = True
 
     def unfitness(self) -> str | None:
-        """Return why it executes no runs; empty where it is ready to, and None where it has not said anything yet."""
+        """Return why it executes no runs; empty where it is ready, None where that is not known yet."""
         replies, is_open = self.replies()
         for kind, fields in replies:
             if kind == "ready":
@@ -103,14 +103,14 @@ class HostProcess(PipedProcess):
         return None if is_open else self._ended()
 
     def _ended(self) -> str:
-        """Return why the process has ended, which nobody asked for."""
+        """Return why the process has ended unexpectedly."""
         self.is_alive = False
         code = self.wait()
         self.close()
         return "; ".join(self._refused) or f"the process that executes runs ended with code {code}"
 
     def followed(self, outgoing: Outgoing) -> dict[str, Any]:
-        """Pass on what the process tells of a run, and return what it tells of its end."""
+        """Pass on what the process reports about a run, and return what it reports about the end."""
         poll = select.poll()
         poll.register(self.descriptor, select.POLLIN)
         while True:
@@ -130,9 +130,9 @@ class HostProcess(PipedProcess):
 
 
 class Outgoing:
-    """What is told of one attempt: records as they come, some at a time, and the end.
+    """The messages about one attempt: its records, some at a time, and its end.
 
-    They are numbered, so that the other side can tell that none is missing.
+    They are numbered, so that the receiver notices if one is missing.
     """
 
     def __init__(self, session: str, token: str, tell: Any) -> None:
@@ -158,7 +158,7 @@ class Outgoing:
         self._send(ended)
 
     def _send(self, ended: Mapping[str, Any] | None = None) -> None:
-        # As text: Dask's own encoding does not know each integer of a record, nor each character of a file's name.
+        # As text: Dask's own encoding fails for some integers of records, and some characters of file names.
         told = json.dumps([self._records, ended])
         self._tell({**self._of, "first": self._sent, "told": told})
         self._sent += len(self._records)
@@ -171,7 +171,7 @@ _FLUSHED = 5.0
 
 
 class Replies:
-    """What is told to the orchestrator; never waited for, as it may be busy with a callback of a user.
+    """The replies to the orchestrator; sending never blocks, as the orchestrator may be busy with a user's callback.
 
     Args:
         descriptor: of the pipe.
@@ -185,14 +185,14 @@ class Replies:
         self._is_sent.set()
 
     def tell(self, kind: str, fields: dict[str, Any]) -> None:
-        """Send one reply, once the pipe takes it."""
+        """Send a reply as soon as the pipe has room for it."""
         was_empty = not self._pending
         self._pending += json.dumps([kind, fields]).encode() + b"\n"
         if was_empty:
             self._write()
 
     async def flushed(self) -> None:
-        """Wait, but not for ever, until everything is sent."""
+        """Wait until everything is sent, within limits."""
         with suppress(TimeoutError):
             await asyncio.wait_for(self._is_sent.wait(), _FLUSHED)
 

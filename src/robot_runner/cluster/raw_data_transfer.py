@@ -1,8 +1,8 @@
-"""Raw data on its way home: piece by piece from a worker into the run's folder.
+"""Copies raw data piece by piece from a worker into the run's folder.
 
-What a worker says of its files is not trusted: each name has to lead into the run's folder, no link is followed or
-made, and no more is written than was announced and fits on the disk. A piece that does not have its checksum is asked
-for again; a file that does not have its own is an error. Memory is bounded by the size of a piece.
+What a worker says about its files is not trusted: each name has to lead into the run's folder, no link is followed or
+made, and no more is written than was announced and fits on the disk. A piece with a wrong checksum is requested again;
+a file with a wrong checksum is an error. Memory is bounded by the size of a piece.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from robot_runner.core.storage.guarded_files import make_folder, open_descriptor
 
 #: Bytes of a piece: some hundred of them are on their way at most (see `gateway.py`), and each costs a round trip.
 PIECE = 1 << 20
-#: How often a piece is asked for again whose checksum is not that of its bytes.
+#: How often a piece is requested before its wrong checksum is an error.
 _ATTEMPTS = 3
 #: The longest list of files of one run, bytes: some 400,000 files.
 _LONGEST_LIST = 64_000_000
@@ -32,20 +32,20 @@ Read = Callable[[str, int, int], Awaitable[tuple[bytes, str]]]
 
 
 class TransferError(Exception):
-    """The worker's files cannot be had as they are there."""
+    """The worker's files could not be copied correctly."""
 
 
 async def bring_home(read: Read, ended: Mapping[str, Any], run: Path, root: Path) -> None:
     """Write all that an attempt has left on its worker into the run's folder.
 
     Args:
-        read: asks the worker for a piece of a file.
-        ended: what the worker told of the end: `files`, `bytes`, and the length of the `list`.
+        read: gets a piece of a file from the worker.
+        ended: the worker's message about the end: `files`, `bytes`, and the length of the `list`.
         run: the run's folder.
         root: the experiment's.
 
     Raises:
-        TransferError: the worker gives something else than it announced, or a name that leads elsewhere.
+        TransferError: the worker sends something else than it announced, or a name that leads elsewhere.
         StorageError: it cannot be written here.
     """
     free = shutil.disk_usage(root).free

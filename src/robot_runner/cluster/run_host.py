@@ -4,9 +4,9 @@ Dask executes tasks in threads, and the process that forks runs has none (docs/a
 of these for each of its threads. It loads the experiment once, and executes one run after another as an orchestrator
 does on its own machine: keeper, standby, deadlines, grace.
 
-It ends its run when it is told to, when its *lease* ends, or when the worker is gone: the end of the pipe says so. The
-lease is the moment until which the orchestrator is known to be there; who is cut off from it stops its runs, as the
-orchestrator executes them elsewhere some time after. What it has written on this machine is removed when it ends.
+It ends its run on request, when its *lease* ends, or when the worker is gone, which shows in the end of the pipe. The
+lease says until when the orchestrator was known to be there; a worker that is cut off from it stops its runs, as the
+orchestrator executes them elsewhere some time later. What the process wrote on this machine is removed when it ends.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ from robot_runner.core.storage.guarded_files import make_folder, open_descriptor
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.treatments import bind
 
-#: Why a run is stopped whose orchestrator is out of reach.
+#: The reason for stopping a run whose orchestrator is out of reach.
 GONE = "the orchestrator is gone, or out of reach"
-#: The folder that holds what is to be sent home, a folder and a list for each attempt.
+#: The folder of what is to be transferred to the orchestrator: a folder and a list for each attempt.
 OUTBOX = "outbox"
-#: The folder beside the processes' own that holds what the experiment reads, where that was sent.
+#: The folder, beside those of the processes, of the files that the experiment reads, where these were sent.
 INPUTS = "inputs"
-#: What a disk needs to have left for a run to begin, and for its end to be believed, bytes.
+#: How much of the disk has to be free for a run to begin, and after a failed run, which else counts as lost; bytes.
 _ROOM, _NO_ROOM = 64_000_000, 1_000_000
 _READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
 _BLOCK = 1 << 20
@@ -116,13 +116,13 @@ class _Host:
         if self._order is not None:
             due = [time.monotonic() + _LOOK]
         waited = min(due, default=float("inf")) - time.monotonic()
-        # A millisecond more, as poll would return a little before the moment that is waited for.
+        # A millisecond more, as poll may return a little too early.
         poll.poll(None if waited == float("inf") else max(0.0, waited) * 1000 + 1)
         self._interruption.forget_wakeups()
 
     @property
     def _lease_end(self) -> float | None:
-        """When the run is to be stopped as nobody is known to be there; None once it was."""
+        """When to stop the run unless the lease is renewed; None once it was stopped for that."""
         return None if self._is_leaving or self._is_stopped else self._lease
 
     def _take_requests(self) -> None:
@@ -150,7 +150,7 @@ class _Host:
             self._run.stop(GONE)
 
     def _begin_or_wait(self, order: Mapping[str, Any]) -> None:
-        """Begin a run once no other experiment on this machine has what it claims, as long as it is wanted."""
+        """Begin a run once no other experiment on this machine has what it claims, unless it is stopped before."""
         told: dict[str, Any] | None = None
         if self._is_leaving or time.monotonic() >= self._lease:
             told = {"lost": GONE, "is_certain": True}
@@ -165,9 +165,9 @@ class _Host:
             self._tell("ended", told)
 
     def _has_claims(self, task: RunTask) -> bool:
-        """Claim for the run what is this machine's, or tell once who has it.
+        """Claim what the run needs of this machine; report once, if another experiment has it, which one.
 
-        Robots are left out, as the orchestrator, which may be on this machine, has claimed them for all runs.
+        Robots are left out: the orchestrator, which may be on this machine, has claimed them for all runs.
         """
         claims = [each for each in self._claims.against_others([task.combination]) if not each.startswith("robot:")]
         name = self._experiment.parameters.experiment_name
@@ -203,10 +203,10 @@ class _Host:
             outcome = run.outcome()
             run.close()
             self._run = None
-            reap_keepers()  # who claims the same next must not take the last of it for a run that goes on
+            reap_keepers()  # else the next run with these claims would take an unreaped keeper for a run that goes on
             self._held.close()
             ended = self._told(outcome)
-        if self._records:  # all at once: each message wakes the worker
+        if self._records:  # all in one message, as each wakes the worker
             self._tell("records", {"records": self._records})
             self._records = []
         if ended is not None:
@@ -232,7 +232,7 @@ class _Host:
         return ended | ({"is_certain": True, "is_unfit": True} if "lost" in ended else {})
 
     def _discard(self, task: RunTask) -> None:
-        """Remove log and files of a lost attempt: the next one here would write behind them, into its own."""
+        """Remove the log and files of a lost attempt: else the next attempt here would append to them."""
         folder = self._experiment.folder
         folder.current_log.unlink(missing_ok=True)
         shutil.rmtree(folder.run(task.run_id), ignore_errors=True)

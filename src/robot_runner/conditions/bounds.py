@@ -1,4 +1,4 @@
-"""Conditions that a quantity is above or below a limit."""
+"""Conditions of a quantity above or below a limit."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from robot_runner.core.errors import ConditionError, Finding, LinkError
 from robot_runner.core.events.condition import Condition, Look, LookAgain
 from robot_runner.core.events.context import RobotRunnerContext
 
-#: What a quantity was found to be, in its unit; a text says why it is not known.
+#: The value of a quantity, in its unit, or a text that says why it is not known.
 Reading: TypeAlias = float | str
 
 
 class Quantity(ABC):
-    """Something that can be read again and again and is a number. Equal ones are the same quantity.
+    """A number that can be read repeatedly. Quantities are compared by equality.
 
     Attributes:
         unit: of its values.
-        low, high: what a value can be at least and at most.
+        low, high: the smallest and largest possible value.
         every_s: how often it is read, s.
         is_outside: as of the condition.
     """
@@ -36,14 +36,14 @@ class Quantity(ABC):
 
     @abstractmethod
     def __str__(self) -> str:
-        """Return what it is, as in `the temperature of this machine`."""
+        """Return its name, as in `the temperature of this machine`."""
 
     @abstractmethod
     def watch(self, context: RobotRunnerContext, opened: ExitStack) -> Callable[[], Reading]:
-        """Begin to watch, and return what reads it; a `LinkError` of that says why it cannot be read now."""
+        """Begin to watch, and return a function that reads it; its `LinkError` says why it cannot be read now."""
 
     def check(self, robot: str | None) -> Iterable[Finding]:
-        """Return what keeps it from ever being read."""
+        """Return findings on why it can never be read."""
         del robot
         return ()
 
@@ -53,7 +53,7 @@ class Bound(Condition):
     """A quantity above or below a limit.
 
     Attributes:
-        is_below: whether it is to be below.
+        is_below: whether the quantity must be below the limit, otherwise above.
 
     Raises:
         ConditionError: the limit is no number.
@@ -73,7 +73,7 @@ class Bound(Condition):
         return f"{self.quantity} is {'below' if self.is_below else 'above'} {_shown(self.limit, self.quantity.unit)}"
 
     def check(self, robot: str | None) -> Iterable[Finding]:
-        """Return what keeps the quantity from being read, or from ever being beyond the limit."""
+        """Return findings on why the quantity can never be read, or never be beyond the limit."""
         quantity, unit = self.quantity, self.quantity.unit
         yield from quantity.check(robot)
         edge = quantity.low if self.is_below else quantity.high
@@ -111,7 +111,7 @@ def contradictions(conditions: Iterable[Condition]) -> Iterator[Finding]:
 
 
 def measure_above(name: str, limit: float) -> Condition:
-    """Return the condition that a measure that was published in this run is above a limit.
+    """Return the condition that a measure published in this run is above a limit.
 
     Args:
         name: the measure's column in the run table.
@@ -128,7 +128,7 @@ def measure_above(name: str, limit: float) -> Condition:
 
 
 def measure_below(name: str, limit: float) -> Condition:
-    """Return the condition that a measure that was published in this run is below a limit; as `measure_above`."""
+    """Return the condition that a measure published in this run is below a limit; as `measure_above`."""
     return Bound(Measured(name), limit, is_below=True)
 
 
@@ -142,7 +142,7 @@ class Measured(Quantity):
         return f"the measure {self.name}"
 
     def watch(self, context: RobotRunnerContext, opened: ExitStack) -> Callable[[], Reading]:
-        """Return what reads it."""
+        """Return a function that reads it."""
         del opened
 
         def read() -> Reading:

@@ -64,7 +64,7 @@ def leaves(condition: Condition) -> Iterator[Condition]:
 
 
 class _PacedClock:
-    """The run's clock, on which no time goes by faster than in reality: for what is inside and outside a simulation."""
+    """The run's clock, but never faster than real time: for conditions inside and outside a simulation together."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -73,14 +73,14 @@ class _PacedClock:
         return self._clock.now()
 
     def sleep(self, seconds: float) -> None:
-        """Let so many seconds go by on the run's clock, and as many real ones at least."""
+        """Sleep on the run's clock, and for at least as long in real time."""
         end = time.monotonic() + seconds
         self._clock.sleep(seconds)
         time.sleep(max(0.0, end - time.monotonic()))
 
 
 class _Combined(Condition):
-    """Other conditions, each looked at as often as it asks for."""
+    """Other conditions, each looked at as often as its own `every_s` says."""
 
     _joint = ""
 
@@ -120,7 +120,7 @@ class _Combined(Condition):
 
     @abstractmethod
     def _judge(self, looks: Sequence[Look]) -> Look:
-        """Return what the looks at the parts add up to."""
+        """Return the combination of the looks at the parts."""
 
 
 class _AllOf(_Combined):
@@ -131,7 +131,7 @@ class _AllOf(_Combined):
         yield from contradictions(self._conjuncts())
 
     def _conjuncts(self) -> Iterator[Condition]:
-        """Yield what must hold at the same time, also where it stands in another of this kind."""
+        """Yield the conditions that must hold at the same time, those of nested `all_of` included."""
         for part in self._parts:
             bare = part
             while isinstance(bare, HeldFor):
@@ -160,7 +160,7 @@ class _Not(_Combined):
         return f"not ({self._parts[0]})"
 
     def check(self, robot: str | None) -> Iterable[Finding]:
-        """Yield what keeps the condition from being looked at; what keeps it from holding makes this one hold."""
+        """Yield why the condition cannot be looked at; that it can never hold is no problem here."""
         for leaf in leaves(self):
             yield from leaf.quantity.check(robot) if isinstance(leaf, Bound) else leaf.check(robot)
 
@@ -170,13 +170,13 @@ class _Not(_Combined):
 
 
 def _subject(condition: Condition) -> str:
-    """Return of what a figure is that was seen, where that is one quantity."""
+    """Return the name of the quantity of a condition; empty where it is not about a single one."""
     one, *others = leaves(condition)
     return f"{one.quantity}: " if isinstance(one, Bound) and not others else ""
 
 
 def _now_and_then(look_again: LookAgain, every_s: float, clock: Clock) -> LookAgain:
-    """Return what looks as often as this condition asks for, and tells what it saw last in between."""
+    """Return a function that looks at most every `every_s`, and returns the last look in between."""
     due, last = clock.now(), Look(holds=False, is_known=False)
 
     def look() -> Look:

@@ -1,4 +1,4 @@
-"""Conditions that a figure of a computer is above or below a limit: temperature, battery, load, clock offset."""
+"""Conditions of a quantity of a computer above or below a limit: temperature, battery, load, clock offset."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from robot_runner.measuring.local_host import LocalHost
 from robot_runner.measuring.ssh_host import SshHost
 
 _PERCENT = 100.0
-#: Linux tells temperatures in thousandths of a degree.
+#: Linux has temperatures in thousandths of a degree.
 _MILLI = 1e-3
-#: What a sensor of a processor, a board or a room can tell, degrees; beyond that it is broken or asleep.
+#: Plausible values of a sensor, °C; beyond them it is broken or asleep.
 _COLDEST, _HOTTEST = -55.0, 150.0
 
 
@@ -85,7 +85,7 @@ def clock_offset_below(limit: float, *, host: str, ssh_config: str | Path | None
     """Return the condition that the clock of another computer shows the same time as this machine's.
 
     Args:
-        limit: how far it may be ahead or behind, s; half the quickest way there and back is added to what is seen.
+        limit: how far it may be ahead or behind, s; half of the shortest round trip is added to the measured offset.
         host: the computer, as ssh takes it.
         ssh_config: a file to take the place of the user's ssh config.
 
@@ -105,7 +105,7 @@ def clock_offset_below(limit: float, *, host: str, ssh_config: str | Path | None
 
 @dataclass(frozen=True)
 class _OfComputer(Quantity):
-    """A figure of one computer."""
+    """A quantity of one computer."""
 
     computer: ComputerName
 
@@ -153,14 +153,14 @@ class _Temperature(_OfComputer):
         return read
 
     def _sensors(self, link: LocalHost | SshHost) -> tuple[list[str], list[str]]:
-        """Return the files that hold the temperature, and the types of the zones that there are."""
+        """Return the files with the temperature, and the types of all zones."""
         if self.sensor is not None and "/" in self.sensor:
             return [self.sensor], []
         zones = link.list_files("/sys/class/thermal/thermal_zone*/temp")
         kinds = link.read_files([f"{path.removesuffix('temp')}type" for path in zones]) if zones else []
         if self.sensor is not None:
             zones = [path for path, kind in zip(zones, kinds, strict=True) if kind == self.sensor]
-        elif not zones:  # many computers with an x86 processor tell here only
+        elif not zones:  # many x86 computers have only hwmon
             zones = link.list_files("/sys/class/hwmon/hwmon*/temp*_input")
         return zones, sorted({kind for kind in kinds if kind})
 
@@ -241,7 +241,7 @@ class ComputerBattery(_OfComputer):
             folders = [path.removesuffix("capacity") for path in link.list_files(self._supplies)]
             wanted = [f"{folder}{name}" for folder in folders for name in ("capacity", "scope")]
             texts = link.read_files(wanted) if wanted else []
-            # A mouse has a battery, too: its scope is a device's, and not the system's.
+            # The battery of a mouse has the scope "Device".
             charges = [
                 float(charge)
                 for charge, scope in zip(texts[::2], texts[1::2], strict=True)

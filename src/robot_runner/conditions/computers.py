@@ -1,4 +1,4 @@
-"""Conditions of computers, here or at the other end of ssh: a process is there, a host answers, it is held back."""
+"""Conditions of computers, here or over ssh: a process is there, a host answers, its processor is throttled."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ class ComputerName:
 
     @property
     def every_s(self) -> float:
-        """How often it is looked at, s: another computer is what is measured, and each look takes some of its time."""
+        """How often it is looked at, s; another computer less often, as each look disturbs what is measured there."""
         return 0.5 if self.host == LOCAL else 2.0
 
     def open(self, opened: ExitStack) -> LocalHost | SshHost:
-        """Return a link of one's own, which no profiler uses at the same time; it connects when it is first used."""
+        """Return a link that no profiler shares; it connects at first use."""
         link = (
             LocalHost(SystemClock())
             if self.host == LOCAL
@@ -67,7 +67,7 @@ class ComputerName:
         return link
 
     def check(self, what: str) -> Iterator[Finding]:
-        """Yield what stands between us and the computer; `what` is the condition that asks."""
+        """Yield findings on why the computer cannot be reached; `what` is the condition."""
         if self.host == LOCAL:
             return
         can_ever = shutil.which("ssh") is not None and (self.ssh_config is None or self.ssh_config.is_file())
@@ -100,7 +100,7 @@ def process_running(process: str | int, *, host: str = LOCAL, ssh_config: str | 
 
 
 def host_answers(host: str, *, ssh_config: str | Path | None = None) -> Condition:
-    """Return the condition that a computer lets us in over ssh, and answers.
+    """Return the condition that a computer answers over ssh.
 
     Args:
         host: the computer, as ssh takes it.
@@ -117,7 +117,7 @@ def host_answers(host: str, *, ssh_config: str | Path | None = None) -> Conditio
 
 
 def throttled(*, host: str = LOCAL, ssh_config: str | Path | None = None) -> Condition:
-    """Return the condition that the processor of a computer is held back: for heat, or by its power supply.
+    """Return the condition that the processor of a computer is throttled, because of heat or of its power supply.
 
     It is read from Linux's counters of thermal throttling, and from the firmware of a Raspberry Pi.
 
@@ -136,7 +136,7 @@ def throttled(*, host: str = LOCAL, ssh_config: str | Path | None = None) -> Con
 
 
 class _OfComputer(Condition):
-    """A condition of one computer, which is reached anew as long as it cannot be."""
+    """A condition of one computer; connecting is tried again while it fails."""
 
     computer: ComputerName
     is_outside = True
@@ -164,7 +164,7 @@ class _OfComputer(Condition):
 
     @abstractmethod
     def looker(self, link: LocalHost | SshHost) -> Callable[[], Look]:
-        """Return what looks; it may raise a LinkError."""
+        """Return a function that looks; it may raise a LinkError."""
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,7 @@ class _ProcessRunning(_OfComputer):
 
 
 def _matches(selector: str, pid: int, state: str, command_line: str) -> bool:
-    """Whether a process is meant and alive; `state` is its stat: number, (name), state (proc_pid_stat(5))."""
+    """Return whether a process matches and is alive; `state` is its stat: pid, (name), state (proc_pid_stat(5))."""
     name, _, rest = state.partition("(")[2].rpartition(")")
     is_alive = rest.strip()[:1] not in {"", "Z", "X"}
     return is_alive and matches(selector, pid, name, [word for word in command_line.split("\0") if word])
@@ -227,8 +227,8 @@ class _HostAnswers(_OfComputer):
         return look
 
 
-#: Where a Raspberry Pi's firmware tells of throttling. Bit 0 is under-voltage, bits 1 to 3 are frequency capped,
-#: throttled and soft temperature limit, all of this moment. Source: Raspberry Pi documentation, vcgencmd get_throttled.
+#: The throttling state of a Raspberry Pi's firmware. Bit 0 is under-voltage, bits 1 to 3 are frequency capped,
+#: throttled and soft temperature limit, all at this moment. Source: Raspberry Pi documentation, vcgencmd get_throttled.
 _FIRMWARE = "/sys/devices/platform/soc/soc:firmware/get_throttled"
 _HELD_BACK_NOW = 0b1111
 _COUNTERS = "/sys/devices/system/cpu/cpu[0-9]*/thermal_throttle/*_throttle_count"
@@ -252,7 +252,7 @@ class _Throttled(_OfComputer):
                 seen = f"{self.computer} does not tell whether its processor is throttled"
                 return Look(holds=False, seen=seen, is_known=False)
             told = {path: int(text) for path, text in zip(counters, counts, strict=True) if text and text.isdigit()}
-            # One of a core that is back has counted before; and each core tells what happened to all of them.
+            # A core that came online again has counted before; and each core counts the events of all of them.
             grown = max((count - before.get(path, count) for path, count in told.items()), default=0)
             before |= told
             now = int(flags, 16) & _HELD_BACK_NOW if re.fullmatch(r"(0x)?[0-9a-fA-F]+", flags or "") and flags else 0

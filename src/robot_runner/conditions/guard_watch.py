@@ -1,4 +1,4 @@
-"""The guards of an experiment: conditions that are watched while a run is measured, and what follows if one is true."""
+"""The guards of an experiment: conditions that are watched while a run is measured, and their actions."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _FIX = "Repeat the run once the cause is gone, or leave its values out."
 
 
 class GuardWatch(Profiler):
-    """Watches conditions from the beginning of the measurement to its end; it is there where a config has `guards`.
+    """Watches the `guards` of a config during the measurement.
 
-    On a real robot it looks in a thread of its own. On a clock that moves only while it is slept on, it looks on the
-    way; a condition of what is outside of the simulation is looked at in real time there, too.
+    On a real robot it looks in a thread of its own. On a simulated clock it looks while that is slept on, but at
+    conditions that are outside of the simulation in real time.
 
     Args:
-        guards: what is watched, and what follows.
-        name: tells several instances apart.
+        guards: conditions and actions.
+        name: of the plugin.
 
     Example:
         >>> from robot_runner import Guard, battery_below
@@ -41,7 +41,7 @@ class GuardWatch(Profiler):
         self._watched: list[_WatchedGuard] = []
 
     def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: nothing, as watching disturbs nobody."""
+        """Return no claims, as watching disturbs nothing."""
         del robot
         return ()
 
@@ -54,7 +54,7 @@ class GuardWatch(Profiler):
             watched.begin()
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
-        """Look once more, after other profilers have ended, and watch no longer."""
+        """Look once more, after other profilers have ended, and end watching."""
         del context
         with ExitStack() as ending:  # each of them, whatever another one raises
             for watched in self._watched:
@@ -77,7 +77,7 @@ class _WatchedGuard:
         self._has_come_true = False
         self._was_known = False
         self._unknown = ""
-        # A condition of the world outside has its real time, also while a simulated mission takes a second or two.
+        # Real time for a condition outside of the simulation.
         self._clock = SystemClock() if guard.condition.is_outside else context.clock
         self._began = context.clock.now()
         self._sampler = PeriodicSampler(self._look, rate=1 / guard.condition.every_s, clock=self._clock)
@@ -98,7 +98,7 @@ class _WatchedGuard:
             self._tell_whether_blind()
 
     def _tell_whether_blind(self) -> None:
-        """Doubt the run where nothing was known of the condition, or no more at the end: it may have come true."""
+        """Doubt the run where the condition was never known, or not at the end: it may have come true."""
         if self._unknown and not self._has_come_true:
             how = "knew nothing any more in the end" if self._was_known else "watched nothing"
             reason = f"the guard {str(self._guard.condition)!r} {how}: {self._unknown}"
@@ -130,7 +130,7 @@ class _WatchedGuard:
 
 
 def watch_guards(parameters: Parameters, plugins: Iterable[Plugin]) -> list[Plugin]:
-    """Return the watch over the guards of a config; none where it has none."""
+    """Return the plugin for the guards of a config, if it has any."""
     if not parameters.guards:
         return []
     names = {plugin.name.casefold() for plugin in plugins}

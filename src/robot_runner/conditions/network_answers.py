@@ -19,7 +19,7 @@ from robot_runner.core.events.condition import Condition, Look, LookAgain
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.declared_host import LOCAL
 
-#: How long a connection, or each step of a request, may take, s: one network of a lab.
+#: How long a connection, or each step of a request, may take, s: enough within a lab.
 _PATIENCE = 2.0
 #: How much of an answer is searched for a text, and how much of it is taken at once, bytes.
 _MOST_BYTES, _CHUNK = 1 << 20, 1 << 16
@@ -35,7 +35,7 @@ def port_open(port: int, *, host: str = LOCAL) -> Condition:
         host: the computer's name or address on the network.
 
     Raises:
-        ConditionError: there is no such port, or the host is none of the network.
+        ConditionError: the port or the host is invalid.
 
     Example:
         >>> print(port_open(9090, host="robot.local"))
@@ -53,12 +53,12 @@ def http_answers(url: str, *, status: int | None = None, text: str = "") -> Cond
     """Return the condition that a server answers a GET request as expected; it is asked four times a second.
 
     Args:
-        url: what is asked for; proxies of the environment are not used.
-        status: the status expected; left out, any from 200 to 299.
-        text: what is to stand in the answer.
+        url: of HTTP; proxies of the environment are not used.
+        status: the expected status; by default any from 200 to 299.
+        text: must be in the answer.
 
     Raises:
-        ConditionError: it is no URL of HTTP, or it holds a password; no answer has such a status or text.
+        ConditionError: the URL is invalid or has a password, or the status or text is impossible.
 
     Example:
         >>> print(http_answers("http://localhost:8080/health", text="ok"))
@@ -86,7 +86,7 @@ def http_answers(url: str, *, status: int | None = None, text: str = "") -> Cond
 
 
 def _is_name(host: str) -> bool:
-    """Return whether a computer can be named so on a network."""
+    """Return whether this is a valid name or address of a computer on a network."""
     try:
         return bool(host.encode("idna"))
     except UnicodeError:  # a part of it is empty, or longer than 63 letters
@@ -120,7 +120,7 @@ class _PortOpen(Condition):
     def _look(self) -> Look:
         try:
             with socket.create_connection((self.host, self.port), timeout=_PATIENCE) as connection:
-                # Where nobody listens, Linux may connect a socket to itself, at a port that it hands out.
+                # Linux may connect a socket to itself, if its own ephemeral port is the one that is tried.
                 is_open = connection.getsockname() != connection.getpeername()
         except OSError as error:
             reason = "no answer" if isinstance(error, TimeoutError) else error.strerror or str(error)
@@ -170,7 +170,7 @@ def _asked(opener: urllib.request.OpenerDirector, url: str, text: bytes) -> tupl
 
 
 def _has_text(read: Callable[[int], bytes], text: bytes) -> bool:
-    """Return whether a text comes in an answer soon: that of a stream, such as a camera's, never ends."""
+    """Return whether a text is in the beginning of an answer: that of a stream, such as a camera's, never ends."""
     body, end = b"", time.monotonic() + _PATIENCE
     while text not in body:
         data = read(_CHUNK) if len(body) < _MOST_BYTES and time.monotonic() < end else b""

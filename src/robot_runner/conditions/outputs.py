@@ -18,11 +18,11 @@ from robot_runner.core.events.condition import Condition, Look, LookAgain
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.words import one_line
 
-#: How much of a text is kept to be searched with what comes next, characters: much longer than a line of a log.
+#: How much of a text is kept to be searched together with new text, characters: much longer than a line of a log.
 _KEPT = 1 << 16
 #: How much is read at once, bytes.
 _CHUNK = 1 << 20
-#: How much of what was read last must still stand there, or the file was begun anew, bytes.
+#: How much of the last read is compared to notice that a file was written anew, bytes.
 _COMPARED = 256
 #: How much of the last line is shown, characters.
 _SHOWN = 80
@@ -32,10 +32,10 @@ def text_in(path: str | Path, text: str | re.Pattern[str], *, new_only: bool = F
     """Return the condition that a file, such as the output of a program, holds a text.
 
     Args:
-        path: the file; a relative path begins in the run's folder. It may come later.
-        text: what is looked for, or a compiled regular expression.
-        new_only: whether only what is written from the beginning of the wait on counts: for a file that goes on from
-            run to run, such as a system's log.
+        path: the file, which need not exist yet; a relative path begins in the run's folder.
+        text: a text, or a compiled regular expression.
+        new_only: whether only text counts that is written after the wait has begun: for a file that is continued from
+            run to run, such as a system log.
 
     Raises:
         ConditionError: it is no text, or an empty one.
@@ -108,11 +108,11 @@ class _TextIn(Condition):
 
 
 class _GrowingText:
-    """The text of a file that somebody else is writing, read as it grows until a pattern is found in it.
+    """Follows the text of a growing file until a pattern is found.
 
     Attributes:
         text: the latest part of it.
-        match: where the pattern was found.
+        match: of the pattern, once it was found.
     """
 
     def __init__(self, path: Path, pattern: re.Pattern[str]) -> None:
@@ -131,7 +131,7 @@ class _GrowingText:
         return one_line(lines[-1])[-_SHOWN:] if lines else ""
 
     def skip(self) -> None:
-        """Pass over what is there already."""
+        """Skip the present content."""
         try:
             status = self._path.stat()
         except OSError:
@@ -139,9 +139,9 @@ class _GrowingText:
         self._file, self._place = (status.st_dev, status.st_ino), status.st_size
 
     def read(self) -> str:
-        """Read what was added, and return why nothing can be read, or nothing."""
+        """Read what was added; return why nothing can be read, or empty."""
         try:
-            # Without waiting for a writer, should a pipe have this name.
+            # Non-blocking, should the file be a named pipe.
             descriptor = os.open(self._path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError as error:
             return f"{self._path.name} cannot be read: {error.strerror}"
@@ -154,7 +154,7 @@ class _GrowingText:
                 self._place += len(data)
                 self._read_last = (self._read_last + data)[-_COMPARED:]
                 self.text = self.text[-_KEPT:] + self._decoder.decode(data)
-                self.match = self._pattern.search(self.text)  # each part, as the earlier ones are not kept
+                self.match = self._pattern.search(self.text)  # now, as the text is not kept as a whole
         finally:
             os.close(descriptor)
         return ""

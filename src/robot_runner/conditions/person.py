@@ -48,7 +48,7 @@ class Confirmed(Condition):
         return f"a person says that {self.what}"
 
     def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
-        """Ask, and listen for the answer; one that was left before does not count."""
+        """Ask, and look for the answer; an earlier one does not count."""
         folder = ExperimentFolder.found_at(context.experiment_folder)
         asked = (context.run_id, self.what)
         take_request(folder.control, asked)

@@ -1,4 +1,4 @@
-"""Conditions of what a robot publishes: a message that satisfies a predicate, a field or its battery beyond a limit."""
+"""Conditions of a robot's messages: one that satisfies a predicate, or a field or battery beyond a limit."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from robot_runner.core.words import one_line
 
 _BATTERY_STATE = "sensor_msgs/BatteryState"
 _PERCENT = 100.0
-#: What a robot that works a share out from its voltage may tell of a battery that is just charged, at most.
+#: The largest charge that is believed, as a share: robots that compute it from the voltage exceed 1 when just charged.
 _MOST_SHARE = 1.5
-#: How old a message may be that tells of a battery, s: boards publish it once a second at least.
+#: How old a message of a battery may be, s: boards publish it at least once a second.
 _BATTERY_WITHIN = 10.0
-#: How often a graph is asked again that could not be reached, or did not let us subscribe, s.
+#: How often subscribing is tried again, s.
 _AGAIN = 0.5
 
 
@@ -67,13 +67,13 @@ def topic_above(
     Args:
         topic: its name, relative to the robot's namespace unless it begins with `/`.
         message_type: its ROS type, such as `sensor_msgs/LaserScan`.
-        field: the way to a number, such as `pose.pose.position.x` or `ranges.0`.
+        field: the path to a number, such as `pose.pose.position.x` or `ranges.0`.
         limit: in the field's unit.
         namespace: which robot, where there are several.
         within_s: how old the newest message may be, s of the run's clock.
 
     Raises:
-        ConditionError: the limit is no finite number, or no message can be so old.
+        ConditionError: the limit is no finite number, or `within_s` is not positive.
         LinkError: it cannot be the name of a topic.
 
     Example:
@@ -103,7 +103,7 @@ def battery_above(
     Args:
         limit: the state of charge, 0..100 %.
         host: a computer whose battery is meant: `localhost`, or as ssh takes it; left out, the robot's.
-        topic: where the robot tells of it (`sensor_msgs/BatteryState`).
+        topic: of the robot's battery (`sensor_msgs/BatteryState`).
         namespace: which robot, where there are several.
         ssh_config: a file to take the place of the user's ssh config.
 
@@ -137,7 +137,7 @@ def _battery(host: str | None, topic: str, namespace: str, ssh_config: str | Pat
 
 
 class _Listening:
-    """A subscription for a condition; it is made as soon as it can be, and ends with the watching.
+    """A subscription for a condition, made as soon as possible, and ended with the watching.
 
     Args:
         take: gets each message; it must not raise.
@@ -166,7 +166,7 @@ class _Listening:
         self.problem()
 
     def problem(self) -> str:
-        """Subscribe where that is not done yet, and return what keeps it from being done.
+        """Subscribe unless that is done; return why it is not possible yet, or empty.
 
         Raises:
             LinkError: the robot is a simulated one, which will never have such a topic, or there is no robot.
@@ -219,7 +219,7 @@ class _MessageOn(Condition):
 
 
 class _Judged:
-    """What messages were found to be since the look before; they may come in another thread."""
+    """The results of a predicate since the last look; messages may come in another thread."""
 
     def __init__(self, predicate: Callable[[Message], bool] | None) -> None:
         self._predicate = predicate
@@ -240,7 +240,7 @@ class _Judged:
             self._count += 1
 
     def since_last_look(self) -> tuple[bool, int]:
-        """Return whether a message held since the look before, or else the newest one, and how many came in all."""
+        """Return whether a message since the last look, or else the newest one, satisfied it; and how many came."""
         if self._fault is not None:
             raise self._fault
         with self._lock:
@@ -310,7 +310,7 @@ class _RobotBattery(_TopicField):
         return f"the battery of the robot{f' {self.namespace}' if self.namespace else ''}"
 
     def value_of(self, message: Message) -> Reading:
-        """Return the charge; boards that do not measure it say NaN or less than 0, and some tell percents, no share."""
+        """Return the charge in %; boards without it publish NaN or a negative number, and some publish percents."""
         share = _number_at(message, self.field, str(self))
         if share > _MOST_SHARE:
             seen = f"the robot tells a {self.field} of {share:.6g}, and ROS has it from 0 to 1"

@@ -1,4 +1,4 @@
-"""Doors: packages that promise names, and import each from where it lives when it is first used.
+"""Doors: packages with a promised interface, which import each name from its module when it is first used.
 
 So `import robot_runner` and `robot-runner --help` stay cheap. A door declares each name once, as an import that type
 checkers and editors see and Python does not execute:
@@ -58,7 +58,7 @@ def open_door(
 
 
 def _declared_in(door: str) -> dict[str, str]:
-    """Return where each name lives that the block under TYPE_CHECKING in a package's source imports `as` itself."""
+    """Return the module of each name that the block under TYPE_CHECKING in a package's source imports `as` itself."""
     spec = sys.modules[door].__spec__
     source = spec.loader.get_source(door) if spec else None  # type: ignore[union-attr]
     tree = compile(source or "", door, "exec", _ONLY_AST, dont_inherit=True)

@@ -1,7 +1,7 @@
-"""What installed packages announce to Robot Runner by entry points, read without importing any of them.
+"""Entry points of installed packages for Robot Runner, read without importing any of them.
 
-`importlib.metadata` answers the same question in some 100 ms, which `robot-runner --help` has not. So the folders of
-metadata on `sys.path` are read here, and it is asked only for what is no folder, such as a zip file.
+`importlib.metadata` takes some 100 ms, too long for `robot-runner --help`. So the folders of metadata on `sys.path` are
+read here, and it is used only for other entries, such as a zip file.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ _METADATA = (".dist-info", ".egg-info")
 
 
 class EntryPoint:
-    """One thing that an installed package brings; nothing of the package is imported before `load`.
+    """One entry point of an installed package; nothing of the package is imported before `load`.
 
     Args:
-        name: what it is called there: a link's name, a command's, a plugin's.
+        name: of the link, command, plugin and so on.
         group: such as `robot_runner.links`.
-        value: where it is: `module:object`, or `module` alone.
-        distribution: tells the name and version of the package.
+        value: `module:object`, or `module` alone.
+        distribution: returns the name and version of the package.
 
     Example:
         >>> EntryPoint("sqrt", "robot_runner.links", "math:sqrt", lambda: ("stdlib", "3")).load()(9)
@@ -46,7 +46,7 @@ class EntryPoint:
 
     @property
     def package(self) -> str:
-        """The distribution that brings it."""
+        """The name of its distribution."""
         return self._distribution()[0]
 
     @property
@@ -61,21 +61,21 @@ class EntryPoint:
 
     @property
     def kind(self) -> str:
-        """Its group without what all of ours begin with: `links`, `profilers` and so on."""
+        """Its group without `robot_runner.`: `links`, `profilers` and so on."""
         return self.group.removeprefix(_PREFIX)
 
     @property
     def is_own(self) -> bool:
-        """Whether Robot Runner itself brings it."""
+        """Whether it is Robot Runner's own."""
         return self.value.startswith(_PREFIX)
 
     @property
     def where(self) -> str:
-        """What it is and which package brings it, for errors."""
+        """Kind, name and package, for errors."""
         return f"{self.kind.removesuffix('s')} {self.name} ({self.value}, of {self.package} {self.version})"
 
     def load(self) -> Any:
-        """Import what it names.
+        """Import its object.
 
         Raises:
             PluginError: this fails; names the package.
@@ -89,30 +89,30 @@ class EntryPoint:
         return found
 
     def refusal(self, problem: str) -> PluginError:
-        """Return the error that this entry point cannot be used; `problem` goes on after its kind."""
+        """Return the error for an entry point that cannot be used; `problem` completes "the plugin ..."."""
         from robot_runner.core.errors import PluginError  # noqa: PLC0415 - for a quick --help
 
         fix = f"Install or repair the package {self.package}."
         return PluginError(f"the {self.kind.removesuffix('s')} {problem}", where=self.where, fix=fix)
 
 
-#: What each entry of `sys.path` announces: the packages, by the name that makes them one, with their entry points.
+#: Cache: for each entry of `sys.path`, the packages by normalised name with their entry points.
 _read_before: dict[str, list[tuple[str, list[EntryPoint]]]] = {}
-#: Name and version of the packages that were asked for theirs: to read our own metadata takes a third of a millisecond.
+#: Cache: name and version by folder of metadata; reading our own takes a third of a millisecond.
 _known_before: dict[str, tuple[str, str]] = {}
 
 
 def entry_points(group: str) -> list[EntryPoint]:
-    """Return what is announced in a group, by name; what Robot Runner itself brings comes first.
+    """Return the entry points of a group, sorted by name, Robot Runner's own first.
 
-    Of a package that is on `sys.path` twice the first counts, as for an import.
+    If a package is on `sys.path` twice, the first one counts, as for an import.
 
     Args:
         group: its name after `robot_runner.`: `links`, `commands`, `profilers` and so on.
     """
     full, seen, found = f"{_PREFIX}{group}", set(), []
     for entry in sys.path:
-        if not isinstance(entry, str):  # a `Path` that a config has put there: an import passes it over, too
+        if not isinstance(entry, str):  # a `Path` that a config has put there, which imports ignore, too
             continue
         if entry not in _read_before:
             _read_before[entry] = list(_packages_at(entry))
@@ -124,7 +124,7 @@ def entry_points(group: str) -> list[EntryPoint]:
 
 
 def named_entry_point(group: str, name: str) -> EntryPoint | None:
-    """Return the first of this name in a group, so that no package can take a name of Robot Runner's own."""
+    """Return the first entry point of this name in a group, so that no package can replace Robot Runner's own."""
     return next((point for point in entry_points(group) if point.name == name), None)
 
 
@@ -138,7 +138,7 @@ def _packages_at(entry: str) -> Iterator[tuple[str, list[EntryPoint]]]:
     except OSError:
         return
     for name in names:
-        if name.endswith(_METADATA) and not name.startswith("~"):  # which pip leaves of what it could not remove
+        if name.endswith(_METADATA) and not name.startswith("~"):  # left by pip where it could not remove a package
             path = os.path.join(folder, name)  # noqa: PTH118 - as above
             yield _normalised(name.partition("-")[0].removesuffix(".egg")), _points_in(path)
 

@@ -2,7 +2,7 @@
 
 ```
 RobotRunnerError
-├── DesignError        a factor, an exclusion, a run table that cannot be
+├── DesignError        a factor, an exclusion or a run table that is invalid
 ├── ConfigError        a config file that cannot be loaded; carries every finding
 ├── PluginError        a plugin that is not installed or does not keep its promises
 ├── MeasureError       a value that the run table must not take
@@ -28,7 +28,7 @@ from typing import Self
 
 
 class Severity(Enum):
-    """How much a finding weighs: an error refuses the experiment, a warning only speaks."""
+    """Whether a finding refuses the experiment (an error) or is only shown (a warning)."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -36,12 +36,12 @@ class Severity(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that validation, or a profiler looking at its own samples, has to say.
+    """One result of validation, or of a profiler that checks its own samples.
 
     Attributes:
         severity: whether the experiment is refused because of it.
-        where: file, attribute, plugin or run that it is about.
-        problem: what is, with the value shown.
+        where: the file, attribute, plugin or run.
+        problem: what is wrong, with the value shown.
         fix: one imperative sentence that mends it; empty where there is nothing to do.
     """
 
@@ -75,9 +75,9 @@ def errors_first(findings: Iterable[Finding]) -> list[Finding]:
 
 
 class RobotRunnerError(Exception):
-    """What every error of Robot Runner is: a problem, the place where it is, and how to mend it.
+    """The base of all errors of Robot Runner: a problem, where it is, and how to mend it.
 
-    Where many can be mended at once, `findings` lists them all and the three parts are those of the first.
+    Where there are several, `findings` lists them all and the three parts are those of the first.
 
     Example:
         >>> str(RobotRunnerError("there is no port 'tty9'", where="Ina219", fix="Plug it in."))
@@ -113,11 +113,11 @@ class RobotRunnerError(Exception):
 
 
 class DesignError(RobotRunnerError):
-    """A factor, an exclusion or a run table that cannot be."""
+    """A factor, an exclusion or a run table that is invalid."""
 
 
 class ConfigError(RobotRunnerError):
-    """A config file that cannot be loaded or executed; `findings` holds everything that was found."""
+    """A config file that cannot be loaded or executed; `findings` lists all problems."""
 
 
 class PluginError(RobotRunnerError):
@@ -164,19 +164,19 @@ class PackageError(RobotRunnerError):
     """A replication package that cannot be made, or that must not be used as it is."""
 
 
-#: How alike two names are before one is taken for a slip of the other (1.0: equal).
+#: How similar two names must be for one to count as a misspelling of the other (1.0: equal).
 SLIP = 0.85
 
 
 def nearest(name: str, candidates: Iterable[str], least: float = 0.6) -> str | None:
-    """Return the candidate that looks most like `name`, ignoring case; None if none is as alike as `least` (of 1.0)."""
+    """Return the candidate most similar to `name`, ignoring case; None if none is as similar as `least` (of 1.0)."""
     by_folded = {candidate.casefold(): candidate for candidate in candidates}
     match = difflib.get_close_matches(name.casefold(), by_folded, n=1, cutoff=least)
     return by_folded[match[0]] if match else None
 
 
 def did_you_mean(name: str, candidates: Iterable[str], otherwise: str | None = None) -> str:
-    """Return a fix that names the nearest candidate; where none comes near, `otherwise`, or a list of them all."""
+    """Return a fix that names the nearest candidate; if none is similar, `otherwise`, or a list of all."""
     known = list(candidates)
     near = nearest(name, known)
     if near is not None:

@@ -1,7 +1,7 @@
-"""What callables take and read, and classes name, as it is written: no annotation is evaluated for it.
+"""Signatures, names and code of callables and classes, without evaluating annotations.
 
-From Python 3.14 on an annotation is evaluated when somebody asks for it. Until then nobody misses what it names,
-and that may be imported for type checkers alone.
+From Python 3.14 on an annotation is evaluated when it is asked for, which fails if its names are imported for type
+checkers alone.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if sys.version_info >= (3, 14):
 
 
 def signature_of(called: Callable[..., Any]) -> inspect.Signature:
-    """Return the signature of a function or class, as `inspect.signature`; nothing is said of how annotations look.
+    """Return the signature of a function or class, as `inspect.signature`; its annotations are unspecified.
 
     Raises:
         TypeError: it cannot be called.
@@ -33,7 +33,7 @@ def signature_of(called: Callable[..., Any]) -> inspect.Signature:
 
 
 def names_in(parent: type) -> set[str]:
-    """Return the names that a class itself has, also those that it annotates and gives no value.
+    """Return the names in the body of a class, also those that are only annotated.
 
     Example:
         >>> class Robot:
@@ -49,7 +49,7 @@ def names_in(parent: type) -> set[str]:
 
 
 def code_of(attribute: object) -> CodeType | None:
-    """Return the code of a function or method as a class has it; None of anything else."""
+    """Return the code of a function or method of a class; None for anything else."""
     bare = attribute.__func__ if isinstance(attribute, classmethod | staticmethod) else attribute
     return getattr(inspect.unwrap(bare) if callable(bare) else None, "__code__", None)
 

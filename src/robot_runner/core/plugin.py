@@ -1,4 +1,4 @@
-"""What a plugin is, what validation asks it, and which are installed: found by entry points, without being imported."""
+"""The base classes of plugins, and finding installed ones by entry points, without importing them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from robot_runner.core.treatments import Bindable
 
 _log = logging.getLogger(__name__)
 
-#: The claim of who measures the computer that executes the run, or keeps it busy: no other run beside it.
+#: The claim of a plugin that measures the computer that executes the run, or keeps it busy.
 THIS_MACHINE = "host:localhost"
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
@@ -31,12 +31,12 @@ class Circumstances:
     """What a plugin's check may look at, before anything is executed.
 
     Attributes:
-        robot: how the robot is to be reached, such as `"simulated"`, or None.
+        robot: how the robot is reached, such as `"simulated"`, or None.
         factors: the treatments of each factor, by the factor's name.
-        plugins: all plugins of the experiment, the one that is asked included.
-        listed: the names of all plugins in the order in which the config lists them; those that cannot be built, and
-            are not among `plugins`, stand last.
-        robots: how each of several robots that take turns is reached; nothing where there is one.
+        plugins: all plugins of the experiment, the checked one included.
+        listed: the names of all plugins in the order of the config; those that cannot be built, and are not among
+            `plugins`, come last.
+        robots: how each of several robots that take turns is reached; empty for one robot.
     """
 
     robot: str | None = None
@@ -53,17 +53,17 @@ class Circumstances:
 
 
 class Plugin(Bindable):
-    """What systems and profilers share. A method named like an event is called at it and gets its context.
+    """The base of systems and profilers. A method named like an event is its callback, and gets its context.
 
     Attributes:
-        measures: what each run yields through this plugin; an instance may have others than its class, where they
-            depend on its parameters (one for each domain, column or process).
-        needs: one sentence: what must be there for it to work.
-        bytes_per_run: about how much raw data it keeps of a run, so that a disk that is too small is found beforehand.
-        smoke_parameters: what it may be made with for a smoke test, where that is less than what it is made with: a
-            mission that is shorter, and otherwise the same.
-        starts_nodes: whether it starts nodes of the robot's graph, so that what others need there may come with it.
-        name: tells instances of one kind apart; names the plugin's raw-data folder.
+        measures: what each run yields through this plugin; those of an instance may depend on its parameters (one for
+            each domain, column or process).
+        needs: in one sentence, what it needs to work.
+        bytes_per_run: about how much raw data it keeps of a run, so that a full disk is noticed beforehand.
+        smoke_parameters: parameters for a smoke test, where these are smaller than the given ones: a shorter mission
+            that is otherwise the same.
+        starts_nodes: whether it starts nodes of the robot's graph, which others may need.
+        name: unique among the plugins of an experiment; names the plugin's raw-data folder.
     """
 
     measures: Sequence[Measure] = ()
@@ -78,15 +78,15 @@ class Plugin(Bindable):
             raise refused
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way of using this plugin; nothing is changed by asking."""
+        """Return findings on why this plugin cannot be used, without changing anything."""
         del circumstances
         return ()
 
     def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
         """Return what must be on the robot's graph before a run: topics, services and actions, by name and type.
 
-        `robot-runner check`, and each execution before its first run, look whether it is there. Names are relative to
-        the robot's namespace: the plugin's attribute `namespace`, where it has one.
+        `robot-runner check`, and each execution before its first run, check that it is there. Names are relative to the
+        robot's namespace: the plugin's attribute `namespace`, if it has one.
 
         Example:
             >>> class Gripper(System):
@@ -97,9 +97,9 @@ class Plugin(Bindable):
         return ()
 
     def input_files(self) -> Iterable[InputFile]:
-        """Return the files that this plugin reads, as it was given them: a replication needs them.
+        """Return the files that this plugin reads, by the given paths: a replication needs them.
 
-        They are kept with the experiment and go into its package; `robot_runner.plugins.input_file` finds them there.
+        They are kept with the experiment and are part of its package; `robot_runner.plugins.input_file` finds them.
 
         Example:
             >>> class Map(System):
@@ -111,8 +111,8 @@ class Plugin(Bindable):
     def duration_s(self, combination: Mapping[str, Any]) -> float | None:
         """Return how long this plugin's part of a run takes, s of real time; None where that is not known.
 
-        What all plugins of an experiment say adds up, so that each counts what it does itself: a mission, or the time
-        that a device needs to settle. A config may have a method of this name, too.
+        The times of all plugins are added up, so that each counts only its own part: a mission, or the time that a
+        device needs to settle. A config may have a method of this name, too.
 
         Args:
             combination: the treatment of each factor; parameters that are bound to factors have their values already.
@@ -123,8 +123,8 @@ class Plugin(Bindable):
     def claims(self, robot: str | None) -> Iterable[str]:
         """Return what a run needs for itself because of this plugin: two runs with the same claim never overlap.
 
-        A plugin that does not say claims the whole machine, so that nothing spoils its numbers without being declared.
-        The robot of the experiment, and the hosts that it names, are claimed by the experiment itself.
+        By default a plugin claims the whole machine, so that nothing disturbs its numbers unless it is declared. The
+        experiment itself claims its robot and its hosts.
 
         Args:
             robot: how the run's robot is reached, such as `"simulated"`, or None.
@@ -143,7 +143,7 @@ class Plugin(Bindable):
 
     @property
     def knows_duration(self) -> bool:
-        """Whether this kind of plugin has something to say of how long a run takes."""
+        """Whether this kind of plugin overrides `duration_s`."""
         return type(self).duration_s is not Plugin.duration_s
 
 
@@ -178,14 +178,14 @@ class System(Plugin):
     def make_safe(self, context: RobotRunnerContext) -> None:
         """Stop whatever moves. Called after a failed run, once its closing events are over; may be called twice.
 
-        Where the run's process died, it is called in another one, which was not connected before but for `stand_by`.
+        Where the run's process died, it is called in another one, in which only `stand_by` has opened anything.
         """
 
     def stand_by(self, context: RobotRunnerContext) -> None:
-        """Get ready for `make_safe` in the process that calls it should the run die; called while the run executes.
+        """Prepare `make_safe` in the process that calls it should the run die; called while the run executes.
 
-        Open what takes long to open, and move, publish and measure nothing. What is raised here is passed over:
-        `make_safe` is called all the same, with nothing opened.
+        Open what takes long to open, and move, publish and measure nothing. Exceptions are ignored: `make_safe` is
+        called all the same.
         """
 
 
@@ -196,18 +196,18 @@ class Profiler(Plugin):
 
     Attributes:
         probe_s: how long it is tried before the first run, s of real time, by its own callbacks and without a mission;
-            None for one that can tell nothing without the mission, or that only has totals.
-        not_probed: measures that it cannot know then, such as those of software that only a run starts.
+            None for one that cannot measure without the mission, or that only has totals.
+        not_probed: measures that have no value then, such as those of software that only a run starts.
     """
 
-    #: Five readings at 10 Hz, and a hundred of a power meter: enough to know whether it speaks.
+    #: Five readings at 10 Hz, and a hundred of a power meter: enough to know whether it works.
     probe_s: float | None = 0.5
     not_probed: Sequence[str] = ()
 
 
-#: How many readings a probe is to see.
+#: How many readings a probe should have.
 _PROBED_READINGS = 3
-#: A user does not wait longer than this for a probe, s.
+#: The longest window of a probe, s.
 _LONGEST_PROBE = 10.0
 
 
@@ -227,11 +227,11 @@ GROUPS: dict[str, type[Plugin]] = {"systems": System, "profilers": Profiler}
 
 
 def usual_origin(plugin: Plugin | None, *, is_simulated: bool) -> Origin:
-    """Return where values come from of which nothing is said: those of a simulated robot never pass for measured.
+    """Return the default origin of values: with a simulated robot, those of systems and of the config are simulated.
 
     Args:
-        plugin: that publishes them; None for the config. A profiler may measure something else beside the robot.
-        is_simulated: whether the robot is.
+        plugin: the publisher; None for the config. A profiler may measure something else than the robot.
+        is_simulated: whether the robot is simulated.
     """
     is_of_robot = plugin is None or isinstance(plugin, System)
     return Origin.SIMULATED if is_simulated and is_of_robot else Origin.MEASURED
@@ -241,7 +241,7 @@ def load_plugin(point: EntryPoint) -> type[Plugin]:
     """Import the class of an installed plugin.
 
     Raises:
-        PluginError: the import fails, or what it finds is no plugin of its kind.
+        PluginError: the import fails, or the object is no plugin of its kind.
     """
     found: Any = point.load()
     expected = GROUPS[point.kind]
@@ -252,7 +252,7 @@ def load_plugin(point: EntryPoint) -> type[Plugin]:
 
 
 def with_parts(plugins: Iterable[object], seen: tuple[object, ...] = ()) -> Iterator[Plugin]:
-    """Yield plugins, each before those that it is made of, as systems are whose missions go on together."""
+    """Yield plugins, each followed by the plugins that it contains, as a system of joint missions does."""
     for plugin in plugins:
         if not isinstance(plugin, Plugin) or any(plugin is each for each in seen):
             continue
@@ -262,7 +262,7 @@ def with_parts(plugins: Iterable[object], seen: tuple[object, ...] = ()) -> Iter
 
 
 def installed_plugins(kind: str | None = None) -> tuple[EntryPoint, ...]:
-    """Return what is installed, our own first, sorted by kind and name; `kind` keeps it to `systems` or `profilers`."""
+    """Return the installed plugins (with `kind`, only `systems` or `profilers`), our own first, by kind and name."""
     return tuple(point for each in (GROUPS if kind is None else (kind,)) for point in entry_points(each))
 
 
@@ -280,10 +280,10 @@ def find_plugin(kind: str, name: str) -> type[Plugin]:
 
 
 def described_circumstances() -> dict[str, Any]:
-    """Return what packages add to a manifest of the circumstances, by the name of each: plain data, or None.
+    """Return what packages add to a manifest, by the name of the entry point: plain data, or None.
 
-    Each is a function without parameters, announced in the group `robot_runner.circumstances`. One that fails is
-    logged and left out: an experiment is worth more than its description.
+    Each is a function without parameters in the group `robot_runner.circumstances`. One that fails is logged and left
+    out, so that it does not prevent the experiment.
     """
     described: dict[str, Any] = {}
     for point in entry_points("circumstances"):

@@ -1,4 +1,4 @@
-"""Names under which secrets are kept, and how a secret is kept out of what is written: logs, journal, manifest."""
+"""Recognising secrets by their names, and masking them in all that is written: logs, journal, manifest."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any
 
-#: What stands in a secret's place.
+#: Replaces a secret.
 REDACTED = "REDACTED"
 
 
@@ -21,14 +21,14 @@ def _words(text: str) -> frozenset[str]:
 
 
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+|[^\W\d_]+")
-#: Words that name a secret wherever they stand in a name, in the languages of labs that we know of.
+#: Words that mean a secret anywhere in a name, in several languages.
 _STRONG = _words(
     "password passwd passphrase passcode pwd pw psk secret credential apikey authtoken accesskey privatekey "
     "secretkey presharedkey passwort kennwort wachtwoord contrasena contraseña senha motdepasse mdp"
 )
-#: Words that do, unless they are about a text's tokens, or a passage through something.
+#: Words that mean one, unless they are about the tokens of a text, or a pass through something.
 _COMMON = frozenset({"token", "pass"})
-#: What a key opens or signs: these keys are secret, those of a keyboard or a dictionary are not.
+#: Words beside "key" that make it secret, unlike that of a keyboard or a dictionary.
 _KEYS = _words(
     "api access private secret shared preshared signing encryption wep auth account master service deploy "
     "ssh gpg client license wpa app webhook consumer"
@@ -38,7 +38,7 @@ _NOT_A_LOGIN = _words(
     "completion new generated first second third low high band all single multi two one render forward "
     "backward by no per next last id test tests checks did does will prefill decode context count"
 )
-#: A name that ends in one of these tells of a secret, and is none: where it is kept, how long it is.
+#: A name that ends in one of these is about a secret, but not one itself: where it is kept, how long it is.
 _ABOUT = _words(
     "file path env var variable name names field column label prompt count len length type types hint policy "
     "regex pattern dir directory folder format min max limit rate size per expires expiry expiration ttl "
@@ -51,7 +51,7 @@ _ABOUT = _words(
 
 @lru_cache(maxsize=4096)
 def is_secret_name(name: str) -> bool:
-    """Whether a secret is kept under a name, in a config, a command, a settings file or the environment.
+    """Return whether a name, in a config, a command, a settings file or the environment, is that of a secret.
 
     Example:
         >>> [is_secret_name(each) for each in ("wifi_password", "apiKey", "PLUG_PW", "max_tokens", "password_file")]
@@ -82,7 +82,7 @@ _PLACEHOLDER = re.compile(
 
 
 def is_placeholder(text: str) -> bool:
-    """Whether what stands where a secret would is none: nothing, a reference to a variable, or a word for nothing.
+    """Return whether a value in place of a secret is none: empty, a reference to a variable, or a word for nothing.
 
     Example:
         >>> [is_placeholder(each) for each in ("", "${LAB_TOKEN}", "None", "swordfish")]
@@ -91,10 +91,10 @@ def is_placeholder(text: str) -> bool:
     return not text.strip() or _PLACEHOLDER.fullmatch(text.strip()) is not None or REDACTED in text
 
 
-# The environment: what a variable with such a name holds must not reach a log or the manifest.
+# The environment: the value of a variable with such a name must not reach a log or the manifest.
 
 _SHORTEST = 6
-#: Of a secret of several lines, such as a key, each of at least so many characters is one.
+#: In a secret of several lines, such as a key, each line with at least so many characters is masked, too.
 _SHORTEST_LINE = 16
 #: A folder or socket, and not a secret: SSH_AUTH_SOCK is kept under a name that sounds like one.
 _PATH = re.compile(r"[/~.][\w/.~@+-]*")
@@ -104,8 +104,8 @@ _FOLDERS = frozenset({"PWD", "OLDPWD"})
 def secrets_of_environment() -> tuple[str, ...]:
     """Return the values of variables with names such as `LAB_TOKEN`, the longest first.
 
-    Texts of less than six characters, numbers of less than eight digits and paths are passed over: to replace them
-    wherever they stand would damage what is no secret.
+    Texts of less than six characters, numbers of less than eight digits and paths are left out: replacing them
+    everywhere would damage what is no secret.
     """
     names = _names_in_process(len(os.environ), int(time.monotonic()))
     return _secrets_among(tuple(os.environ.get(name, "") for name in names))
@@ -113,7 +113,7 @@ def secrets_of_environment() -> tuple[str, ...]:
 
 @lru_cache(maxsize=1)
 def _names_in_process(_count: int, _second: int) -> tuple[str, ...]:
-    # Looked for again once a variable came or went, and every second: a line of a log must not cost that.
+    # Cached by the number of variables and the second, as it is asked for with each line of a log.
     return tuple(name for name in os.environ if name not in _FOLDERS and is_secret_name(name))
 
 
@@ -132,7 +132,7 @@ def _is_worth_hiding(text: str) -> bool:
 
 
 def without_environment_secrets(text: str) -> str:
-    """Return a text in which no value of a variable with a secret's name stands, as it is or as JSON writes it.
+    """Return a text with the values of secret variables masked, also in the form of JSON.
 
     Example:
         >>> import os
@@ -149,10 +149,7 @@ def without_environment_secrets(text: str) -> str:
 
 
 def without_secrets(value: Any) -> Any:
-    """Return JSON data with no value of a variable with a secret's name in any text of it.
-
-    What is no JSON data becomes its text, as it does when it is written.
-    """
+    """Return JSON data with the values of secret variables masked in all texts; other objects become their text."""
     match value:
         case None | bool() | int() | float():
             return value
@@ -164,7 +161,7 @@ def without_secrets(value: Any) -> Any:
     return without_environment_secrets(str(value))
 
 
-#: Fields of a record in which what a program said may stand, or what it was given.
+#: Fields of a record that may contain output or arguments of programs.
 _HIDING = frozenset(
     {"problem", "traceback", "fix", "failure", "reason", "text", "note", "seen", "said"}
     | {"values", "condition", "command", "environment", "setup"}
@@ -172,27 +169,27 @@ _HIDING = frozenset(
 
 
 def sentences_without_secrets(fields: dict[str, Any]) -> dict[str, Any]:
-    """Return a record's fields with no secret of the environment where sentences, commands and the like stand.
+    """Return a record's fields with secrets of the environment masked in sentences, commands and the like.
 
-    Names, treatments and measures stay as they are: they are data, and one of them may be called as a password is.
+    Names, treatments and measures are not changed: they are data, and may be equal to a password by chance.
     """
     return fields | {name: without_secrets(fields[name]) for name in _HIDING & fields.keys()}
 
 
 def forms_of(secret: str) -> set[str]:
-    """Return how a secret may be written: as it is, as a CSV has it, and as JSON, also with letters beyond ASCII."""
+    """Return the forms of a secret: as it is, quoted as in CSV, and as in JSON, with and without escapes."""
     return {secret, json.dumps(secret)[1:-1], json.dumps(secret, ensure_ascii=False)[1:-1], secret.replace('"', '""')}
 
 
 # Static parameters that are set from outside: `--set db_password=X` is neither shown nor kept, and can be compared.
 
 _HIDDEN = re.compile(rf"{REDACTED} scrypt:([0-9a-f]{{32}}):([0-9a-f]{{64}})")
-#: RFC 7914: 16 MiB of memory and some 50 ms for each guess, so that a password cannot be found by trying many.
+#: Parameters of scrypt (RFC 7914): 16 MiB of memory and some 50 ms for each guess of a password.
 _SCRYPT = {"n": 1 << 14, "r": 8, "p": 1, "dklen": 32}
 
 
 def hidden_settings(settings: Mapping[str, str]) -> dict[str, str]:
-    """Return settings as they are kept: one with a secret's name as a salted digest, by which it is known again."""
+    """Return settings for the manifest: a secret as a salted digest, by which it can be compared."""
     hidden = dict(settings)
     for name, text in settings.items():
         if is_secret_name(name) and text and REDACTED not in text:
@@ -201,7 +198,7 @@ def hidden_settings(settings: Mapping[str, str]) -> dict[str, str]:
 
 
 def is_same_setting(kept: str | None, given: str | None) -> bool:
-    """Whether a setting that was kept, hidden or not, is the one that is given now."""
+    """Return whether a recorded setting, hidden or not, is equal to the present one."""
     match = _HIDDEN.fullmatch(kept or "")
     if match is None or given is None:
         return kept == given or (given is not None and kept == without_environment_secrets(given))
@@ -209,7 +206,7 @@ def is_same_setting(kept: str | None, given: str | None) -> bool:
 
 
 def shown_settings(settings: Mapping[str, object]) -> dict[str, str]:
-    """Return settings as they are shown: of a secret, that there is one.
+    """Return settings for a screen, with secrets masked.
 
     Example:
         >>> shown_settings({"robot": "simulated", "db_password": "swordfish"})
@@ -224,7 +221,7 @@ def shown_settings(settings: Mapping[str, object]) -> dict[str, str]:
 
 
 def shown_assignments(assignments: Iterable[str]) -> list[str]:
-    """Return `name=value` assignments as words of a command to show; who repeats it writes the secret again.
+    """Return `name=value` assignments as words of a command to show, with secrets replaced by dots.
 
     Example:
         >>> shown_assignments(["robot=simulated", "db_password=swordfish"])

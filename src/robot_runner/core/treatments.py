@@ -1,4 +1,4 @@
-"""Treatments on their way into plugins: parameters that are bound to factors."""
+"""Binding parameters of plugins to factors (`treatment(...)`)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _GIVEN = "_robot_runner_given"
 
 
 class Treatment:
-    """Stands for the treatment that a factor has in each run, where a plugin is given a parameter.
+    """A placeholder for the treatment of a factor, as the parameter of a plugin.
 
     Attributes:
         factor: the name of the factor.
@@ -43,7 +43,7 @@ class Treatment:
             fix=f"Make what you need the treatments of the factor {self.factor!r}, and give {self!r} alone.",
         )
 
-    # Python would take it for true, for unequal to everything, and for its own name in a text: each a wrong value.
+    # By default these would return True, False and a name: a wrong value each.
 
     def __bool__(self) -> bool:  # noqa: PLE0304 - it has none
         self._refuse()
@@ -58,13 +58,13 @@ class Treatment:
 
 
 def treatment(factor: str) -> Any:
-    """Bind a parameter of a plugin to a factor: in each run it has the treatment that the factor has there.
+    """Bind a parameter of a plugin to a factor: in each run it has the run's treatment of that factor.
 
     Args:
         factor: the name of a factor of the run table.
 
     Raises:
-        PluginError: this is no name.
+        PluginError: `factor` is no name.
 
     Example:
         >>> from robot_runner.plugins.systems import BasicTurtlebot3
@@ -74,18 +74,17 @@ def treatment(factor: str) -> Any:
     return Treatment(factor)
 
 
-# A plugin that has bound parameters is built when the run table is known, and again for each run.
+# A plugin with bound parameters is built when the run table is known, and again for each run.
 
 
 @dataclass(frozen=True, slots=True)
 class _Binding:
-    """What a plugin was given.
+    """The arguments of a plugin with bound parameters.
 
     Attributes:
-        factors: the factor of each bound parameter, by the parameter's name; of one inside a list, a tuple or a mapping
-            by its place there as well, such as `command[1]` or `arguments['speed']`; of one of a plugin that it is made
-            of, such as `systems[0].speed`.
-        name: that the plugin is given, which no treatment changes; None where it is given none.
+        factors: the factor of each bound parameter, by the parameter's name, with the place inside a list, a tuple or a
+            mapping, such as `command[1]` or `arguments['speed']`, or in a contained plugin, such as `systems[0].speed`.
+        name: the given name of the plugin, which cannot be bound; None where there is none.
     """
 
     positional: tuple[Any, ...]
@@ -95,10 +94,10 @@ class _Binding:
 
     @classmethod
     def of(cls, kind: type, positional: tuple[Any, ...], keywords: Mapping[str, Any]) -> Self | None:
-        """Return what binds a plugin of this kind to factors, or None where nothing does.
+        """Return the binding of a plugin with these arguments, or None where nothing is bound.
 
         Raises:
-            PluginError: a treatment stands in a set, for a key, or for the name.
+            PluginError: a treatment is in a set, is a key, or is the name.
             TypeError: the plugin has no such parameters.
         """
         given = (*positional, *keywords.values())
@@ -117,7 +116,7 @@ class _Binding:
         return cls(positional, dict(keywords), factors, named.get("name"))
 
     def arguments(self, combination: Mapping[str, Any]) -> tuple[list[Any], dict[str, Any]]:
-        """Return what it is built with under a combination; what a factor does not apply to is left at its default."""
+        """Return the arguments for a combination; where a factor does not apply, the parameter keeps its default."""
         bound = {name: value.factor for name, value in self.keywords.items() if isinstance(value, Treatment)}
         left = {name for name, factor in bound.items() if combination.get(factor) is INACTIVE}
         values = {name: _resolved(value, combination) for name, value in self.keywords.items() if name not in left}
@@ -145,18 +144,18 @@ def _holds_treatment(value: object) -> bool:
         return any(map(_holds_treatment, (*value, *value.values())))
     if isinstance(value, list | tuple | set | frozenset):
         return any(map(_holds_treatment, value))
-    return isinstance(value, Treatment) or is_waiting(value)  # of a plugin that another one is made of
+    return isinstance(value, Treatment) or is_waiting(value)  # the latter is a contained plugin
 
 
 def _places(kind: type, name: str, value: object) -> Iterator[tuple[str, Treatment]]:
-    """Yield where treatments stand in a parameter.
+    """Yield the places of treatments in a parameter.
 
     Raises:
-        PluginError: one stands in a set, which has no places, or for a key.
+        PluginError: one is in a set, which has no places, or is a key.
     """
     if isinstance(value, Treatment):
         yield name, value
-    elif isinstance(value, Bindable):  # a plugin that another one is made of
+    elif isinstance(value, Bindable):  # a contained plugin
         yield from ((f"{name}.{place}", Treatment(factor)) for place, factor in factors_of(value).items())
     elif isinstance(value, list | tuple):
         for place, each in enumerate(value):
@@ -179,7 +178,7 @@ def _resolved(value: Any, combination: Mapping[str, Any]) -> Any:
         return built_with(value, combination)
     if isinstance(value, Mapping):
         return {key: _resolved(each, combination) for key, each in value.items()}
-    make = getattr(value, "_make", type(value))  # the class of a named tuple takes its fields one by one
+    make = getattr(value, "_make", type(value))  # a named tuple cannot be called with a list
     return make(_resolved(each, combination) for each in value)
 
 
@@ -194,18 +193,18 @@ def _treatment_of(bound: Treatment, combination: Mapping[str, Any]) -> Any:
 
 
 class Bindable:
-    """What plugins have of `treatment(...)`: built when treatments are known, and guarded against vain changes.
+    """The base of plugins: built once treatments are known, and guarded against changes without effect.
 
-    No metaclass does it, as a plugin may have another one: `__new__` makes what waits an instance of a subclass for
-    a moment, whose `__init__` keeps the arguments and executes nothing.
+    Not by a metaclass, as a plugin may have another one: `__new__` makes a waiting plugin an instance of a subclass for
+    a moment, whose `__init__` executes nothing.
     """
 
     def __new__(cls, *positional: Any, **keywords: Any) -> Self:
-        """Make an instance, and have it wait where one of the arguments is `treatment(...)`.
+        """Make an instance, which waits to be built if one of the arguments is `treatment(...)`.
 
         Raises:
-            PluginError: a treatment stands in a set, for a key, or for the name.
-            TypeError: something is bound that is no parameter.
+            PluginError: a treatment is in a set, is a key, or is the name.
+            TypeError: the plugin has no such parameter.
         """
         make: Any = super().__new__
         made: Self = make(cls) if make is object.__new__ else make(cls, *positional, **keywords)
@@ -236,14 +235,14 @@ def _waiting_kind(kind: type) -> type:
 
 
 def given_name(plugin: Bindable) -> str:
-    """Return what a plugin is called, also where it was not built yet."""
+    """Return the name of a plugin, also before it is built."""
     binding: _Binding | None = vars(plugin).get(_BINDING)
     given = getattr(plugin, "name", None) if binding is None else binding.name
     return given if isinstance(given, str) else type(plugin).__name__
 
 
 def is_waiting(plugin: object) -> bool:
-    """Whether this is a plugin that has bound parameters and was not built yet: it has no attributes of its own."""
+    """Return whether this is a plugin with bound parameters that was not built yet, and so has no attributes."""
     return isinstance(plugin, Bindable) and _WAITING in vars(plugin)
 
 
@@ -254,12 +253,12 @@ def factors_of(plugin: Bindable) -> Mapping[str, str]:
 
 
 def values_of(plugin: Bindable, combination: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the value of each bound parameter of a plugin under a combination, by the parameter's name."""
+    """Return the value of each bound parameter of a plugin for a combination, by the parameter's name."""
     return {name: combination[factor] for name, factor in factors_of(plugin).items()}
 
 
 def bind(plugin: Bindable, combination: Mapping[str, Any]) -> None:
-    """Build a plugin again, in its place, with the treatments of a combination; one without bound parameters stays.
+    """Build a plugin again, in place, with the treatments of a combination; nothing is done without bound parameters.
 
     Whatever its `__init__` raises is raised.
     """
@@ -267,12 +266,12 @@ def bind(plugin: Bindable, combination: Mapping[str, Any]) -> None:
     if binding is not None:
         positional, keywords = binding.arguments(combination)
         type(plugin).__init__(plugin, *positional, **keywords)
-        vars(plugin)[_BINDING] = binding  # some clear everything that they had
+        vars(plugin)[_BINDING] = binding  # an `__init__` may clear all attributes
         vars(plugin).pop(_WAITING, None)
 
 
 def built_with(plugin: Any, combination: Mapping[str, Any]) -> Any:
-    """Return another plugin as this one is under a combination; one without bound parameters is returned itself."""
+    """Return a copy of a plugin built for a combination; without bound parameters, the plugin itself."""
     binding: _Binding | None = vars(plugin).get(_BINDING)
     if binding is None:
         return plugin
@@ -283,16 +282,16 @@ def built_with(plugin: Any, combination: Mapping[str, Any]) -> Any:
 
 
 def given_to(plugin: Bindable) -> dict[str, Any]:
-    """Return what a plugin was made with, by the parameter's name; what was left out is not among it."""
+    """Return the arguments of a plugin, by the parameter's name, without defaults."""
     positional, keywords = vars(plugin).get(_GIVEN, ((), {}))
     return dict(_named(type(plugin), positional, keywords))
 
 
 def give_again(plugin: Bindable, changed: Mapping[str, Any]) -> None:
-    """Make a plugin again, in its place, with some parameters changed; one that waits for treatments goes on waiting.
+    """Build a plugin again, in place, with some parameters changed; one that waits for treatments still waits.
 
     Raises:
-        PluginError: it has no such parameter, or one that was to be changed is bound to a factor.
+        PluginError: it has no such parameter, or the parameter is bound to a factor.
     """
     kind: Any = type(plugin)
     given, factors = given_to(plugin), factors_of(plugin)

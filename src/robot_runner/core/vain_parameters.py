@@ -13,7 +13,7 @@ from types import FrameType
 from robot_runner.core.errors import PluginError, nearest
 from robot_runner.core.late_annotations import signature_of
 
-#: What the module of a config file is called while it is executed.
+#: The name of a config file's module.
 CONFIG_MODULE = "robot_runner_config"
 
 #: While the code of a config is executed: the combination of the run, or nothing before there is one.
@@ -31,7 +31,7 @@ def parameters_guarded(factors: Iterable[str] = ()) -> Iterator[None]:
 
 
 def check_set(kind: type, name: str, value: object) -> None:
-    """Look at an attribute of a plugin that is being set; called by its `__setattr__`.
+    """Check an attribute of a plugin that is being set; called by its `__setattr__`.
 
     Raises:
         PluginError: the code of a config sets a parameter.
@@ -59,8 +59,8 @@ _OPEN = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 
 def _is_set_from_outside(kind: type, name: str) -> bool:
-    """Whether no code of the plugin's own sets an attribute at this moment; where in doubt, its own does."""
-    if hasattr(getattr(kind, name, None), "__set__"):  # a property: its author provides for it
+    """Return whether an attribute is set by other code than the plugin's own; False if in doubt."""
+    if hasattr(getattr(kind, name, None), "__set__"):  # a property with a setter is meant to be set
         return False
     frame: FrameType | None = sys._getframe(3)  # noqa: SLF001 - who sets the attribute is told by nothing else
     packages = {each.__module__.partition(".")[0] for each in kind.__mro__} - {CONFIG_MODULE}
@@ -76,7 +76,7 @@ def _is_set_from_outside(kind: type, name: str) -> bool:
 
 @lru_cache
 def _own_code(kind: type) -> tuple[tuple[str, ...], frozenset[object]]:
-    """Return how the names of a plugin's methods begin, and the code of those that were made without a name there."""
+    """Return the prefixes of the qualified names of a plugin's methods, and the code of methods with other names."""
     found = (getattr(value, "__func__", value) for each in kind.__mro__[:-1] for value in vars(each).values())
     code = frozenset(each.__code__ for each in found if hasattr(each, "__code__"))
     return tuple(f"{each.__qualname__}." for each in kind.__mro__[:-1]), code

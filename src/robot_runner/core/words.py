@@ -1,4 +1,4 @@
-"""Numbers, times and values in words, and the word for a treatment that does not apply."""
+"""Numbers, times and values in words, and `INACTIVE`, the treatment of a factor that does not apply."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ _MINUTE = 60
 _HOUR = 3600
 _SHOWN = 4
 _MISSING = "\N{EN DASH}"  # not a hyphen, which is a run that is still to do
-#: Units, in small letters, of scales whose 0 is agreed upon.
+#: Units, in lower case, of scales with an arbitrary zero (interval scales).
 _AGREED_ZEROS = frozenset(
     {"\N{DEGREE SIGN}c", "\N{DEGREE CELSIUS}".lower(), "degc", "celsius", "\N{DEGREE SIGN}f", "degf", "fahrenheit"}
 )
-#: What lays text out and is no command: lines, tabs, and the blanks of other scripts.
+#: Characters that only lay text out: line ends, tabs, and blanks of other scripts.
 _LAYOUT = frozenset("\n\t\N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}\N{IDEOGRAPHIC SPACE}")
 
 
 def one_line(text: str) -> str:
-    r"""Return a text that stays on one line and commands no terminal.
+    r"""Return a text on one line, without control sequences for a terminal.
 
     Example:
         >>> one_line("two\nlines")
@@ -33,10 +33,10 @@ def one_line(text: str) -> str:
 
 
 def harmless(text: str) -> str:
-    r"""Return a text that commands no terminal; its lines and tabs stay.
+    r"""Return a text without control sequences for a terminal; line ends and tabs stay.
 
-    Control characters (C0, C1, and so every escape sequence), marks that turn the direction of writing round and
-    whatever else has no glyph are shown as Python writes them.
+    Control characters (C0, C1, and so every escape sequence), marks that change the direction of writing and whatever
+    else has no glyph are shown as Python writes them.
 
     Example:
         >>> harmless("Task\x1b]0;owned\x07")
@@ -48,7 +48,7 @@ def harmless(text: str) -> str:
 
 
 def harmless_json(text: str) -> str:
-    r"""Return JSON that says the same and commands no terminal: what could is escaped as JSON escapes it.
+    r"""Return the same JSON without control sequences for a terminal, which are escaped.
 
     Example:
         >>> harmless_json('{"Task": "\x9b2J"}')
@@ -79,7 +79,7 @@ def counted(number: int, noun: str) -> str:
 
 
 def listed(names: Iterable[str], shown: int = _SHOWN) -> str:
-    """Return names as a list that does not grow without end; for all of them in a sentence, `enumerated`.
+    """Return the first names of a list, and how many more there are; `enumerated` returns all of them.
 
     Example:
         >>> listed(["r_1", "r_2", "r_3"]), listed(map(str, range(9)))
@@ -93,7 +93,7 @@ def listed(names: Iterable[str], shown: int = _SHOWN) -> str:
 
 
 def enumerated(words: Iterable[str]) -> str:
-    """Return all words as a sentence enumerates them.
+    """Return all words, separated by commas, the last one by "and".
 
     Example:
         >>> enumerated(["numpy"]), enumerated(["Task", "Speed", "Floor"])
@@ -104,7 +104,7 @@ def enumerated(words: Iterable[str]) -> str:
 
 
 def combination_label(treatments: Iterable[object]) -> str:
-    """Return the treatments of a combination as one text; quoted are those that could be taken for two.
+    """Return the treatments of a combination as one text; a treatment with the separator in it is quoted.
 
     Example:
         >>> [combination_label(each) for each in (["Video", "lab"], ["Video", "lab / hall"], ["lab / hall"])]
@@ -117,7 +117,7 @@ def combination_label(treatments: Iterable[object]) -> str:
 
 
 def shown_commit(facts: object) -> str:
-    """Return what is recorded of a repository, as a person reads it; nothing where there is nothing to read.
+    """Return the recorded state of a repository in words; empty where there is none.
 
     Example:
         >>> shown_commit({"commit": "1a2b3c4d5e6f7a8b", "branch": "main", "is_dirty": True})
@@ -133,7 +133,7 @@ def shown_commit(facts: object) -> str:
 
 
 def shown_duration(seconds: float) -> str:
-    """Return a duration as a person says it.
+    """Return a duration in words.
 
     Example:
         >>> [shown_duration(each) for each in (0.04, 3.44, 59.96, 125, 3725)]
@@ -180,9 +180,9 @@ def exact(number: float) -> str:
 
 
 def has_true_zero(unit: str) -> bool:
-    """Return whether a percentage of a value in a unit says anything: of 20 degrees Celsius or 60 decibels it does not.
+    """Return whether percentages of values in a unit make sense (a ratio scale), unlike of degrees Celsius or decibels.
 
-    Where such a scale has its 0 is agreed upon: 20 degrees Celsius are not twice 10, but 1.04 times as many kelvins.
+    Such a scale has an arbitrary zero: 20 degrees Celsius are not twice 10, but 1.04 times as many kelvins.
 
     Example:
         >>> has_true_zero("K"), has_true_zero("degC"), has_true_zero("dB(A)")
@@ -208,8 +208,8 @@ def plain(value: object) -> bool | int | float | str | None:
 class Inactive:
     """The treatment of a factor that does not apply to a run: `Factor("Resolution", [...], when={"Sensor": "camera"})`.
 
-    There is one, `INACTIVE`. In the run table it is written `inactive`: a word, as an empty cell is a missing value,
-    and readers take `None` and `NA` for one. A parameter that is bound to the factor keeps its default in such a run.
+    Its only instance is `INACTIVE`. In the run table it is written `inactive`: an empty cell, `None` or `NA` would be
+    read as a missing value. A parameter that is bound to the factor keeps its default in such a run.
 
     Example:
         >>> str(INACTIVE)
@@ -219,7 +219,7 @@ class Inactive:
     __slots__ = ()
 
     def __reduce__(self) -> str:
-        return "INACTIVE"  # the one that there is, in other processes, too: combinations are compared by identity
+        return "INACTIVE"  # the only instance in other processes, too: combinations are compared by identity
 
     def __str__(self) -> str:
         return "inactive"

@@ -1,7 +1,7 @@
-"""Designs: what chooses the combinations of an experiment, or its runs with their blocks and order.
+"""Designs: they choose the combinations of an experiment, or its runs with their blocks and order.
 
-`RunTableModel(factors, design=CoveringArray(strength=2))` plans what a design chooses. Their libraries are in the extra
-`designs`, and are imported when a design is used.
+Give one to the run table: `RunTableModel(factors, design=CoveringArray(strength=2))`. The libraries of designs are in
+the extra `designs`, and are imported when a design is used.
 """
 
 from __future__ import annotations

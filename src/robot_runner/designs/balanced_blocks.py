@@ -1,8 +1,9 @@
-"""Balanced incomplete block designs: each treatment equally often, and each pair of treatments in equally many blocks.
+"""Balanced incomplete block designs: equal replication of treatments, and equal concurrence of all pairs.
 
 They are found by prescribing a group of symmetries (Kramer and Mesner, t-designs on hypergraphs, Discrete Mathematics
 15 (1976), 263-296; with the residues of v this is Bose's method of differences, Annals of Eugenics 9 (1939), 353-399):
-each block brings its images, so that a few base blocks are all, whose differences cover each orbit of pairs equally.
+a design has all images of its blocks, so that the search needs only a few base blocks, whose differences cover each
+orbit of pairs equally.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ from itertools import chain, combinations, product, repeat
 from math import comb, gcd
 from typing import Final
 
-#: So many partial blocks are tried for one group; those of the published table up to ten replicates need fewer.
+#: The most partial blocks that are tried for one group; designs of the published table up to ten replicates need fewer.
 _MOST_TRIED: Final = 60_000
-#: More treatments than this are left to the search for a nearly balanced design.
+#: The most treatments; with more, a nearly balanced design is searched.
 _MOST_TREATMENTS: Final = 60
 
 _Block = tuple[int, ...]
@@ -25,7 +26,7 @@ _Permutation = tuple[int, ...]
 
 
 def pair_count(treatments: int, size: int, blocks: int) -> int | None:
-    """Return in how many blocks each pair has to be; None where counting alone shows that there is no such design."""
+    """Return the number of blocks that each pair must share; None if counting excludes such a design."""
     replicates, rest = divmod(size * blocks, treatments)
     pairs, left = divmod(replicates * (size - 1), max(1, treatments - 1))
     is_possible = not rest and not left and (blocks >= treatments or size == treatments)  # Fisher's inequality
@@ -34,7 +35,7 @@ def pair_count(treatments: int, size: int, blocks: int) -> int | None:
 
 @cache
 def balanced_blocks(treatments: int, size: int, blocks: int) -> tuple[_Block, ...] | None:
-    """Return the blocks of a balanced incomplete block design; None where there is none, or none is found.
+    """Return the blocks of a balanced incomplete block design; None if there is none, or none is found.
 
     Example:
         >>> balanced_blocks(7, 3, 7)[0]
@@ -54,7 +55,7 @@ def balanced_blocks(treatments: int, size: int, blocks: int) -> tuple[_Block, ..
 
 
 def _found(treatments: int, size: int, blocks: int) -> tuple[_Block, ...] | None:
-    """Return a design that is no smaller one repeated."""
+    """Return a design that is not a repetition of a smaller one."""
     if blocks == comb(treatments, size):
         return tuple(combinations(range(treatments), size))
     if 2 * size > treatments:
@@ -71,7 +72,7 @@ def _found(treatments: int, size: int, blocks: int) -> tuple[_Block, ...] | None
 
 
 def _groups(points: int) -> Iterator[list[_Permutation]]:
-    """Yield groups that move all points, or all but one, in one orbit or in several equal ones; large ones first."""
+    """Yield groups that move all points, or all but one, in one orbit or several equal ones, large groups first."""
     for fixed, copies in ((0, 1), (1, 1), (0, 2), (1, 2), (0, 3), (1, 3)):
         moved, rest = divmod(points - fixed, copies)
         if not rest and moved > 1:
@@ -80,7 +81,7 @@ def _groups(points: int) -> Iterator[list[_Permutation]]:
 
 
 def _abelian(order: int, least: int = 2) -> Iterator[tuple[int, ...]]:
-    """Yield the orders of the cycles of each abelian group of this order: the cyclic one first."""
+    """Yield the orders of the cyclic factors of each abelian group of this order, the cyclic group first."""
     yield (order,)
     for first in range(least, order):
         if order % first == 0:
@@ -107,14 +108,14 @@ def _translations(cycles: Sequence[int], copies: int, fixed: int) -> list[_Permu
 
 @dataclass(frozen=True, slots=True)
 class _Orbit:
-    """The images of a block: which they are, and how often they cover each orbit of pairs."""
+    """The images of a block, and how often they cover each orbit of pairs."""
 
     blocks: tuple[_Block, ...]
     covers: Counter[int]
 
 
 class _TriedEnoughError(Exception):
-    """The search has lasted long enough."""
+    """The search has reached its limit."""
 
 
 class _Search:
@@ -132,7 +133,7 @@ class _Search:
                 self._of_pair |= {(a, b): len(self._lengths) for a, b in images}
                 self._pair_orbits.append(pair)
                 self._lengths.append(len(images))
-        #: By how much a pair of a base block with as many images as the group covers its orbit.
+        #: How often a pair of a base block with a full orbit of images covers the orbit of the pair.
         self._weights = [len(group) // length for length in self._lengths]
 
     def found(self) -> tuple[_Block, ...] | None:
@@ -155,7 +156,7 @@ class _Search:
         return [tuple(sorted(each[point] for point in points)) for each in self._group]
 
     def _short_choices(self, left: Sequence[int]) -> Iterator[list[_Orbit]]:
-        """Yield each choice of blocks that have fewer images than the group has elements: none of them first."""
+        """Yield each choice of blocks with fewer images than the group has elements, the empty choice first."""
         short = self._short_orbits()
 
         def choices(first: int, left: Sequence[int], taken: list[_Orbit]) -> Iterator[list[_Orbit]]:
@@ -186,7 +187,7 @@ class _Search:
         return found
 
     def _bases(self, left: list[int], count: int) -> list[list[int]] | None:
-        """Return `count` base blocks that cover what is left."""
+        """Return `count` base blocks that cover the remaining pairs."""
         if not count:
             return None if any(left) else []
         place = next((place for place, each in enumerate(left) if each), None)
@@ -199,7 +200,7 @@ class _Search:
         return None
 
     def _with_pair(self, pair: tuple[int, int], left: list[int]) -> Iterator[list[int]]:
-        """Yield blocks with this pair that cover nothing too often; `left` is without them while each is looked at."""
+        """Yield blocks with this pair that cover no pair too often; `left` is reduced by each while it is used."""
         block = [pair[0]]
 
         def extended(candidates: Iterable[int]) -> Iterator[list[int]]:
@@ -242,7 +243,7 @@ def _unions(cycles: Sequence[_Block], size: int, first: int = 0) -> Iterator[_Bl
     if not size:
         yield ()
     for place in range(first, len(cycles)):
-        if len(cycles[place]) > size:  # they come by length
+        if len(cycles[place]) > size:  # cycles are sorted by length
             return
         for rest in _unions(cycles, size - len(cycles[place]), place + 1):
             yield tuple(sorted((*cycles[place], *rest)))

@@ -1,4 +1,4 @@
-"""The search for a good distribution over blocks where no balanced design is known, and how efficient one is."""
+"""The search for efficient incomplete blocks if no balanced design is known, and the efficiency of a design."""
 
 from __future__ import annotations
 
@@ -8,33 +8,33 @@ from itertools import combinations, product
 from random import Random
 from typing import Final
 
-#: So many exchanges of two treatments are tried for each place, in several beginnings, and so many in all (under 1 s).
+#: The number of tried exchanges of two treatments per place, their total over all starts (under 1 s), and the most
+#: starts.
 _TRIED_PER_PLACE: Final = 60
 _MOST_TRIED: Final = 20_000
 _MOST_BEGINNINGS: Final = 24
 
 
 def distributed(treatments: int, replicates: int, cells: Sequence[tuple[int, ...]], seed: int) -> list[list[int]]:
-    """Distribute treatments over the cells of one or several kinds of blocks, as balanced as is found.
+    """Distribute treatments over the cells of one or several kinds of blocks, as balanced as possible.
 
-    Cells are as large as each other; the first ones may be larger by one run. Pairs of treatments are to be in one
-    block of each kind about equally often, and no treatment more often in one block than in another by more than one:
-    the sum of the squares of how often is minimised by exchanges (the (M,S) criterion of Eccleston and Hedayat, On the
-    theory of connected designs, Annals of Statistics 2 (1974), 1238-1255). Of several designs that are found so, the
-    most efficient one is taken.
+    Cells have the same size; the first ones may have one run more. The goal is that pairs of treatments share a block
+    of each kind about equally often, and that the numbers of a treatment in two blocks differ by one at most. Exchanges
+    minimise the sum of squared concurrences (the (M,S) criterion of Eccleston and Hedayat, On the theory of connected
+    designs, Annals of Statistics 2 (1974), 1238-1255). The most efficient design of several searches is returned.
 
     Args:
-        treatments: how many there are.
-        replicates: how often each comes.
+        treatments: their number.
+        replicates: of each treatment.
         cells: the block of each kind that a cell is in, by numbers from 0.
-        seed: where the search begins.
+        seed: of the search.
 
     Returns:
         the treatments of each cell.
     """
     tried = treatments * replicates * _TRIED_PER_PLACE
     beginnings = max(1, min(_MOST_BEGINNINGS, _MOST_TRIED // tried))
-    # Not secret, and reproducible.
+    # Reproducible, not secret.
     randoms = [Random(f"{seed}/{beginning}") for beginning in range(beginnings)]  # noqa: S311
     found = [_Exchange(treatments, replicates, cells, random).found(min(tried, _MOST_TRIED)) for random in randoms]
 
@@ -54,18 +54,18 @@ class _Exchange:
         self._count = treatments
         self._cells = cells
         self._kinds = range(len(cells[0]))
-        #: Which cell each place is in, evenly, and the treatment there.
+        #: The cell of each place, evenly spread, and its treatment.
         self._cell_of = [place % len(cells) for place in range(treatments * replicates)]
         self._at = [0] * (treatments * replicates)
         order = sorted(range(treatments * replicates), key=lambda _place: self._random())
         for number, place in enumerate(order):
             self._at[place] = number % treatments
-        #: How often each treatment is in each block of each kind.
+        #: The number of each treatment in each block of each kind.
         self._in_block: list[dict[int, Counter[int]]] = [{} for _ in self._kinds]
         for place, treatment in enumerate(self._at):
             for kind, number in enumerate(self._cells[self._cell_of[place]]):
                 self._in_block[kind].setdefault(number, Counter())[treatment] += 1
-        #: How often two treatments are in one block, over the blocks of all kinds.
+        #: The concurrences of treatments, for each kind of blocks.
         self._together = [[[0] * treatments for _ in range(treatments)] for _ in self._kinds]
         for kind in self._kinds:
             for block in self._in_block[kind].values():
@@ -73,7 +73,7 @@ class _Exchange:
                     self._together[kind][one][other] += block[one] * block[other]
 
     def found(self, tried: int) -> list[list[int]]:
-        """Return the treatments of each cell after so many exchanges were tried."""
+        """Return the treatments of each cell after `tried` attempted exchanges."""
         places = len(self._at)
         for _ in range(tried):
             one, other = int(self._random() * places), int(self._random() * places)
@@ -120,7 +120,7 @@ class _Exchange:
 
 
 def concurrences(treatments: int, blocks: Sequence[Sequence[int]]) -> Counter[tuple[int, int]]:
-    """Return how often each pair of treatments is in one block."""
+    """Return how often each pair of treatments shares a block."""
     found = Counter(dict.fromkeys(combinations(range(treatments), 2), 0))
     for block in blocks:
         counts = Counter(block)
@@ -130,7 +130,7 @@ def concurrences(treatments: int, blocks: Sequence[Sequence[int]]) -> Counter[tu
 
 
 def efficiency(treatments: int, blocks: Sequence[Sequence[int]]) -> float:
-    """Return the average efficiency factor: 1 where comparisons lose nothing to the blocks, 0 where one is lost.
+    """Return the average efficiency factor: 1 if blocks cost no information, 0 if a comparison is not estimable.
 
     It is the harmonic mean of the canonical efficiency factors. Source: John and Williams, Cyclic and Computer
     Generated Designs, 2nd ed., 1995, section 2.2.
@@ -138,7 +138,7 @@ def efficiency(treatments: int, blocks: Sequence[Sequence[int]]) -> float:
     replicates = Counter(each for block in blocks for each in block)
     if treatments < 2:  # noqa: PLR2004
         return 1.0
-    # The information matrix, scaled by the replicates, plus what projects on the mean, which makes it regular.
+    # The information matrix, scaled by the replicates, plus the projection on the mean, which makes it regular.
     total = replicates.total()
     roots = [replicates[each] ** 0.5 for each in range(treatments)]
     matrix = [[one * other / total for other in roots] for one in roots]
@@ -154,9 +154,9 @@ def efficiency(treatments: int, blocks: Sequence[Sequence[int]]) -> float:
 
 
 def efficiency_bound(treatments: int, blocks: Sequence[Sequence[int]]) -> float:
-    """Return what the efficiency factor of no design of such sizes exceeds: that of a balanced one, if there were one.
+    """Return an upper bound of the efficiency factor for these sizes: that of a balanced design, if there were one.
 
-    Each block of size k gives at most what it would in a design where all differences are estimated alike.
+    A block of size k contributes at most as much as in a design that estimates all differences equally well.
     """
     runs = sum(map(len, blocks))
     lost = sum(_least_square_sum(len(block), treatments) / len(block) for block in blocks)
@@ -164,18 +164,18 @@ def efficiency_bound(treatments: int, blocks: Sequence[Sequence[int]]) -> float:
 
 
 def _least_square_sum(size: int, treatments: int) -> int:
-    """Return the least sum of squares of how often treatments come in a block of this size."""
+    """Return the least sum of squared numbers of treatments in a block of this size."""
     often, rest = divmod(size, treatments)
     return (treatments - rest) * often**2 + rest * (often + 1) ** 2
 
 
 def _trace_of_inverse(matrix: list[list[float]]) -> float | None:
-    """Return the trace of the inverse of a symmetric matrix, by Gauss and Jordan; None where it is singular."""
+    """Return the trace of the inverse of a symmetric matrix, by Gauss-Jordan elimination; None if it is singular."""
     size = len(matrix)
     rows = [[*row, *(float(place == other) for other in range(size))] for place, row in enumerate(matrix)]
     for place in range(size):
         pivot = max(range(place, size), key=lambda row: abs(rows[row][place]))
-        if abs(rows[pivot][place]) < 1e-9:  # noqa: PLR2004 - what rounding leaves of zero; entries are about 1
+        if abs(rows[pivot][place]) < 1e-9:  # noqa: PLR2004 - zero but for rounding; entries are about 1
             return None
         rows[place], rows[pivot] = rows[pivot], rows[place]
         scale = rows[place][place]

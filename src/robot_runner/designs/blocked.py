@@ -16,7 +16,7 @@ from robot_runner.designs.balanced_blocks import balanced_blocks, pair_count
 from robot_runner.designs.block_search import concurrences, distributed, efficiency, efficiency_bound
 from robot_runner.designs.factor_roles import Roles, refused, role_findings, shuffled, texts_of_combination
 
-#: More runs than this are spread at random and evenly, and not improved: the search would take long.
+#: The most runs for which the search improves the blocks; more are spread evenly at random, as it would take long.
 _MOST_IMPROVED = 4000
 
 
@@ -24,12 +24,12 @@ _MOST_IMPROVED = 4000
 class Blocks:
     """Spread the repetitions of each combination evenly over blocks, such as days, operators or machines.
 
-    The other factors are studied; each of their combinations is executed as often as there are repetitions, all blocks
-    together. Where the repetitions are a multiple of the number of blocks, each block is complete. Where they are not,
-    blocks are incomplete: balanced (each pair of combinations in equally many blocks) where such a design exists and is
-    found, and else the best one found, with its efficiency. Several factors cross: each combination is spread evenly
-    over the days, and over the operators. Blocks come in the order as written; with `shuffle`, the assignment and the
-    order within each block are random.
+    The other factors are studied; the repetitions of each of their combinations are spread over all blocks. If the
+    number of repetitions is a multiple of the number of blocks, blocks are complete. Else they are incomplete: balanced
+    (each pair of combinations in equally many blocks) if such a design is found, or else the best one found, with its
+    efficiency. Several factors are crossed: each combination is spread evenly over the days, and over the operators.
+    Blocks are executed in the order of their treatments; with `shuffle`, the assignment and the order within each block
+    are random.
 
     Attributes:
         by: the factors whose treatments are the blocks.
@@ -49,23 +49,23 @@ class Blocks:
         object.__setattr__(self, "by", by)
 
     def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
-        """Say which factors there are not."""
+        """Yield findings on missing and unknown factors."""
         if not self.by:
             yield Finding.error("design: Blocks(...)", "no factor is named", 'Name one, such as Blocks("Day").')
         yield from role_findings("Blocks", [("by", factor_name(each)) for each in self.by], factors)
 
     def as_mapping(self) -> Mapping[str, Any]:
-        """Return its kind and the factors that are blocks."""
+        """Return its kind and the factors of the blocks."""
         return {"kind": "blocks", "by": list(map(factor_name, self.by))}
 
     def runs(
         self, factors: Sequence[Factor], is_allowed: IsAllowed, repetitions: int, seed: int, shuffle: bool
     ) -> DesignedRuns:
-        """Return the runs of one block after another.
+        """Return the runs, block by block.
 
         Raises:
-            DesignError: there are fewer runs than blocks, blocks leave combinations that are never compared, or an
-                exclusion leaves a combination to some blocks only.
+            DesignError: there are fewer runs than blocks, some combinations are never compared, or a combination is
+                excluded in some blocks only.
         """
         roles = Roles.of(factors, list(map(factor_name, self.by)))
         treatments = roles.allowed_treatments("Blocks", is_allowed)
@@ -111,7 +111,7 @@ def _spread(treatments: int, replicates: int, blocks: Sequence[Factor], seed: in
     """Return the treatments of each cell of the blocks, in the order of the cells."""
     cells = list(product(*(range(len(factor.treatments)) for factor in blocks)))
     complete, rest = divmod(replicates, len(cells))
-    if treatments * rest % len(cells):  # the first ones are larger
+    if treatments * rest % len(cells):  # the first cells are larger
         cells = _evenly(blocks)
     more = _incomplete(treatments, rest, cells, seed) if rest else [[] for _ in cells]
     spread = [sorted([*range(treatments)] * complete + extra) for extra in more]
@@ -119,10 +119,10 @@ def _spread(treatments: int, replicates: int, blocks: Sequence[Factor], seed: in
 
 
 def _evenly(blocks: Sequence[Factor]) -> list[tuple[int, ...]]:
-    """Return the cells in an order in which each block of each kind comes equally often, however many are taken."""
+    """Return the cells in an order in which any first ones are spread evenly over the blocks of each kind."""
     cells: list[tuple[int, ...]] = [()]
     for size in (len(factor.treatments) for factor in blocks):
-        count, turn = len(cells), lcm(len(cells), size)  # after a turn the same pairs would come again
+        count, turn = len(cells), lcm(len(cells), size)  # after a turn the same pairs would repeat
         cells = [(*cells[place % count], (place + place // turn) % size) for place in range(count * size)]
     return cells
 
@@ -130,7 +130,7 @@ def _evenly(blocks: Sequence[Factor]) -> list[tuple[int, ...]]:
 def _incomplete(
     treatments: int, replicates: int, cells: Sequence[tuple[int, ...]], seed: int | None
 ) -> list[list[int]]:
-    """Return the treatments of each cell where there are fewer replicates than cells."""
+    """Return the treatments of each cell if there are fewer replicates than cells."""
     size, rest = divmod(treatments * replicates, len(cells))
     balanced = None if rest or len(cells[0]) > 1 else _balanced(treatments, size, len(cells), seed)
     if balanced is not None:
@@ -160,7 +160,7 @@ def _of_kind(blocks: Sequence[Factor], spread: Sequence[Sequence[int]], place: i
 
 
 def _described(treatments: int, blocks: Sequence[Sequence[int]]) -> dict[str, Any]:
-    """Return how balanced blocks of one kind are, as plain data."""
+    """Return the balance and the efficiency of blocks of one kind, as plain data."""
     pairs = sorted(concurrences(treatments, blocks).values())
     least, most = (pairs[0], pairs[-1]) if pairs else (0, 0)
     sizes = sorted(map(len, blocks))

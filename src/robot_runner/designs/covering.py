@@ -1,4 +1,4 @@
-"""Covering arrays: few combinations among which all pairs, triples or t-tuples of treatments occur."""
+"""Covering arrays: few combinations that include all pairs, triples or t-tuples of treatments."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ from robot_runner.core.errors import DesignError, Finding
 from robot_runner.core.words import counted
 from robot_runner.designs.choosing import Described, at_places, library_findings, number_findings
 
-#: More t-tuples than this would take minutes.
+#: The most t-tuples: more would take minutes.
 _MOST_TUPLES = 500_000
-#: An exclusion that is a function is asked of each combination, of so many at most.
+#: The most combinations for exclusions that are functions, which are called for each combination.
 _MOST_ASKED = 100_000
-#: How many rows are made at a time, of which the one that covers most is taken (as in AETG, Cohen et al., 1997).
+#: The number of candidates for each row; the one that covers most is taken (as in AETG, Cohen et al., 1997).
 _CANDIDATES = 10
-#: The pairwise search makes sizes that exclusions leave whole; it is tried where there are none.
+#: The strengths with a construction of their own, for experiments without exclusions.
 _PAIRS, _TRIPLES = 2, 3
 
-#: Places of treatments, by the factor's place.
+#: Treatment indices, by the index of the factor.
 _Partial = dict[int, int]
 _Tuple = tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True, slots=True)
 class CoveringArray(Described):
-    """Few combinations in which each pair of treatments of two factors occurs; with `strength=3` each triple.
+    """Few combinations that include each pair of treatments of any two factors; with `strength=3` each triple.
 
-    For finding out whether anything goes wrong, or screening many factors: it is not balanced, so that effects are
-    estimated less precisely than by a factorial. Exclusions and conditions are constraints: each tuple that some
-    allowed combination has is covered, and no other one.
+    Use it to find failures, or to screen many factors. It is not balanced, so effects are estimated less precisely than
+    by a factorial. Exclusions and conditions are constraints: all tuples of allowed combinations are covered, and no
+    others.
 
     Attributes:
-        strength: how many factors at a time have all combinations of their treatments covered.
-        seed: what the search draws from.
+        strength: the number of factors for which all combinations of their treatments are covered.
+        seed: of the random search.
 
     Example:
         >>> from robot_runner.core.design.factor import Factor
@@ -56,7 +56,7 @@ class CoveringArray(Described):
     seed: int = 0
 
     def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
-        """Say why it cannot be."""
+        """Yield findings on libraries, parameters and the number of tuples."""
         yield from library_findings("numpy")
         yield from number_findings("seed", self.seed, 0)
         wrong = list(number_findings("strength", self.strength, 2))
@@ -71,7 +71,7 @@ class CoveringArray(Described):
             yield from _size_findings(factors, self.strength)
 
     def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
-        """Return the array's combinations."""
+        """Return the combinations of the array."""
         levels = [len(factor.treatments) for factor in factors]
         constraints = _Constraints(factors, is_allowed)
         if self.strength == _PAIRS and constraints.is_free:
@@ -85,7 +85,7 @@ class CoveringArray(Described):
         return ChosenCombinations(at_places(factors, rows), facts)
 
     def _rows(self, levels: Sequence[int], constraints: _Constraints) -> list[list[int]]:
-        """Return rows that are found one by one, or a construction's where it has fewer."""
+        """Return the rows of the greedy search, or of a construction if it has fewer."""
         found = _greedy(levels, self.strength, constraints, Random(self.seed))  # noqa: S311 - reproducible
         if self.strength != _TRIPLES or not constraints.is_free:
             return found
@@ -96,7 +96,7 @@ class CoveringArray(Described):
 
 
 def _size_findings(factors: Sequence[Factor], strength: int) -> Iterator[Finding]:
-    """Say whether there are too many tuples: their number is an elementary symmetric polynomial of the treatments'."""
+    """Yield a finding if there are too many tuples: an elementary symmetric polynomial of the numbers of treatments."""
     sums = [1] + [0] * strength
     for factor in factors:
         for size in range(strength, 0, -1):
@@ -107,14 +107,14 @@ def _size_findings(factors: Sequence[Factor], strength: int) -> Iterator[Finding
         yield Finding.error("design", problem, fix)
 
 
-# What exclusions and conditions leave.
+# Constraints: exclusions and conditions.
 
 
 class _Constraints:
-    """Which treatments can be in one combination.
+    """The constraints on combinations of treatments.
 
     Raises:
-        DesignError: an exclusion is a function, and there are too many combinations to ask it of all.
+        DesignError: an exclusion is a function, and there are too many combinations to call it for all.
     """
 
     def __init__(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> None:
@@ -135,12 +135,12 @@ class _Constraints:
     def completed(
         self, fixed: _Partial, order: Sequence[int], values: Callable[[int, _Partial], Sequence[int]]
     ) -> _Partial | None:
-        """Return an allowed combination that has what `fixed` has; None where there is none.
+        """Return an allowed combination that includes `fixed`; None if there is none.
 
         Args:
-            fixed: what is decided already.
-            order: the places of the other factors, in the order in which they are decided.
-            values: the places of a factor's treatments, in the order in which they are tried beside what is fixed.
+            fixed: the treatment indices that are already chosen.
+            order: the indices of the other factors, in the order in which they are chosen.
+            values: returns the treatment indices of a factor in the order in which they are tried.
         """
         if any(self._is_broken(fixed, place) for place in fixed):
             return None
@@ -154,14 +154,14 @@ class _Constraints:
         return None
 
     def _is_broken(self, fixed: _Partial, place: int) -> bool:
-        """Return whether an exclusion that names a factor matches."""
+        """Return whether an exclusion that includes this factor matches."""
         return any(
             all(other in fixed and fixed[other] in places for other, places in each.items())
             for each in self._naming[place]
         )
 
     def is_possible(self, tuple_: _Tuple) -> bool:
-        """Return whether some allowed combination has these treatments."""
+        """Return whether an allowed combination has these treatments."""
         fixed = dict(tuple_)
         if self._allowed is not None:
             return any(all(row[place] == value for place, value in tuple_) for row in self._allowed)
@@ -189,7 +189,7 @@ def _asked(factors: Sequence[Factor], is_allowed: IsAllowed) -> set[tuple[int, .
 
 
 def _greedy(levels: Sequence[int], strength: int, constraints: _Constraints, random: Random) -> list[list[int]]:
-    """Return rows, each of which covers as many new tuples as the best of some candidates, without those in vain."""
+    """Return rows, each the candidate that covers most new tuples, without redundant rows."""
     open_tuples = {each: None for each in _tuples(levels, strength) if constraints.is_possible(each)}
     rows: list[list[int]] = []
     while open_tuples:
@@ -222,9 +222,9 @@ def _row(
     constraints: _Constraints,
     random: Random,
 ) -> list[int]:
-    """Return an allowed row with the first open tuple; each other factor has what covers most with those before it.
+    """Return an allowed row with the first open tuple; each other factor gets the treatment that covers most tuples.
 
-    Between equals decides in how many open tuples each is `wanted`, and then chance.
+    Ties are broken by the number of open tuples with a treatment (`wanted`), then at random.
     """
     fixed = dict(next(iter(open_tuples)))
     order = [place for place in range(len(levels)) if place not in fixed]
@@ -245,7 +245,7 @@ def _row(
 
 
 def _without_spare(rows: list[list[int]], strength: int) -> list[list[int]]:
-    """Return the rows without those whose tuples others have."""
+    """Return the rows without redundant ones, whose tuples are all in other rows."""
     times: dict[_Tuple, int] = {}
     for row in rows:
         for each in _tuples_of(row, strength):

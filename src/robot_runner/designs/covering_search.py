@@ -1,7 +1,7 @@
-"""Covering arrays of strength two: structured beginnings, and a tabu search column by column that completes them.
+"""Covering arrays of strength two: structured initial arrays, completed column by column by a tabu search.
 
-An array has a row for each run and a column for each factor; the cells are places of treatments. A pair of columns is
-covered when each pair of their symbols is in some row.
+An array has a row for each run and a column for each factor; its symbols are treatment indices. A pair of columns is
+covered if each pair of their symbols is in some row.
 """
 
 from __future__ import annotations
@@ -18,28 +18,27 @@ from robot_runner.designs.finite_fields import finite_field
 
 Array = NDArray[np.int64]
 
-#: Moves that a column's search makes at most, moves without gain at most, and how often columns are gone over again.
+#: The most moves in the search of a column, the most moves without gain, and the most repairs of columns.
 _MOVES, _IDLE, _ROUNDS = 400, 150, 20
-#: An array that misses more pairs than this is given up: more rows are quicker than more search.
+#: The most uncovered pairs before an array is given up: more rows are quicker than more search.
 _GIVEN_UP = 2
-#: How many moves at least a cell may not go back to the symbol that it had.
+#: The fewest moves before a cell may return to its previous symbol.
 _TENURE = 4
-#: Fields whose multiplication is not that of numbers modulo a prime: the prime, and what x^n is as a polynomial of less
-#: degree, its constant first.
+#: Fields of prime powers: the prime, and the polynomial of lower degree that x^n equals, its constant first.
 _FIELDS = {4: (2, (1, 1)), 8: (2, (1, 1, 0)), 9: (3, (1, 2)), 16: (2, (1, 1, 0, 0))}
 _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23)
 
 
 def pairwise_array(levels: Sequence[int], seed: int) -> Array:
-    """Return an array that covers each pair of symbols of each two columns.
+    """Return an array that covers each pair of symbols of any two columns.
 
     Args:
-        levels: how many symbols each column has.
-        seed: what the search draws from; the same one gives the same array.
+        levels: the number of symbols of each column.
+        seed: of the search; the same seed yields the same array.
     """
     order = sorted(range(len(levels)), key=lambda column: -levels[column])
     ordered = [levels[column] for column in order]
-    has_two = ordered[0] <= 2  # noqa: PLR2004 - which has an exact answer
+    has_two = ordered[0] <= 2  # noqa: PLR2004 - for two symbols the optimum is known
     found = _binary(ordered) if has_two else _searched(ordered, np.random.default_rng(seed))
     array = np.empty_like(found)
     array[:, order] = found
@@ -47,7 +46,7 @@ def pairwise_array(levels: Sequence[int], seed: int) -> Array:
 
 
 def _searched(levels: list[int], random: np.random.Generator) -> Array:
-    """Return the smallest array that is completed: the number of rows is found by doubling steps, then by halving."""
+    """Return the smallest array that can be completed: doubling steps, then bisection, find its number of rows."""
     bases = list(_bases(levels, random))
     sure = [len(base) for base in bases if base.shape[1] >= len(levels) and base.max() + 1 >= levels[0]]
     fewest = levels[0] * levels[1]
@@ -84,16 +83,16 @@ def _binary(levels: Sequence[int]) -> Array:
     return array
 
 
-# Structured beginnings: a matrix whose columns cover each other, for the first columns of the levels given.
+# Structured initial arrays, whose columns cover each other, for the first of the given columns.
 
 
 def _bases(levels: list[int], random: np.random.Generator) -> Iterator[Array]:
-    """Yield arrays to begin with."""
+    """Yield initial arrays."""
     first, second = np.divmod(np.arange(levels[0] * levels[1]), levels[1])
     yield np.column_stack([first, second])
     for symbols in sorted(set(levels)):
         wanted = sum(each <= symbols for each in levels)
-        if symbols > 2 and wanted > 2:  # noqa: PLR2004 - what a grid has anyway
+        if symbols > 2 and wanted > 2:  # noqa: PLR2004 - else the grid covers them
             yield from _uniform(symbols, wanted, random)
 
 
@@ -111,7 +110,7 @@ def _uniform(symbols: int, columns: int, random: np.random.Generator) -> Iterato
 
 @lru_cache
 def _orthogonal(order: int) -> Array:
-    """Return the orthogonal array of a field: order² rows, order + 1 columns (Bush, 1952); constant rows come first."""
+    """Return the orthogonal array of a field: order² rows, order + 1 columns (Bush, 1952), constant rows first."""
     plus, times = field_of(order)
     slope, shift = np.divmod(np.arange(order**2), order)
     columns = [plus[times[slope, point], shift] for point in range(order)]
@@ -119,7 +118,7 @@ def _orthogonal(order: int) -> Array:
 
 
 def is_field(order: int) -> bool:
-    """Return whether there is a field of so many numbers, among those that are known here."""
+    """Return whether the field of this order is available here."""
     return order in _PRIMES or order in _FIELDS
 
 
@@ -132,10 +131,10 @@ def field_of(order: int) -> tuple[Array, Array]:
 
 
 def _product(array: Array, order: int) -> Array:
-    """Return the array widened by the field's order, and one column more, for order² - order rows more.
+    """Return an array with `order` times as many columns plus one, and order² - order more rows.
 
-    Stevens & Mendelsohn (1999), "New recursive methods for transversal covers": pairs of equal symbols are covered
-    above already, so that the constant rows of the orthogonal array are left out below.
+    Stevens & Mendelsohn (1999), "New recursive methods for transversal covers": the upper part covers pairs of equal
+    symbols, so the lower part leaves out the constant rows of the orthogonal array.
     """
     below = _orthogonal(order)[order:]
     wide = np.repeat(array, order, axis=1)
@@ -146,11 +145,11 @@ def _product(array: Array, order: int) -> Array:
 
 @lru_cache
 def _starter(symbols: int, columns: int) -> Array | None:
-    """Return the array that a starter vector makes: columns * (symbols - 1) + 1 rows; None where none is found.
+    """Return the array of a starter vector: columns * (symbols - 1) + 1 rows; None if none is found.
 
-    Meagher & Stevens (2005), "Group construction of covering arrays": the vector's rotations, each with every number
-    added modulo symbols - 1 to all but one fixed symbol, and a row of that symbol. It takes a vector whose entries at
-    each distance differ by every number.
+    Meagher & Stevens (2005), "Group construction of covering arrays": the rotations of the vector, with each number
+    added modulo symbols - 1 to all but one fixed symbol, and a row of that symbol. The entries of the vector at each
+    distance must have all differences.
     """
     order = symbols - 1
     random = np.random.default_rng(0)
@@ -193,18 +192,18 @@ def _missing_differences(vector: Array, order: int) -> int:
     return int((~seen[:, :order]).sum())
 
 
-# Completing: columns are added one by one, each by a search for symbols that cover it with the columns before it.
+# Completion: columns are added one by one, each by a search for symbols that cover its pairs with earlier columns.
 
 
 class _Completing:
-    """An array with so many rows that is begun with a base, and completed if it can be.
+    """An array with a given number of rows, which begins with a base and is completed if possible.
 
     Args:
         levels: of the columns, in descending order.
-        base: its columns stand for columns of no more symbols than it has, the largest first; symbols that a column
-            does not have are drawn.
-        rows: how many the array is to have.
-        random: what the search draws from.
+        base: the initial array; its columns are used for columns with no more symbols, the largest first, and symbols
+            that a column does not have are replaced at random.
+        rows: the number of rows.
+        random: the random generator of the search.
     """
 
     def __init__(self, levels: list[int], base: Array, rows: int, random: np.random.Generator) -> None:
@@ -224,7 +223,7 @@ class _Completing:
         self._open = [column for column in range(len(levels)) if column not in self._done]
 
     def array(self) -> Array | None:
-        """Return the completed array; None where a column cannot be covered."""
+        """Return the completed array; None if a column cannot be covered."""
         left = 0
         for column in self._open:
             left += self._search(column)
@@ -234,7 +233,7 @@ class _Completing:
         return self._cells if left == 0 or self._is_repaired() else None
 
     def _is_repaired(self) -> bool:
-        """Go over columns that miss pairs until nothing is missing."""
+        """Search columns with uncovered pairs again; return whether all pairs are covered."""
         for _ in range(_ROUNDS):
             missing = self._missing()
             if not missing:
@@ -244,7 +243,7 @@ class _Completing:
         return not self._missing()
 
     def _missing(self) -> list[int]:
-        """Return the columns that miss pairs with others."""
+        """Return the columns with uncovered pairs."""
         together = (self._is_set.T @ self._is_set) == 0
         for start, end in zip(self._starts, self._starts[1:], strict=False):
             together[start:end, start:end] = False
@@ -259,7 +258,7 @@ class _Completing:
         self._is_set[:, start:end] = self._cells[:, column, None] == np.arange(self._levels[column])
 
     def _search(self, column: int) -> int:
-        """Search symbols for a column by tabu search; return how many of its pairs are left uncovered."""
+        """Search the symbols of a column by tabu search; return the number of its uncovered pairs."""
         start, end = self._starts[column], self._starts[column + 1]
         self._is_set[:, start:end] = 0
         others = self._is_set[:, self._is_set.any(axis=0)]
@@ -275,7 +274,7 @@ class _Completing:
             gain -= (others @ (together == 1))[rows, symbols][:, None]
             is_open = (until <= move) | (left - gain < least)
             is_open[rows, symbols] = False
-            gain = np.where(is_open, gain + self._random.random(gain.shape) / 2, -np.inf)  # ties are drawn
+            gain = np.where(is_open, gain + self._random.random(gain.shape) / 2, -np.inf)  # ties are broken at random
             row, symbol = divmod(int(np.argmax(gain)), gain.shape[1])
             if not np.isfinite(gain[row, symbol]):
                 continue

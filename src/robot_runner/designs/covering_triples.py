@@ -1,4 +1,4 @@
-"""Covering arrays of strength three by construction: orthogonal arrays, and arrays of half as many columns twice."""
+"""Constructions of covering arrays of strength three: orthogonal arrays, and the doubling of columns."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from robot_runner.designs.covering_search import field_of, is_field, pairwise_ar
 Array = NDArray[np.intp]
 
 _TRIPLE = 3
-#: Columns of Paley's Hadamard matrix of order 12 whose rows have all triples of two symbols.
+#: The columns of Paley's Hadamard matrix of order 12, which cover all triples of two symbols.
 _PALEY = 11
 
 
 def triples_array(levels: Sequence[int], seed: int) -> Array:
-    """Return an array in which each triple of symbols of three columns occurs, (rows, columns).
+    """Return an array that covers each triple of symbols of any three columns, (rows, columns).
 
-    It is made for the largest number of symbols; columns with fewer have some of them in place of the others.
+    It is made for the largest number of symbols; in columns with fewer, the others are replaced.
     """
     best = min(_arrays(max(levels), len(levels), seed), key=len)
     return np.asarray(best % np.asarray(levels))
@@ -45,7 +45,7 @@ def _arrays(symbols: int, columns: int, seed: int) -> Iterator[Array]:
 def _orthogonal(order: int) -> Array:
     """Return the orthogonal array of strength three of a field (Bush, 1952): polynomials of degree two.
 
-    There are order³ rows and order + 1 columns, order + 2 where the order is even.
+    It has order³ rows and order + 1 columns, or order + 2 columns if the order is even.
     """
     plus, times = field_of(order)
     shift, slope, curve = (each.ravel() for each in np.indices((order, order, order)))
@@ -54,14 +54,14 @@ def _orthogonal(order: int) -> Array:
 
 
 def _paley() -> Array:
-    """Return 12 rows in which all triples of 11 columns occur: Paley's matrix (1933) without its constant column."""
+    """Return 12 rows that cover all triples of 11 columns: Paley's matrix (1933) without its constant column."""
     squares = {number**2 % _PALEY for number in range(1, _PALEY)}
     rows = [[int((column - row) % _PALEY in squares) for column in range(_PALEY)] for row in range(_PALEY)]
     return np.array([[1] * _PALEY, *rows])
 
 
 def _doubled(symbols: int, columns: int, seed: int) -> Array:
-    """Return an array of half as many columns, twice side by side, with pairs beside each of their shifts.
+    """Return an array by doubling: one of half the columns, twice side by side, and pairs beside each of their shifts.
 
     Source: Roux (1987) for two symbols; Chateauneuf and Kreher, On the state of strength-three covering arrays,
     Journal of Combinatorial Designs 10 (2002), 217-238.

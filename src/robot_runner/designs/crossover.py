@@ -1,4 +1,4 @@
-"""The crossover: each robot, machine or person gets all treatments, one period after another."""
+"""The crossover design: each robot, machine or person gets all treatments, one per period."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from robot_runner.designs.factor_roles import Roles, refused, role_findings, shu
 
 
 def williams_sequences(treatments: int) -> list[tuple[int, ...]]:
-    """Return sequences in which each treatment follows each other one equally often, and comes in each period equally.
+    """Return sequences in which each treatment follows each other one, and is in each period, equally often.
 
     Source: Williams, Experimental designs balanced for the estimation of residual effects of treatments, Australian
     Journal of Scientific Research A 2 (1949), 149-168: one square of sequences for an even number of treatments, and
@@ -33,18 +33,18 @@ def williams_sequences(treatments: int) -> list[tuple[int, ...]]:
 
 @dataclass(frozen=True, slots=True)
 class Crossover(Described):
-    """Each unit (a robot, a machine, a person) gets each treatment in one period, in sequences that balance carry-over.
+    """Give each unit (a robot, a machine, a person) each treatment in one period, with balanced carry-over.
 
-    The other factors are studied; there are as many periods as they have combinations. Repetitions are executed within
-    the period, before the unit changes to its next treatment; `WarmUp(2, per="combination")` begins each period with
-    runs that wash the treatment before out, and are not analysed. With `shuffle`, treatments and units are assigned to
-    the sequences at random. Units come in the order as written, each with its periods in their order: where several
-    runs are executed at once, those of one unit are not.
+    The other factors are studied; the number of periods is that of their combinations. Repetitions are executed within
+    the period, before the unit changes to its next treatment. `WarmUp(2, per="combination")` begins each period with
+    runs that wash out the previous treatment and are not analysed. With `shuffle`, treatments and units are assigned to
+    the sequences at random. Units are in the order of their treatments, each with its periods in order; the runs of a
+    unit are never executed in parallel.
 
     Attributes:
-        unit: the factor whose treatments are the units; a multiple of the number of sequences.
-        period: the factor that counts the periods, in their order.
-        washout_in_s: how long a unit rests between two periods, s, so that what one treatment left is gone.
+        unit: the factor whose treatments are the units; their number must be a multiple of the number of sequences.
+        period: the factor whose treatments are the periods, in order.
+        washout_in_s: the rest of a unit between two periods, in s, so that no effect of a treatment remains.
 
     Example:
         >>> from robot_runner.core.design.factor import Factor
@@ -61,7 +61,7 @@ class Crossover(Described):
     washout_in_s: float = 0
 
     def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
-        """Say which factors there are not, and what is wrong with the washout."""
+        """Yield findings on the factors and on the washout."""
         named = [("unit", factor_name(self.unit)), ("period", factor_name(self.period))]
         yield from role_findings("Crossover", named, factors)
         if not is_number(self.washout_in_s) or self.washout_in_s < 0:
@@ -71,11 +71,11 @@ class Crossover(Described):
     def runs(
         self, factors: Sequence[Factor], is_allowed: IsAllowed, repetitions: int, seed: int, shuffle: bool
     ) -> DesignedRuns:
-        """Return the runs of one unit after another, each with its periods in their order.
+        """Return the runs, unit by unit, each with its periods in order.
 
         Raises:
-            DesignError: the numbers of units, periods and treatments do not suit each other, or an exclusion leaves a
-                treatment to some units or periods only.
+            DesignError: the numbers of units, periods and treatments do not match, or a treatment is excluded for some
+                units or periods only.
         """
         roles = Roles.of(factors, [factor_name(self.unit), factor_name(self.period)])
         treatments = roles.allowed_treatments("Crossover", is_allowed)

@@ -1,4 +1,4 @@
-"""The roles of factors in a design: some are blocks of a kind (a day, a robot, a period), the others are studied."""
+"""The roles of factors in a design: some are blocks (a day, a robot, a period), the others are studied."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
 
 def role_findings(design: str, roles: Sequence[tuple[str, Any]], factors: Sequence[Factor]) -> Iterator[Finding]:
-    """Say which roles name what is no factor, or a factor that has another role, and whether nothing is left to study.
+    """Yield findings on unknown factors, factors with two roles, conditional factors, and if no factor is studied.
 
-    `design` is what the user wrote, such as `LatinSquare`; `roles` are its parameters with the factors that they name.
+    `design` is the name of the design, such as `LatinSquare`; `roles` are its parameters with the factors that they
+    name.
     """
     known = [factor.name for factor in factors]
     taken: dict[str, str] = {}
@@ -46,17 +47,17 @@ def listed_roles(taken: Iterable[str]) -> str:
 
 
 def refused(design: str, problem: str, fix: str) -> DesignError:
-    """Return the error that a design cannot be made."""
+    """Return an error that refuses a design."""
     return DesignError(problem, where=f"design: {design}", fix=fix)
 
 
 @dataclass(frozen=True, slots=True)
 class Roles:
-    """The factors of a model, those that are blocks of a kind apart.
+    """The factors of a model, divided into blocks and studied factors.
 
     Attributes:
-        factors: all of them, in the order of the columns.
-        blocks: those that are blocks of a kind, in the order of their roles.
+        factors: all factors, in the order of the columns.
+        blocks: the factors that are blocks, in the order of their roles.
     """
 
     factors: Sequence[Factor]
@@ -64,7 +65,7 @@ class Roles:
 
     @classmethod
     def of(cls, factors: Sequence[Factor], names: Sequence[str]) -> Roles:
-        """Return the roles of factors, of which these names are blocks of a kind."""
+        """Return the roles of factors, given the names of those that are blocks."""
         by_name = {factor.name: factor for factor in factors}
         return cls(factors, [by_name[name] for name in names])
 
@@ -83,10 +84,10 @@ class Roles:
         return Combination(places, tuple(treatments[name] for name in places))
 
     def allowed_treatments(self, design: str, is_allowed: IsAllowed) -> list[Combination]:
-        """Return the combinations of the studied factors that the exclusions leave in every block.
+        """Return the combinations of the studied factors that are allowed in every block.
 
         Raises:
-            DesignError: an exclusion leaves one in some blocks only, or leaves nothing.
+            DesignError: a combination is excluded in some blocks only, or all are excluded.
         """
         cells = list(product(*(factor.treatments for factor in self.blocks)))
         left = []
@@ -106,15 +107,15 @@ class Roles:
 
 
 def shuffled(items: Iterable[Any], seed: int | None, *purpose: object) -> list[Any]:
-    """Return items in an order of their own for each purpose.
+    """Return items in a random order that depends on the seed and the purpose alone.
 
-    What is drawn for one purpose does not depend on how much is drawn for others, so that a design which grows keeps
-    what it had.
+    So the order for one purpose does not change when more is drawn for others, and a design that grows keeps its
+    first part.
 
     Args:
-        items: what is put in order.
-        seed: where the order comes from; None leaves it as it is.
-        purpose: what is put in order, such as the rows of the second square.
+        items: to be shuffled.
+        seed: None keeps the order.
+        purpose: names the items, such as the rows of the second square.
     """
     order = list(items)
     if seed is not None:
@@ -124,5 +125,5 @@ def shuffled(items: Iterable[Any], seed: int | None, *purpose: object) -> list[A
 
 
 def texts_of_combination(combination: Combination) -> str:
-    """Return a combination as facts name it: the one treatment, or all of them."""
+    """Return a combination as text for facts: its treatments, separated by commas."""
     return ", ".join(map(str, combination.treatments))

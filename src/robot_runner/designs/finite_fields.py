@@ -1,4 +1,4 @@
-"""Finite fields: their elements are polynomials over a prime, written as numbers whose digits are the coefficients."""
+"""Finite fields: elements are polynomials over a prime field, written as numbers whose digits are the coefficients."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ def finite_field(prime: int, power: int, reduced: Sequence[int] = ()) -> tuple[O
 
     Args:
         prime: its characteristic.
-        power: the degree below which its polynomials are.
-        reduced: the coefficients of what x**power equals, the constant first; x must generate all elements but 0. If
-            left out, it is the first one with which x does.
+        power: the degree of the field over the prime field.
+        reduced: the coefficients of the polynomial that x**power equals, the constant first; x must generate all
+            elements except 0. If left out, the first such polynomial is taken.
     """
     size = prime**power
 

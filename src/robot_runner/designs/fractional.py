@@ -1,4 +1,4 @@
-"""Fractional factorials: a part of the combinations of two-level factors, and which effects it cannot tell apart."""
+"""Fractional factorials: a fraction of the combinations of two-level factors, and its aliases."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from robot_runner.core.errors import DesignError, Finding, did_you_mean
 from robot_runner.designs.choosing import at_places, left_out_warning, number_findings
 
 _RESOLUTIONS = (3, 4, 5)
-#: Aliases among main effects and two-factor interactions are listed up to so many effects; a study of more screens.
+#: The most effects (main effects and two-factor interactions) whose aliases are listed; larger studies are screenings.
 _MOST_LISTED = 2000
-#: Fractions of at most so many runs, as a power of two, are looked for, by resolution: at 5 the search takes a second.
+#: The largest fractions that are searched, as powers of two, by resolution: at 5 the search takes a second.
 _MOST_BITS = {3: MAX_RUNS.bit_length() - 1, 4: MAX_RUNS.bit_length() - 1, 5: 12}
 
 
@@ -25,16 +25,16 @@ _MOST_BITS = {3: MAX_RUNS.bit_length() - 1, 4: MAX_RUNS.bit_length() - 1, 5: 12}
 class FractionalFactorial:
     """A regular fraction of a two-level factorial, 2^(k-p): half of the combinations, a quarter, an eighth, ...
 
-    Its `resolution` says what can be told apart: at 3 main effects from each other, at 4 main effects from
-    interactions of two factors, at 5 these from each other, too (Box, Hunter & Hunter, Statistics for Experimenters,
-    2nd ed., ch. 6). A factor with a range has its two ends.
+    Its `resolution` says which effects are not aliased: at 3 main effects with each other, at 4 main effects with
+    two-factor interactions, at 5 these with each other either (Box, Hunter & Hunter, Statistics for Experimenters, 2nd
+    ed., ch. 6). A factor with a range has its two ends as treatments.
 
     Attributes:
-        resolution: the least that it has: 3, 4 or 5. The fraction is the smallest one that is found.
-        runs: how many combinations there are, a power of two; the resolution is the best that is found. In place of
-            `resolution`.
-        generators: which factors have the product of which others, by name: `{"Load": ["Speed", "Task", "Map"]}`. In
-            place of both.
+        resolution: the least resolution: 3, 4 or 5. The smallest fraction that is found is taken.
+        runs: the number of combinations, a power of two, instead of `resolution`; the best resolution that is found is
+            taken.
+        generators: the factors that are products of others, by name, instead of both:
+            `{"Load": ["Speed", "Task", "Map"]}`.
 
     Example:
         >>> from robot_runner.core.design.factor import Factor
@@ -48,13 +48,13 @@ class FractionalFactorial:
     generators: Mapping[str, Sequence[str]] | None = None
 
     def as_mapping(self) -> Mapping[str, Any]:
-        """Return the parameters that are given."""
+        """Return its kind and the given parameters."""
         generators = self.generators and {name: list(factors) for name, factors in self.generators.items()}
         given = {"resolution": self._resolution, "runs": self.runs, "generators": generators}
         return {"kind": "fractional_factorial", **{name: each for name, each in given.items() if each is not None}}
 
     def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
-        """Say why the fraction cannot be."""
+        """Yield findings on the factors and the parameters."""
         for factor in factors:
             if len(factor.treatments) != 2:  # noqa: PLR2004 - a two-level design
                 fix = "Give it two, or choose CoveringArray or DOptimal, which take any number."
@@ -75,7 +75,7 @@ class FractionalFactorial:
             yield Finding.error("design", problem, "Give a lower resolution, or fewer factors.")
 
     def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
-        """Return the fraction; the factors that others are made from change slowest first."""
+        """Return the fraction; of the basic factors, the first one changes slowest."""
         names = [factor.name for factor in factors]
         words = self._words(names)
         every = at_places(factors, fraction_rows(words))
@@ -106,7 +106,7 @@ class FractionalFactorial:
             words = _best_words(len(names), self.runs.bit_length() - 1)
         else:
             words = fraction_words(len(names), self._resolution or 0)
-        if words is None:  # `findings` has said so
+        if words is None:  # reported by `findings`
             raise DesignError("there is no such fraction", where="design", fix="Ask for more runs.")
         return words
 
@@ -147,7 +147,7 @@ class FractionalFactorial:
             for other in others:
                 if other not in basic:
                     found = True
-                    is_own = other in [*generators]  # what was given may have no hash
+                    is_own = other in [*generators]  # a given value may have no hash
                     problem = f"{other!r} is generated itself" if is_own else f"there is no factor {other!r}"
                     yield Finding.error(where, problem, did_you_mean(str(other), basic))
         if found:
@@ -161,14 +161,14 @@ class FractionalFactorial:
                 yield Finding.error("generators", problem, "Give them other products.")
 
 
-# A column of a fraction is a word: the bits of the basic factors that it is the product of. Basic factors have one bit.
+# A column of a fraction is a word: its bits are the basic factors of its product. A basic factor has one bit.
 
 
 def fraction_words(factors: int, resolution: int) -> list[int] | None:
-    """Return the words of the smallest fraction of at least a resolution, one for each factor; None for none.
+    """Return the words of the smallest fraction with at least a resolution, one per factor; None if none is found.
 
-    For resolutions 3 and 4 it is the smallest there is; for 5 a greedy choice, as good as the tables of Box, Hunter &
-    Hunter (2005, table 6.22) up to 11 factors.
+    For resolutions 3 and 4 it is the smallest possible; for 5 it is a greedy choice, as good as the tables of Box,
+    Hunter & Hunter (2005, table 6.22) up to 11 factors.
     """
     most = _MOST_BITS[resolution]
     found = next((bits for bits in range(1, most + 1) if _words_of(factors, bits, resolution)), None)
@@ -185,27 +185,27 @@ def _words_of(factors: int, bits: int, resolution: int) -> list[int] | None:
         return basic[:factors] if factors == bits else None
     if resolution == 5:  # noqa: PLR2004
         return _apart(basic, factors) if bits <= _MOST_BITS[5] else None
-    # At 3 any distinct words do; at 4 odd ones, as no product of two of them is odd.
+    # Resolution 3 needs distinct words; resolution 4 odd ones, as no product of two of them is odd.
     sizes = range(2, bits + 1) if resolution == 3 else range(3, bits + 1, 2)  # noqa: PLR2004
     words = [*basic, *islice(_products(bits, sizes), factors - bits)]
     return words if len(words) == factors else None
 
 
 def _products(bits: int, sizes: Iterable[int]) -> Iterator[int]:
-    """Yield the words of so many of the basic factors, in ascending order within each size."""
+    """Yield the products of these numbers of basic factors, in ascending order within each size."""
     for size in sizes:
         word = (1 << size) - 1
         while word < 1 << bits:
             yield word
             low = word & -word
             above = word + low
-            word = above | ((word ^ above) // low >> 2)  # the next one of as many bits (Gosper, HAKMEM, item 175)
+            word = above | ((word ^ above) // low >> 2)  # the next word with as many bits (Gosper, HAKMEM, item 175)
 
 
 def _apart(basic: list[int], factors: int) -> list[int] | None:
-    """Return words of which no two have the same product as two others, or as one; the longest are tried first."""
+    """Return words whose main effects and two-factor interactions are not aliased; the longest are tried first."""
     if factors * (factors + 1) // 2 >= 1 << len(basic):
-        return None  # main effects and interactions of two factors, each with a word of its own
+        return None  # each main effect and two-factor interaction needs its own word
     bits = len(basic)
     for order in (_products(bits, range(bits, 1, -1)), sorted(_products(bits, range(2, bits + 1)))):
         words, pairs = list(basic), {0, *basic, *(one ^ other for one, other in combinations(basic, 2))}
@@ -233,7 +233,7 @@ def _generated(names: Sequence[str], generators: Mapping[str, Sequence[str]]) ->
 def fraction_rows(words: Sequence[int]) -> Iterator[list[int]]:
     """Yield the rows of a fraction: 0 for the first treatment of a factor, 1 for the second.
 
-    With -1 and +1 for them, a factor is the product of those in its word.
+    With -1 and +1 instead, a factor is the product of the basic factors in its word.
     """
     lengths = [word.bit_count() for word in words]
     for row in range(1 << _bits(words)):
@@ -245,7 +245,7 @@ def _bits(words: Sequence[int]) -> int:
 
 
 def _resolution_of(words: Sequence[int]) -> int:
-    """Return the resolution; 5 stands for 5 and more, of which the full factorial has as many as it has factors."""
+    """Return the resolution, where 5 includes higher ones; that of a full factorial is the number of factors + 1."""
     if _bits(words) == len(words):
         return max(len(words) + 1, 5)
     known = set(words)
@@ -256,9 +256,9 @@ def _resolution_of(words: Sequence[int]) -> int:
 
 
 def _aliases(names: Sequence[str], words: Sequence[int]) -> list[list[list[str]]]:
-    """Return groups of main effects and two-factor interactions that cannot be told apart, each effect as its factors.
+    """Return groups of aliased main effects and two-factor interactions, each effect as its factors.
 
-    Nothing is returned for so many factors that nobody would read it.
+    The result is empty if there are too many effects for readers.
     """
     if len(names) * (len(names) + 1) // 2 > _MOST_LISTED:
         return []

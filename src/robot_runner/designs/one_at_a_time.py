@@ -1,4 +1,4 @@
-"""One factor at a time: a base, and each other treatment of each factor alone."""
+"""One factor at a time: a base combination, and each other treatment of each factor by itself."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ from robot_runner.designs.choosing import active_treatments, distinct, left_out_
 
 @dataclass(frozen=True, slots=True)
 class OneFactorAtATime:
-    """A base combination, and for each factor its other treatments with all else as in the base.
+    """A base combination, and for each factor its other treatments, with all other factors as in the base.
 
-    It shows what each factor does around the base, and no interaction at all. A factor with a range has its two ends.
+    It shows the effect of each factor around the base, and no interactions. A factor with a range has its two ends as
+    treatments.
 
     Attributes:
-        base: a treatment for each factor, by name; of a numeric one a number that its range and steps have. What is
-            left out has its first treatment, or the middle of its range.
+        base: a treatment for each factor, by name; for a numeric factor a number of its range and steps. Factors that
+            are left out have their first treatment, or the middle of their range.
 
     Example:
         >>> from robot_runner.core.design.factor import Factor
@@ -36,11 +37,11 @@ class OneFactorAtATime:
     base: Mapping[str, Any] = field(default_factory=dict)
 
     def as_mapping(self) -> Mapping[str, Any]:
-        """Return the base as text."""
+        """Return its kind, and the base as text."""
         return {"kind": "one_factor_at_a_time", "base": {str(name): str(each) for name, each in self.base.items()}}
 
     def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
-        """Say what is wrong with the base."""
+        """Yield findings on the base."""
         if not isinstance(self.base, Mapping):
             problem = f"base={self.base!r} is of type {type(self.base).__name__}"
             yield Finding.error("design", problem, 'Give a treatment for each factor: base={"Speed": 0.2}.')
@@ -54,7 +55,7 @@ class OneFactorAtATime:
                 yield Finding.error(where, f"{value!r} is no treatment of factor {name!r}", _fix(by_name[name], value))
 
     def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
-        """Return the base and what differs from it in one factor."""
+        """Return the base and the combinations that differ from it in one factor."""
         base = {factor.name: _base_value(factor, self.base) for factor in factors}
         first = with_conditions(factors, base)
         idle = [factor.name for factor, present in zip(factors, first, strict=True) if present is INACTIVE]
@@ -78,7 +79,7 @@ class OneFactorAtATime:
 
 
 def _base_value(factor: Factor, base: Mapping[str, Any]) -> Any:
-    """Return the factor's own object for what it has in the base."""
+    """Return the factor's own object for its treatment in the base."""
     if factor.name not in base:
         return factor.range.at(0.5) if factor.range is not None else factor.treatments[0]
     value = base[factor.name]

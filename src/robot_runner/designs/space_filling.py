@@ -21,19 +21,19 @@ from robot_runner.designs.choosing import (
     with_values,
 )
 
-#: So many times the runs that are wanted are drawn where exclusions take some of them away.
+#: The most points that are drawn to make up for exclusions, as a multiple of the runs.
 _MOST_DRAWN = 64
 
 
 @dataclass(frozen=True, slots=True)
 class _SpaceFilling(Described):
-    """What the designs of this kind share: `runs` points that are drawn from a seed."""
+    """The common base of space-filling designs: `runs` points that are drawn from a seed."""
 
     runs: int
     seed: int = 0
 
     def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
-        """Say why it cannot be."""
+        """Yield findings on the parameters, libraries and factors."""
         yield from number_findings("runs", self.runs, 2, MAX_RUNS)
         yield from number_findings("seed", self.seed, 0)
         yield from library_findings("scipy")
@@ -49,7 +49,7 @@ class _SpaceFilling(Described):
         draw: Callable[[int], Sequence[Sequence[float]]],
         said: tuple[Finding, ...] = (),
     ) -> ChosenCombinations:
-        """Return the first allowed combinations, of as many points as are wanted, or of more for exclusions."""
+        """Return the first `runs` allowed combinations; more points are drawn if some are excluded."""
         names = [factor.name for factor in factors]
         drawn = self.runs
         while drawn <= self.runs * _MOST_DRAWN:
@@ -75,14 +75,14 @@ class _SpaceFilling(Described):
 
 @dataclass(frozen=True, slots=True)
 class LatinHypercube(_SpaceFilling):
-    """Runs spread so that each of them has a slice of each numeric factor's range of its own.
+    """Runs spread so that each run is in a separate slice of the range of each numeric factor.
 
-    McKay, Beckman & Conover (1979), Technometrics 21(2), by `scipy.stats.qmc.LatinHypercube`. Factors with listed
-    treatments have these as equally often as can be. Where exclusions take points away, a denser hypercube is drawn.
+    McKay, Beckman & Conover (1979), Technometrics 21(2), by `scipy.stats.qmc.LatinHypercube`. Listed treatments of a
+    factor occur as equally often as possible. If points are excluded, a denser hypercube is drawn.
 
     Attributes:
-        runs: how many combinations there are.
-        seed: what they are drawn from.
+        runs: the number of combinations.
+        seed: of the random points.
 
     Example:
         >>> from robot_runner.core.design.factor import Factor
@@ -96,7 +96,7 @@ class LatinHypercube(_SpaceFilling):
     kind: ClassVar[str] = "latin_hypercube"
 
     def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
-        """Return the points that are allowed."""
+        """Return the allowed points."""
         from scipy.stats import qmc  # noqa: PLC0415 - an extra
 
         return self._filled(
@@ -108,12 +108,12 @@ class LatinHypercube(_SpaceFilling):
 class Sobol(_SpaceFilling):
     """The first points of a scrambled Sobol' sequence: even coverage of all ranges together, for models and maps.
 
-    Sobol' (1967) with Owen's scrambling, by `scipy.stats.qmc.Sobol`. Even coverage takes a power of two.
-    Exclusions are stepped over: the sequence goes on until there are enough points.
+    Sobol' (1967) with Owen's scrambling, by `scipy.stats.qmc.Sobol`. Even coverage needs a power of two. Excluded
+    points are skipped: the sequence continues until there are enough points.
 
     Attributes:
-        runs: how many combinations there are.
-        seed: what the scrambling comes from.
+        runs: the number of combinations.
+        seed: of the scrambling.
 
     Example:
         >>> from robot_runner.core.design.factor import Factor
@@ -127,7 +127,7 @@ class Sobol(_SpaceFilling):
     kind: ClassVar[str] = "sobol"
 
     def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
-        """Return the first points that are allowed."""
+        """Return the first allowed points."""
         from scipy.stats import qmc  # noqa: PLC0415 - an extra
 
         odd = self.runs & (self.runs - 1)
@@ -135,7 +135,7 @@ class Sobol(_SpaceFilling):
         problem = f"runs={self.runs} is no power of two, and the points are spread less evenly"
         uneven = Finding.warning("design", problem, f"Give {below} or {2 * below}.")
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # no power of two: said above
+            warnings.simplefilter("ignore", UserWarning)  # not a power of two: reported by the finding
             return self._filled(
                 factors,
                 is_allowed,

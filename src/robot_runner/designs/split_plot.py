@@ -1,4 +1,4 @@
-"""The split plot: factors that are hard to change stay as they are for a whole plot of runs."""
+"""The split-plot design: factors that are hard to change keep their treatment for a whole plot of runs."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ from robot_runner.designs.factor_roles import Roles, refused, role_findings, shu
 
 @dataclass(frozen=True, slots=True)
 class SplitPlot:
-    """Factors that are hard to change, such as the floor, stay as they are for a whole plot: all runs of the others.
+    """Keep factors that are hard to change, such as the floor, constant for a whole plot of runs.
 
-    Whole plots come one after another: with `shuffle` in random order within each replicate (each combination of the
-    hard factors once), and the runs within each whole plot in random order. Repetitions are executed within the whole
-    plot; it is the number of whole plots that decides how well effects of the hard factors are known.
+    Each whole plot has all combinations of the other factors. Whole plots are executed one after another. With
+    `shuffle`, they are in random order within each replicate (each combination of the hard factors once), and so are
+    the runs within each whole plot. Repetitions are executed within the whole plot; the precision of the effects of
+    hard factors depends on the number of whole plots.
 
     Attributes:
         hard: the factors that are hard to change.
-        plot: the factor whose treatments are the whole plots, in their order: a multiple of the number of
-            combinations of the hard factors.
+        plot: the factor whose treatments are the whole plots, in order; their number must be a multiple of the number
+            of combinations of the hard factors.
 
     Example:
         >>> from robot_runner.core.design.factor import Factor
@@ -44,7 +45,7 @@ class SplitPlot:
         return [factor_name(each) for each in (self.hard if isinstance(self.hard, list | tuple) else [self.hard])]
 
     def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
-        """Say which factors there are not, and whether there is none that is easy to change."""
+        """Yield findings on the factors."""
         if not self.hard_names:
             yield Finding.error("design: SplitPlot(hard=...)", "no factor is hard to change", "Name at least one.")
         named = [("plot", factor_name(self.plot)), *(("hard", name) for name in self.hard_names)]
@@ -57,11 +58,11 @@ class SplitPlot:
     def runs(
         self, factors: Sequence[Factor], is_allowed: IsAllowed, repetitions: int, seed: int, shuffle: bool
     ) -> DesignedRuns:
-        """Return the runs of one whole plot after another.
+        """Return the runs, whole plot by whole plot.
 
         Raises:
-            DesignError: the whole plots are no multiple of the combinations of the hard factors, or an exclusion
-                leaves a combination in some whole plots only.
+            DesignError: the number of whole plots is not a multiple of the combinations of the hard factors, or a
+                combination is excluded in some whole plots only.
         """
         roles = Roles.of(factors, [factor_name(self.plot)])
         (plots,) = roles.blocks
@@ -84,7 +85,7 @@ class SplitPlot:
         return DesignedRuns.in_order(runs, self._facts(plots, held, repetitions, replicates))
 
     def _by_hard(self, treatments: Sequence[Combination]) -> dict[tuple[int, ...], list[Combination]]:
-        """Return the combinations of the studied factors by those of the hard ones."""
+        """Return the combinations of the studied factors, grouped by those of the hard factors."""
         found: dict[tuple[int, ...], list[Combination]] = {}
         for treatment in treatments:
             found.setdefault(tuple(id(treatment[name]) for name in self.hard_names), []).append(treatment)

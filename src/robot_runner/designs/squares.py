@@ -1,4 +1,4 @@
-"""Latin and Graeco-Latin squares: two or three kinds of blocks at once, each treatment once in each of them."""
+"""Latin and Graeco-Latin squares: two or three kinds of blocks at once, with each treatment once in each block."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from robot_runner.designs.finite_fields import finite_field
 class LatinSquare(Described):
     """Each treatment once in each row and once in each column, such as each day and each robot.
 
-    The other factors are studied: they have as many combinations as there are rows and columns. Each repetition is a
-    square of its own. With `shuffle`, rows, columns and treatments are put into the square at random; the order of
-    execution is that of the rows as written, and in each row that of the columns.
+    The other factors are studied: they must have as many combinations as there are rows and columns. Each repetition is
+    a separate square. With `shuffle`, rows, columns and treatments are assigned to the square at random. Runs are
+    executed row by row, and in each row column by column, in the order of the treatments.
 
     Attributes:
         rows: the factor whose treatments are the rows.
@@ -40,7 +40,7 @@ class LatinSquare(Described):
     columns: str | Factor
 
     def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
-        """Say which factors there are not, and whether rows and columns differ in number."""
+        """Yield findings on unknown factors, and on unequal numbers of rows and columns."""
         yield from _findings(self, [("rows", self.rows), ("columns", self.columns)], factors)
 
     def runs(
@@ -49,7 +49,7 @@ class LatinSquare(Described):
         """Return the cells of all squares, row by row.
 
         Raises:
-            DesignError: there are not as many treatments as rows, or an exclusion leaves one in some cells only.
+            DesignError: there are not as many treatments as rows, or one is excluded in some cells only.
         """
         names = [factor_name(self.rows), factor_name(self.columns)]
         roles = Roles.of(factors, names)
@@ -64,15 +64,15 @@ class LatinSquare(Described):
 
 @dataclass(frozen=True, slots=True)
 class GraecoLatinSquare(Described):
-    """Two Latin squares one upon the other: each pair of their treatments comes once.
+    """Two orthogonal Latin squares, superimposed: each pair of their treatments occurs once.
 
-    With `greek`, a third factor is a kind of block, and the other factors are studied, as many combinations as there
-    are rows. Without it, exactly two other factors are studied. There is one of each order but 2 and 6.
+    With `greek`, a third factor is a kind of block, and the other factors are studied, with as many combinations as
+    there are rows. Without it, exactly two other factors are studied. Squares exist for all orders except 2 and 6.
 
     Attributes:
         rows: the factor whose treatments are the rows.
         columns: the factor whose treatments are the columns.
-        greek: the factor that is spread over the square beside the treatments, such as the operator.
+        greek: a third blocking factor that is spread over the square, such as the operator.
 
     Example:
         >>> from robot_runner.core.design.factor import Factor
@@ -89,7 +89,7 @@ class GraecoLatinSquare(Described):
     greek: str | Factor | None = None
 
     def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
-        """Say which factors there are not, whether they differ in number, and whether there is such a square."""
+        """Yield findings on the factors, on unequal numbers of treatments, and on orders without a square."""
         given = [("rows", self.rows), ("columns", self.columns)]
         given += [("greek", self.greek)] if self.greek is not None else []
         findings = list(_findings(self, given, factors))
@@ -113,7 +113,7 @@ class GraecoLatinSquare(Described):
         """Return the cells of all squares, row by row.
 
         Raises:
-            DesignError: there are not as many treatments as rows, or an exclusion leaves one in some cells only.
+            DesignError: there are not as many treatments as rows, or a combination of the square is excluded.
         """
         design = "GraecoLatinSquare"
         names = [factor_name(each) for each in (self.rows, self.columns, self.greek) if each is not None]
@@ -138,7 +138,7 @@ class GraecoLatinSquare(Described):
 
 
 def _findings(design: object, given: Sequence[tuple[str, Any]], factors: Sequence[Factor]) -> Iterator[Finding]:
-    """Say which roles cannot be, and whether the factors that have them differ in their number of treatments."""
+    """Yield findings on the roles, and on unequal numbers of treatments of their factors."""
     name = type(design).__name__
     named = [(role, factor_name(factor)) for role, factor in given]
     findings = list(role_findings(name, named, factors))
@@ -161,9 +161,9 @@ def _refuse_number(design: str, roles: Roles, count: int, order: int) -> None:
 def _filled(
     squares: Sequence[Square], symbols: Mapping[str, Sequence[Combination]], repetitions: int, seed: int | None
 ) -> list[list[list[tuple[Combination, ...]]]]:
-    """Return, for each repetition, the cells of squares one upon the other with what their symbols stand for.
+    """Return, for each repetition, the cells of the superimposed squares with the combinations of their symbols.
 
-    Rows and columns come in another order in each repetition: the same for all squares, so that they stay orthogonal.
+    Each repetition has another order of rows and columns, the same for all squares, so that they stay orthogonal.
     """
     order = range(len(squares[0]))
     filled = []
@@ -180,7 +180,7 @@ def _filled(
 def _in_order(
     roles: Roles, squares: Sequence[Sequence[Sequence[tuple[Combination, ...]]]], facts: Mapping[str, Any]
 ) -> DesignedRuns:
-    """Return the cells as runs, a block for each row of each square, and the squares as tables among the facts."""
+    """Return the cells as runs, with a block for each row of each square, and the squares as tables in the facts."""
     rows, columns = roles.blocks[:2]
     runs = [
         (roles.combined((rows, row), (columns, column), *cell), number, (number - 1) * len(square) + place)
@@ -207,8 +207,8 @@ def _in_order(
 #: The symbol of each cell, by row and column.
 Square = tuple[tuple[int, ...], ...]
 
-#: A quasi-difference matrix over the residues of 11 with three points at infinity (None), of which two orthogonal
-#: squares of order 14 are developed; no general construction here yields that order. Found by a search of our own,
+#: A quasi-difference matrix over the residues of 11 with three points at infinity (None), from which two orthogonal
+#: squares of order 14 are developed; no general construction here yields that order. We found it by a search;
 #: definition after Colbourn and Dinitz (eds.), Handbook of Combinatorial Designs, 2nd ed., 2007, VI.17.
 _OF_14: Final = (
     (0, 0, 7, 5), (0, 10, 5, 1), (0, 8, 0, 8), (0, 7, 1, 3), (0, 5, 6, 0), (0, 2, None, 10), (0, None, 3, 6),
@@ -233,7 +233,7 @@ def latin_square(order: int) -> Square:
 
 
 def has_orthogonal_pair(order: int) -> bool:
-    """Return whether there are two orthogonal Latin squares: of each order but 2 and 6.
+    """Return whether there are two orthogonal Latin squares of an order: for all orders except 2 and 6.
 
     Source: Bose, Shrikhande and Parker, Further results on the construction of mutually orthogonal Latin squares and
     the falsity of Euler's conjecture, Canadian Journal of Mathematics 12 (1960), 189-203.
@@ -242,7 +242,7 @@ def has_orthogonal_pair(order: int) -> bool:
 
 
 def orthogonal_pair(order: int) -> tuple[Square, Square]:
-    """Return two Latin squares that, one upon the other, show each pair of symbols once.
+    """Return two orthogonal Latin squares: superimposed, they have each pair of symbols once.
 
     Raises:
         ValueError: there are none of this order.
@@ -259,10 +259,10 @@ def orthogonal_pair(order: int) -> tuple[Square, Square]:
 
 @cache
 def _array(order: int, width: int) -> _Rows:
-    """Return an orthogonal array of strength two: rows for each pair of symbols, in `width` columns."""
+    """Return an orthogonal array of strength two: a row for each pair of symbols, and `width` columns."""
     if order == 1:
         return [(0,) * width]
-    if order % 4 != 2:  # noqa: PLR2004 - then each prime power in it is large enough
+    if order % 4 != 2:  # noqa: PLR2004 - then all its prime powers are large enough
         return reduce(_product, (_of_field(prime, power, width) for prime, power in _factors(order)))
     if order == 14:  # noqa: PLR2004
         return _developed(_OF_14, 11, 3)
@@ -275,7 +275,7 @@ def _array(order: int, width: int) -> _Rows:
 
 
 def _of_field(prime: int, power: int, width: int) -> _Rows:
-    """Return the array of the lines y = m x + b over a finite field: its order must be at least `width` - 1."""
+    """Return the array of the lines y = m x + b over a finite field, whose order must be at least `width` - 1."""
     times, plus = finite_field(prime, power)
     elements = range(prime**power)
     return [(x, b, *(plus(times(m, x), b) for m in elements[1 : width - 1])) for x in elements for b in elements]
@@ -297,11 +297,11 @@ def _factors(number: int) -> Iterable[tuple[int, int]]:
         prime += 1
 
 
-# Orders 2 more than a multiple of 4.
+# Orders of the form 4 n + 2.
 
 
 def _parker(m: int) -> Iterable[_Differences]:
-    """Yield the quasi-difference matrix of order 3 m + 1 for an odd m.
+    """Yield the quasi-difference matrix of order 3 m + 1, for odd m.
 
     Source: Parker, Orthogonal Latin squares, Proceedings of the National Academy of Sciences 45 (1959), 859-862.
     """
@@ -335,7 +335,7 @@ def _wilson(order: int) -> _Rows:
     t, u = next((t, u) for t, u in sizes if u <= t and _has_width_of_5(t) and has_orthogonal_pair(u))
     array: _Rows = []
     for *points, last in _array(t, 5):
-        if last < u:  # symbol 0 of order 4 is the point `last`; the row that shows nothing else is left to order u
+        if last < u:  # symbol 0 of order 4 is the point `last`; the row with this symbol alone is covered by order u
             array += [
                 tuple(
                     3 * t + last if not each else 3 * point + each - 1 for point, each in zip(points, row, strict=True)

@@ -1,1 +1,1 @@
-"""Config files that were written for the earlier tools, lifted to the one config class."""
+"""Load config files of the earlier tools as configs of Robot Runner."""

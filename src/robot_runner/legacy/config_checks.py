@@ -1,4 +1,4 @@
-"""What is wrong with a config of an earlier tool: names in its text, callbacks, missing packages and plugins."""
+"""Checks of a config of an earlier tool: names in its text, callbacks, missing packages and plugins."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from robot_runner.legacy.syntax import (
     used_names,
 )
 
-#: How alike two names are before one is taken for a slip of the other (1.0: equal).
+#: The similarity of two names from which one counts as a misspelling of the other (1.0: equal).
 _ALIKE = 0.85
 
 _EVENTS: dict[str, Any] = {"RobotRunnerEvents": RobotRunnerEvents, "RunnerEvents": RunnerEvents}
@@ -41,13 +41,13 @@ _PARAMETERS = {
     Dialect.EXPERIMENT_RUNNER: (*_OF_BOTH, *_SELF_MEASURE),
 }
 _OPTIONAL = frozenset({"experiment_path", *_SELF_MEASURE})
-#: What to do with an event that a fork added to the tool in whose clone the config stands.
+#: The fix for an event that a fork added, if the config is in a clone of this fork.
 _CALL_IT = "The fork whose clone this is raised it itself: call the method from another one, such as before_experiment."
 _TABLES = ("create_run_table", "create_run_table_model")
 
 
 def check_file(recognised: Recognised) -> list[Finding]:
-    """Return what the text alone tells: nothing of it has been executed."""
+    """Return the findings on the text of the config, before it is executed."""
     return [
         *_unknown_imports(recognised),
         *_unknown_events(recognised),
@@ -87,7 +87,7 @@ def _no_module(module: str) -> str:
 
 
 def _nearest_module(module: str) -> str:
-    """Return a fix: the module whose last part is nearest, as folders were moved more often than names changed."""
+    """Return a fix that names the module with the nearest last part: folders changed more often than names."""
     by_last = {known.rpartition(".")[2]: known for known in reversed(list(MODULES))}
     near = nearest(module.rpartition(".")[2], by_last)
     if near is not None:
@@ -145,7 +145,7 @@ def _misspelt_members(recognised: Recognised) -> Iterator[Finding]:
         near = None if name in known or name.startswith("_") else _alike(name, known)
         if near is not None and near not in there and name not in (*parameters, *_TABLES):
             what = "no method is called" if name in methods else "there is no static parameter"
-            # What a config lacks, the earlier tool missed too, unless it is optional or inherited.
+            # The earlier tool refused a missing member, too, unless it is optional or inherited.
             is_missed = near not in _OPTIONAL and not config.bases
             yield (Finding.error if is_missed else Finding.warning)(
                 f"{recognised.path}:{line}",
@@ -160,7 +160,7 @@ def _alike(name: str, known: tuple[str, ...]) -> str | None:
 
 
 def check_subscriptions(session: Session, config: Any) -> Iterator[Finding]:
-    """Yield what is wrong with the callbacks, and which would never be called."""
+    """Yield findings on invalid callbacks, and on callbacks that would never be called."""
     for each in session.subscriptions:
         try:
             check_callback(each.callback, each.event)
@@ -179,7 +179,7 @@ def check_subscriptions(session: Session, config: Any) -> Iterator[Finding]:
 
 
 def check_waiting(session: Session, operation_type: object) -> Iterator[Finding]:
-    """Yield that runs wait for the user now which did not."""
+    """Yield a warning if runs wait for the user, unlike in the earlier tool."""
     subscribed = {each.event.value for each in session.subscriptions}
     if operation_type is OperationType.SEMI and "continue" not in subscribed:
         yield Finding.warning(
@@ -191,7 +191,7 @@ def check_waiting(session: Session, operation_type: object) -> Iterator[Finding]
 
 
 def check_packages(recognised: Recognised) -> Iterator[Finding]:
-    """Yield what cannot be imported, each package with the first line that needs it; nothing is imported by asking."""
+    """Yield a finding for each package that is not installed, at its first import; nothing is imported for this."""
     looked_for: set[str] = set()
     for each in imports_of(recognised.tree):
         package = each.module.partition(".")[0]
@@ -199,7 +199,7 @@ def check_packages(recognised: Recognised) -> Iterator[Finding]:
             continue
         looked_for.add(package)
         spec: object = package
-        with suppress(ValueError):  # a module of the program's own, which has no origin
+        with suppress(ValueError):  # a module such as `__main__`, which has no origin
             spec = importlib.util.find_spec(package)
         if spec is None:
             yield Finding.error(
@@ -210,12 +210,12 @@ def check_packages(recognised: Recognised) -> Iterator[Finding]:
 
 
 def check_plugins(files: Iterable[Path]) -> list[Finding]:
-    """Return what stands in the way of the plugins that a config file and the modules beside it use."""
+    """Return findings on requirements that are missing for the plugins of a config file and the modules beside it."""
     return list(dict.fromkeys(finding for where, plugin in _used_plugins(files) for finding in _missing(where, plugin)))
 
 
 def is_robot_operated(files: Iterable[Path]) -> bool:
-    """Return whether files use a plugin that operates a robot."""
+    """Return whether any of the files uses a plugin that operates a robot."""
     return any(plugin.operates_robot for _, plugin in _used_plugins(files))
 
 
@@ -223,7 +223,7 @@ def _used_plugins(files: Iterable[Path]) -> Iterator[tuple[str, EarlierPlugin]]:
     for file in files:
         try:
             _, tree = read_tree(file)
-        except ConfigError:  # a neighbour that Python could read in another way
+        except ConfigError:  # a module that Python could import in another way
             continue
         used = used_names(tree) - _only_asked(tree)
         for each in imports_of(tree):
@@ -233,7 +233,7 @@ def _used_plugins(files: Iterable[Path]) -> Iterator[tuple[str, EarlierPlugin]]:
 
 
 def _only_asked(tree: ast.Module) -> set[str]:
-    """Return the names of which nothing is used but `parse_log`: a file is read without what has written it."""
+    """Return the names of which only `parse_log` is used: reading a log does not need the program that wrote it."""
     asked = {id(owner) for owner, node in attributes_of(tree, used_names(tree)) if node.attr == "parse_log"}
     names = [node for node in nodes(tree, ast.Name) if isinstance(node.ctx, ast.Load)]
     return {node.id for node in names if id(node) in asked} - {node.id for node in names if id(node) not in asked}

@@ -1,8 +1,8 @@
-"""Which combinations a config of an earlier tool leaves out: what was meant, with a warning where the tool erred.
+"""The excluded combinations of a config of an earlier tool, as intended, with warnings of the tool's errors.
 
-Robot Runner's exclusions are sets of values that forget their factors: `{"on", 3}` left out every combination that has
-both values anywhere. Experiment Runner's are mappings from factors to lists of treatments; where two of them matched
-one combination, the tool left out a neighbour as well.
+Robot Runner's exclusions were sets of values without factors: `{"on", 3}` excluded each combination with both values
+in any factors. Experiment Runner's are mappings from factors to lists of treatments; if two of them matched the same
+combination, the tool also excluded a neighbour.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _SHOWN = 3
 
 
 class EarlierFactor(Protocol):
-    """What is asked of a factor."""
+    """The attributes of a factor that are used here."""
 
     factor_name: str
     treatments: Sequence[Any]
@@ -34,10 +34,10 @@ class NamedExclusion:
     """One exclusion with its factors.
 
     Attributes:
-        treatments: the treatments that are left out together, by the factor's place; None where no assignment of
-            values to factors is evident.
-        values: the values of a set that forgot its factors; empty for a mapping.
-        has_unknown: whether it was given a value that is no treatment of its factor.
+        treatments: the treatments that are excluded together, by the factor's index; None if the assignment of values
+            to factors is not evident.
+        values: the values of a set without factors; empty for a mapping.
+        has_unknown: whether it has a value that is not a treatment of its factor.
     """
 
     treatments: Mapping[int, Sequence[Any]] | None
@@ -46,11 +46,11 @@ class NamedExclusion:
 
     @property
     def names_nothing(self) -> bool:
-        """Whether no treatment of one of its factors is left, so that it matches no combination."""
+        """Whether it has no treatments for one of its factors, so that it matches no combination."""
         return self.treatments is not None and not all(self.treatments.values())
 
     def matches(self, combination: Sequence[Any]) -> bool:
-        """Return whether a combination is left out."""
+        """Return whether a combination is excluded."""
         if self.treatments is not None:
             return all(_is_among(combination[place], wanted) for place, wanted in self.treatments.items())
         return all(any(treatment == value for treatment in combination) for value in self.values)
@@ -60,7 +60,7 @@ def kept_combinations(session: Session, factors: Sequence[EarlierFactor], exclus
     """Return the combinations that are executed; the last factor changes fastest.
 
     Raises:
-        ConfigError: a factor has no treatments, an exclusion names what there is not, or everything is excluded.
+        ConfigError: a factor has no treatments, an exclusion names something unknown, or everything is excluded.
     """
     for factor in factors:
         if not len(factor.treatments):
@@ -79,7 +79,7 @@ def named_exclusions(session: Session, factors: Sequence[EarlierFactor], exclusi
     """Return the exclusions with their factors.
 
     Raises:
-        ConfigError: an exclusion is neither a set nor a mapping, or names what there is not.
+        ConfigError: an exclusion is neither a set nor a mapping, or names something unknown.
     """
     if isinstance(exclusions, Mapping) and not exclusions:
         return []
@@ -128,7 +128,7 @@ def _listed(wanted: Any) -> Sequence[Any]:
 
 
 class _SetOfValues:
-    """A set of values, each of which is a treatment of one factor or of several."""
+    """A set of values, each of which may be a treatment of several factors."""
 
     def __init__(self, session: Session, factors: Sequence[EarlierFactor], values: Iterable[Any]) -> None:
         self._session = session
@@ -140,7 +140,7 @@ class _SetOfValues:
     def named(self) -> NamedExclusion:
         """Return the exclusion with its factors, as far as they are evident."""
         if not all(self._candidates):
-            return NamedExclusion(None, self._values)  # a value that nothing has: it matches nothing
+            return NamedExclusion(None, self._values)  # an unknown value: it matches nothing
         assignments = list(self._assignments())
         if all(len(places) == 1 for places in self._candidates):
             self._warn_of_equals(assignments)
@@ -152,7 +152,7 @@ class _SetOfValues:
         return NamedExclusion(None, self._values)
 
     def _as_written(self, values: frozenset[Any]) -> tuple[Any, ...]:
-        """Return the values in the order in which the file lists them, where it does so in one place."""
+        """Return the values in the order of the first such set literal in the file; sorted if there is none."""
         for node in nodes(self._session.recognised.tree, ast.Set):
             try:
                 written = tuple(ast.literal_eval(element) for element in node.elts)
@@ -164,7 +164,7 @@ class _SetOfValues:
         return tuple(sorted(values, key=repr))
 
     def _places_of(self, value: Any) -> list[int]:
-        """Return the factors that have a value as a treatment: True is not 1 where both are there."""
+        """Return the indices of the factors with this treatment: True and 1 differ if both are treatments."""
         places = [
             (place, type(treatment) is type(value))
             for place, factor in enumerate(self._factors)
@@ -175,7 +175,7 @@ class _SetOfValues:
         return list(dict.fromkeys(exact or [place for place, _ in places]))
 
     def _assignments(self) -> Iterator[Mapping[int, Sequence[Any]]]:
-        """Yield the ways to give each value a factor of its own; values stand in the order of the factors."""
+        """Yield the assignments of values to different factors; the values are in the order of the factors."""
         is_fixed = all(len(places) == 1 for places in self._candidates)
         for places in product(*self._candidates):
             if len(set(places)) == len(places) and (is_fixed or all(one < other for one, other in pairwise(places))):
@@ -228,7 +228,7 @@ class _SetOfValues:
 
 
 def _resolved(value: Any, treatments: Sequence[Any]) -> list[Any]:
-    """Return the treatments that a value means: those of its type, else those that are equal."""
+    """Return the treatments that a value denotes: those of its type, else equal ones."""
     exact = [treatment for treatment in treatments if _is_same(treatment, value)]
     return exact or [
         treatment for treatment in treatments if treatments_are_equal(_as_number(treatment), _as_number(value))
@@ -236,7 +236,7 @@ def _resolved(value: Any, treatments: Sequence[Any]) -> list[Any]:
 
 
 def _as_number(value: Any) -> Any:
-    """Return a bool as the number that it equals, as the earlier tools compared."""
+    """Return a bool as a number, for comparisons as in the earlier tools."""
     return int(value) if isinstance(value, bool) else value
 
 
@@ -255,7 +255,7 @@ def _warn_of_idle(session: Session, named: Sequence[NamedExclusion], combination
 
 
 def _warn_of_overlap(session: Session, named: Sequence[NamedExclusion], combinations: Sequence[Sequence[Any]]) -> None:
-    """Say where Experiment Runner, which deleted by place, deleted a neighbour instead of nothing."""
+    """Warn if Experiment Runner, which deleted by index, also deleted a neighbour."""
     if not all(exclusion.values == () for exclusion in named):
         return
     hits = [place for place, each in enumerate(combinations) for named_one in named if named_one.matches(each)]

@@ -1,4 +1,4 @@
-"""An experiment of an earlier tool as one of ours: the config object that executing, planning and checking see."""
+"""The adapter of a config of an earlier tool: the config object for executing, planning and checking."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ WITHOUT_CONTEXT = frozenset(
         RobotRunnerEvents.AFTER_EXPERIMENT,
     }
 )
-#: What a fork calls the only parameter of `before_run` where it gets the row of the table.
+#: Names of the only parameter of `before_run` in a fork that passes the row of the table.
 ROW_NAMES = frozenset({"row", "run", "run_variation", "variation"})
 
 
 def call(callback: Callable[..., Any], event: RobotRunnerEvents, context: EarlierContext | None) -> Any:
-    """Call a callback with as much as it takes: nothing, the context, or (as in some forks) the row of the table."""
+    """Call a callback with the arguments that it takes: none, the context, or (as in some forks) the table's row."""
     for arguments in _offers(callback, event, context):
         if _takes(callback, len(arguments)):
             return callback(*arguments)
@@ -47,13 +47,13 @@ def call(callback: Callable[..., Any], event: RobotRunnerEvents, context: Earlie
 
 
 def check_callback(callback: Callable[..., Any], event: RobotRunnerEvents) -> None:
-    """See that a callback can be called at an event.
+    """Check the signature of a callback.
 
     Raises:
-        ConfigError: it can be called neither without arguments nor with a context.
+        ConfigError: the callback can be called neither without arguments nor with a context.
     """
     most = 2 if event is RobotRunnerEvents.LAUNCH_MISSION else 1
-    # Each count is asked for: a run, which is a fresh process, finds what was looked up here.
+    # All counts are tried, to fill the cache: forked runs inherit it.
     fits = [_takes(callback, count) for count in range(most + 1)]
     if not any(fits):
         raise _unfit(callback, event)
@@ -64,12 +64,12 @@ def _offers(
 ) -> Sequence[tuple[Any, ...]]:
     given = context.run_variation if context is not None and _wants_row(callback, event) else context
     if event is RobotRunnerEvents.LAUNCH_MISSION:
-        return ((given,), (), (given, _Signal()))  # Robot Runner's first callbacks also got a signal to set
+        return ((given,), (), (given, _Signal()))  # the first version of Robot Runner also passed a signal
     return ((), (given,)) if event in WITHOUT_CONTEXT else ((given,), ())
 
 
 class _Signal:
-    """Said, in Robot Runner's first months, that the run was completed; a run is, when its callback returns."""
+    """A signal that callbacks set in the first version of Robot Runner to complete the run; it has no effect here."""
 
     def set(self) -> None:
         """Do nothing."""
@@ -95,7 +95,7 @@ def _takes(callback: Callable[..., Any], count: int) -> bool:
         signature_of(callback).bind(*(object(),) * count)
     except TypeError:
         return False
-    except ValueError:  # written in C, without a signature
+    except ValueError:  # a function in C without a signature
         return True
     return True
 
@@ -112,7 +112,7 @@ def _unfit(callback: Callable[..., Any], event: RobotRunnerEvents) -> ConfigErro
 
 @contextmanager
 def printed_to_log(folder: ExperimentFolder) -> Iterator[None]:
-    """Have what `before_run` prints go to the log of its run, which has no process yet; a user who is asked sees it."""
+    """Write the output of `before_run` to the log of its run, which has no process yet; the user sees prompts."""
     terminal, keyboard = sys.stdout, sys.stdin
     with _Said(folder) as said:
         sys.stdin = _Asking(keyboard, said, terminal)
@@ -124,7 +124,7 @@ def printed_to_log(folder: ExperimentFolder) -> Iterator[None]:
 
 
 class _Said(LazyLog):
-    """The run's log, which remembers what the user has not seen."""
+    """The run's log, which keeps the text that the user has not seen."""
 
     def __init__(self, folder: ExperimentFolder) -> None:
         super().__init__(folder)
@@ -136,7 +136,7 @@ class _Said(LazyLog):
 
 
 class _Asking(io.TextIOBase):
-    """A keyboard: before it is read, the user is shown what was printed, as a question may be part of it."""
+    """Standard input; before it is read, it shows the latest output to the user, as that may be the prompt."""
 
     def __init__(self, keyboard: Any, said: _Said, terminal: TextIO) -> None:
         self._keyboard = keyboard
@@ -167,7 +167,7 @@ class _Asking(io.TextIOBase):
 
 
 class EarlierExperiment:
-    """Is called at our events and calls the callbacks that the config subscribed; its attributes are static parameters.
+    """Calls the subscribed callbacks of the earlier config at our events; its attributes are static parameters.
 
     While a callback is executed, the modules of the earlier tools can be imported.
     """
@@ -193,12 +193,12 @@ class EarlierExperiment:
         """Return the design of the config's run table.
 
         Raises:
-            ConfigError: the config could not make it.
+            ConfigError: the config failed to make it.
         """
         return self._made.model
 
     def before_experiment(self, context: ExperimentContext) -> bool:
-        """Call the callbacks of BEFORE_EXPERIMENT. Returns that the first run starts by itself, as it did."""
+        """Call the callbacks of BEFORE_EXPERIMENT. Returns True: the first run starts by itself, as before."""
         del context
         self._emit(RobotRunnerEvents.BEFORE_EXPERIMENT)
         return True
@@ -230,7 +230,7 @@ class EarlierExperiment:
         self._is_measured = was_measured
 
     def stop_run(self, context: RobotRunnerContext) -> None:
-        """Call the callbacks of STOP_RUN; Robot Runner asked for the run's data before it stopped the run."""
+        """Call the callbacks of STOP_RUN; Robot Runner called POPULATE_RUN_DATA before STOP_RUN."""
         try:
             if self._session.recognised.dialect is Dialect.ROBOT_RUNNER and self._is_measured:
                 self._returned = self._emit(RobotRunnerEvents.POPULATE_RUN_DATA, context)
@@ -238,7 +238,7 @@ class EarlierExperiment:
             self._emit(RobotRunnerEvents.STOP_RUN, context)
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
-        """Call the callbacks of POPULATE_RUN_DATA, and publish what they return and wrote into the row."""
+        """Call the callbacks of POPULATE_RUN_DATA, and publish the values that they returned or wrote into the row."""
         if self._session.recognised.dialect is not Dialect.ROBOT_RUNNER:
             self._returned = self._emit(RobotRunnerEvents.POPULATE_RUN_DATA, context)
         row = unwatched(self._earlier_context(context).run_variation)
@@ -247,7 +247,7 @@ class EarlierExperiment:
         publish_row(context, self._made, row, self._session.estimated)
 
     def continue_experiment(self, context: RobotRunnerContext) -> bool:
-        """Call the callbacks of CONTINUE: they are the wait. Returns whether there are any."""
+        """Call the callbacks of CONTINUE, which wait for the user. Returns whether there are any."""
         return bool(self._emit(RobotRunnerEvents.CONTINUE, context))
 
     def after_experiment(self, context: ExperimentContext) -> None:
@@ -257,7 +257,7 @@ class EarlierExperiment:
 
     @contextmanager
     def executing_nothing(self) -> Iterator[Session]:
-        """Have the modules of the earlier tools there while the config is looked at; yields its session."""
+        """Make the modules of the earlier tools importable without executing a run; yields the session."""
         with self._executing(None):
             yield self._session
 
@@ -269,7 +269,7 @@ class EarlierExperiment:
 
     def _emit(self, event: RobotRunnerEvents, context: RobotRunnerContext | None = None) -> list[Any]:
         heard = [each.callback for each in self._session.subscriptions if each.event is event]
-        if not heard and event is not RobotRunnerEvents.START_RUN:  # which makes the run's folder
+        if not heard and event is not RobotRunnerEvents.START_RUN:  # START_RUN also makes the run's folder
             return []
         with self._executing(context):
             given = None if context is None else self._earlier_context(context)
@@ -282,7 +282,7 @@ class EarlierExperiment:
             yield
 
     def _earlier_context(self, context: RobotRunnerContext) -> EarlierContext:
-        """Return the one context of a run: what a callback writes into it, the following callbacks see."""
+        """Return the context of the run, which all its callbacks share, so that they see each other's values."""
         if self._context is None or self._context.run_variation.get("__run_id") != context.run_id:
             row = {"__run_id": context.run_id, "__done": RunProgress.TODO}
             design, planned = self._made, planned_of(context)
@@ -292,5 +292,5 @@ class EarlierExperiment:
             watched = WatchedRow(row, names, context.combination)
             self._context = EarlierContext(watched, context.run_number, context.run_folder)
         elif isinstance(known := self._context.run_variation, WatchedRow):
-            known.combination = context.combination  # that of before_run tells another process
+            known.combination = context.combination  # the combination of before_run belongs to another process
         return self._context

@@ -1,4 +1,4 @@
-"""The dialect of the earlier tools, as an entry point announces it."""
+"""The dialect of the earlier tools, announced by an entry point."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from robot_runner.legacy.recognition import recognise
 
 
 class _EarlierTools:
-    """Configs of Robot Runner's and Experiment Runner's earlier versions, told by their syntax tree."""
+    """Configs of Experiment Runner and of earlier versions of Robot Runner, recognised by their syntax tree."""
 
     def recognise(self, path: Path) -> Callable[[Mapping[str, str]], LoadedConfig] | None:
-        """Return what loads this file, or None where it is no config of an earlier tool.
+        """Return a function that loads this file, or None if it is not a config of an earlier tool.
 
         Raises:
-            ConfigError: it cannot be read or parsed, or mixes the spellings of several tools.
+            ConfigError: the file cannot be read or parsed, or mixes the spellings of several tools.
         """
         recognised = recognise(path)
         if recognised is None:
@@ -26,11 +26,11 @@ class _EarlierTools:
         return lambda overrides: lift(recognised, overrides)
 
     def stand_in_modules(self) -> frozenset[str]:
-        """Return the top-level packages of the earlier tools, which stand-ins take the place of."""
+        """Return the top-level packages of the earlier tools that stand-in modules replace."""
         from robot_runner.legacy.stand_ins.modules import MODULES, PACKAGES  # noqa: PLC0415 - own configs need none
 
         return frozenset(name.partition(".")[0] for name in (*MODULES, *PACKAGES))
 
 
-#: What the entry point names.
+#: The object of the entry point.
 EARLIER_TOOLS = _EarlierTools()

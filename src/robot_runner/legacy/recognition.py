@@ -1,4 +1,4 @@
-"""Which tool a config file was written for, from its syntax tree."""
+"""Recognise from its syntax tree for which tool a config file was written."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 
 class Dialect(Enum):
-    """The earlier tools whose config files are read; the value is the tool's name."""
+    """The earlier tools whose config files can be loaded; the value is the tool's name."""
 
     ROBOT_RUNNER = "Robot Runner"
     EXPERIMENT_RUNNER = "Experiment Runner"
 
     @property
     def class_name(self) -> str:
-        """What the tool calls the class that describes an experiment."""
+        """The tool's name of the config class."""
         return CONFIG_CLASS if self is Dialect.ROBOT_RUNNER else "RunnerConfig"
 
 
@@ -34,7 +34,7 @@ class Recognised:
     """A config file of an earlier tool.
 
     Attributes:
-        path: absolute.
+        path: the absolute path.
         tree: its syntax tree.
     """
 
@@ -44,7 +44,7 @@ class Recognised:
     tree: ast.Module
 
 
-#: Packages of the earlier tools (`Backbone` in the first months of Robot Runner).
+#: Packages of the earlier tools (`Backbone` in the first version of Robot Runner).
 _EARLIER_ROOTS = frozenset(
     {
         "Backbone",
@@ -56,9 +56,9 @@ _EARLIER_ROOTS = frozenset(
         "ProgressManager",
     }
 )
-#: For some weeks Robot Runner wrote `plugins` in lower case; its folders kept their capitals.
+#: Some commits of Robot Runner have `plugins` in lower case, but capitals in the subfolders.
 _EARLIER_PREFIXES = ("plugins.Profilers", "plugins.Systems")
-#: What is in `sys.modules` if any module of the earlier tools is.
+#: If any module of the earlier tools is imported, one of these is in `sys.modules`.
 EARLIER_PACKAGES = (*sorted(_EARLIER_ROOTS), *_EARLIER_PREFIXES)
 _OWN_PREFIXES = ("plugins.systems", "plugins.profilers", "robot_runner")
 
@@ -68,11 +68,11 @@ _MOST_PARENTS = 4
 
 
 def recognise(path: Path) -> Recognised | None:
-    """Return which earlier tool a config file was written for, or None where it is one of our own.
+    """Return the earlier tool's dialect and syntax tree of a config file, or None if it is one of our own.
 
     Raises:
-        ConfigError: it cannot be read or parsed, mixes the spellings of several tools, or lacks the class that its
-            imports are for.
+        ConfigError: the file cannot be read or parsed, mixes the spellings of several tools, or lacks the config class
+            of the tool that it imports.
     """
     text, tree = read_tree(path)
     dialect = _Reading(path.resolve(), tree).dialect()
@@ -80,7 +80,7 @@ def recognise(path: Path) -> Recognised | None:
 
 
 def is_earlier_import(module: str) -> bool:
-    """Return whether a module is one of the earlier tools'.
+    """Return whether a module belongs to the earlier tools.
 
     Example:
         >>> is_earlier_import("EventManager.Models.RunnerEvents"), is_earlier_import("plugins.profilers.PsUtil")
@@ -113,7 +113,7 @@ class _Reading:
         return self._without_imports()
 
     def _tools(self) -> dict[Dialect, list[tuple[int, str]]]:
-        """Return what speaks for each tool: the line, and what stands there."""
+        """Return the evidence for each tool: a line number and a description."""
         tools: defaultdict[Dialect, list[tuple[int, str]]] = defaultdict(list)
         for each in self._earlier:
             parts = {each.name, each.module.rpartition(".")[2]}
@@ -136,7 +136,7 @@ class _Reading:
         return dialect
 
     def _without_imports(self) -> Dialect | None:
-        """Recognise a file that gets everything from a neighbour, or names the class of an earlier tool."""
+        """Recognise a file without imports of a tool: by the config class's name, or by a module that it imports."""
         if Dialect.EXPERIMENT_RUNNER.class_name in self._bound:
             return Dialect.EXPERIMENT_RUNNER
         if CONFIG_CLASS in self._bound and self._is_earlier_class():
@@ -171,7 +171,7 @@ class _Reading:
         )
 
     def _mixed(self, tools: dict[Dialect, list[tuple[int, str]]]) -> ConfigError:
-        # The class says what the file is to be; without one, whatever there is more of.
+        # The config class decides; without one, the tool with more evidence.
         wanted = next(
             (each for each in tools if each.class_name in classes_of(self._tree)),
             max(tools, key=lambda each: len(tools[each])),

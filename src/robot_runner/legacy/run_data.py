@@ -1,6 +1,6 @@
-"""The row of a run: as callbacks of the earlier tools get it, and what `populate_run_data` returned of it.
+"""The row of a run that callbacks of the earlier tools get, and the values that `populate_run_data` returns.
 
-Measures are published, the rest of the row is none, and nothing ever shifts.
+Only measures are published, each under its own name, so that no value ends up in another column.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from robot_runner.legacy.run_tables import PROGRESS, EarlierDesign, is_blank, va
 if TYPE_CHECKING:
     from _collections_abc import dict_items, dict_values
 
-#: Robot Runner had no repetitions: a factor counted them, which nobody has to read.
+#: Robot Runner had no repetitions: configs had a factor that counts them, whose treatment need not be read.
 _COUNTS_RUNS = re.compile(r"(?i)(.*_)?(rep|repeat|repetition|replication|run|iter|iteration|trial|round)s?(_.*)?")
 
 
 class WatchedRow(dict[Any, Any]):
-    """A row of the run table that reads a treatment of the run's combination whenever a callback looks at it.
+    """A row of the run table that records in the run's combination which treatments a callback reads.
 
-    What takes all of it (a copy, `**row`, what prints it) reads all treatments. Copies are plain dicts.
+    Copying, unpacking (`**row`) and printing read all treatments. Copies are plain dicts.
 
     Args:
-        row: what is in it.
+        row: its cells.
         factors: the name of each factor in the combination, by its column.
-        combination: of the run; it tells what was read.
+        combination: the run's; it records which treatments were read.
 
     Attributes:
-        combination: the one that is told from now on.
+        combination: the combination that records reads from now on.
     """
 
     def __init__(self, row: Mapping[Any, Any], factors: Mapping[Any, str], combination: Mapping[str, Any]) -> None:
@@ -48,7 +48,7 @@ class WatchedRow(dict[Any, Any]):
         return super().__getitem__(column)
 
     def __iter__(self) -> Iterator[Any]:
-        # Whatever copies a dict looks at its items one by one where it has an iterator of its own.
+        # Copying a dict reads its items one by one only if its class overrides the iterator.
         return super().__iter__()
 
     def __repr__(self) -> str:
@@ -62,31 +62,31 @@ class WatchedRow(dict[Any, Any]):
         return other | self.copy()
 
     def __reduce_ex__(self, protocol: SupportsIndex) -> tuple[type[dict[Any, Any]], tuple[dict[Any, Any]]]:
-        """Have what another process gets be a plain dict."""
+        """Pickle as a plain dict."""
         return dict, (self.copy(),)
 
     def get(self, column: Any, default: Any = None) -> Any:
-        """Return a cell; as of any dict."""
+        """Return a cell, as in any dict."""
         self._read(column)
         return super().get(column, default)
 
     def pop(self, column: Any, *default: Any) -> Any:
-        """Take a cell out; as of any dict."""
+        """Remove and return a cell, as in any dict."""
         self._read(column)
         return super().pop(column, *default)
 
     def setdefault(self, column: Any, default: Any = None) -> Any:
-        """Return a cell, or set it; as of any dict."""
+        """Return a cell, or set it, as in any dict."""
         self._read(column)
         return super().setdefault(column, default)
 
     def items(self) -> dict_items[Any, Any]:
-        """Return all cells with their columns; as of any dict."""
+        """Return all cells with their columns, as in any dict."""
         self._read(*self)
         return super().items()
 
     def values(self) -> dict_values[Any, Any]:
-        """Return all cells; as of any dict."""
+        """Return all cells, as in any dict."""
         self._read(*self)
         return super().values()
 
@@ -102,32 +102,32 @@ class WatchedRow(dict[Any, Any]):
 
 
 def unwatched(row: Mapping[Any, Any]) -> dict[Any, Any]:
-    """Return the cells of a row as they are, of which nothing is told."""
+    """Return the cells of a row without recording reads."""
     return dict(dict.items(row)) if isinstance(row, WatchedRow) else dict(row)
 
 
 def planned_of(context: RobotRunnerContext) -> Mapping[str, Any]:
-    """Return the treatments of a run, without having read them."""
+    """Return the treatments of a run without recording reads."""
     combination = context.combination
     return combination.unwatched if isinstance(combination, WatchedCombination) else combination
 
 
-#: How Python, NumPy and pandas write NaN and missing values; many of these are not a `float`, such as `np.float32`.
+#: Texts of NaN and missing values in Python, NumPy and pandas; many of these are not a `float`, such as `np.float32`.
 _NO_VALUE = frozenset({"nan", "nat", "<na>", "--"})
 _INFINITE = frozenset({"inf", "-inf", "infinity", "-infinity"})
 
 
 def as_mapping(returned: Any) -> Mapping[Any, Any]:
-    """Return what a callback returned as a mapping; nothing, and what is as good as nothing (False, ""), is empty.
+    """Return a callback's returned value as a mapping; None and other false values (False, "") are empty.
 
     Raises:
-        MeasureError: it is no mapping.
+        MeasureError: the value is not a mapping.
     """
     if isinstance(returned, Mapping):
         return returned
     if hasattr(returned, "keys"):  # a pandas Series, say
-        return {name: returned[name] for name in returned.keys()}  # noqa: SIM118 - it need not be iterable otherwise
-    if not returned:  # as Experiment Runner asked
+        return {name: returned[name] for name in returned.keys()}  # noqa: SIM118 - it may not be iterable
+    if not returned:  # Experiment Runner's test
         return {}
     raise MeasureError(
         f"populate_run_data returned {returned!r}, of type {type(returned).__name__}",
@@ -139,9 +139,9 @@ def as_mapping(returned: Any) -> Mapping[Any, Any]:
 def publish_row(
     context: RobotRunnerContext, design: EarlierDesign, row: Mapping[Any, Any], estimated: Container[Any]
 ) -> None:
-    """Publish the measures of a row; what is no data column is kept aside, with a warning.
+    """Publish the measures of a row; values without a data column are kept in the run's folder, with a warning.
 
-    The values of the `estimated` columns come from a model.
+    The values of the `estimated` columns are estimates by a model.
     """
     for column, value in row.items():
         if column in PROGRESS:
@@ -160,12 +160,12 @@ def _publish(context: RobotRunnerContext, column: Any, name: str, value: Any, or
         return
     try:
         context.publish(name, _plain(context, column, name, value), origin=origin)
-    except MeasureError as error:  # an infinity, a text that no file can hold: kept with the run
+    except MeasureError as error:  # such as an infinity, or a text that cannot be encoded: kept with the run
         context.doubt(error.problem, fix=error.fix, measures=[name])
 
 
 def _plain(context: RobotRunnerContext, column: Any, name: str, value: Any) -> MeasureValue:
-    """Return a value as a cell can hold it: what is no number, bool or text stands there as its text."""
+    """Return a value for a cell: anything except numbers, bools and texts is converted to its text."""
     written = "" if isinstance(value, str) else str(value).casefold()
     if written in _NO_VALUE:
         problem = f"{column} is not a number ({value}): there is no value"
@@ -180,7 +180,7 @@ def _plain(context: RobotRunnerContext, column: Any, name: str, value: Any) -> M
 
 
 def _keep_aside(context: RobotRunnerContext, design: EarlierDesign, column: Any, value: Any) -> None:
-    """Have the gate refuse a value that no column is for: it is kept in the run's folder, and the run goes on."""
+    """Publish a value without a column, which is refused: it is kept in the run's folder, and the run goes on."""
     with suppress(MeasureError):
         context.publish(str(column), value)
     context.warn(

@@ -1,4 +1,4 @@
-"""The ids of runs, which analysis scripts look for, as each version of the earlier tools wrote them."""
+"""The ids of runs in each version of the earlier tools, which analysis scripts search for."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from robot_runner.core.config.source import parsed
 from robot_runner.legacy.recognition import Dialect, Recognised
 from robot_runner.legacy.syntax import bound_names, imports_of
 
-#: Where public forks keep modules of their own: beside the config, in the tool's folder of the same clone, or in a
-#: clone inside the user's own repository.
+#: Folders in which public forks keep their own modules: beside the config, in the tool's folder of the same clone, or
+#: in a clone inside the user's own repository.
 _TOOL_FOLDERS = (
     "",
     "experiment-runner",
@@ -26,12 +26,12 @@ _TOOL_FOLDERS = (
 
 @dataclass(frozen=True, slots=True)
 class Clone:
-    """The folders of a clone from which the tool itself imported its modules; none where a config stands alone."""
+    """The folders of a clone from which the tool imported its modules; none if the config is not in a clone."""
 
     folders: tuple[Path, ...]
 
     def file_of(self, module: str) -> Path | None:
-        """Return the file of a module, where the clone has it.
+        """Return the file of a module in the clone, or None.
 
         Example:
             >>> Clone(()).file_of("Plugins.Profilers.MyMeter") is None
@@ -42,11 +42,11 @@ class Clone:
 
     @property
     def entries(self) -> tuple[Path, ...]:
-        """The folders with a `__main__.py`: Python put them on its path, so that what is in them could be imported."""
+        """The folders with a `__main__.py`: Python put them on its path, so that modules in them could be imported."""
         return tuple(folder for folder in self.folders if (folder / "__main__.py").is_file())
 
     def text_of(self, module: str) -> str:
-        """Return the text of a module; nothing where the clone does not have it, or it cannot be read."""
+        """Return the text of a module; empty if the clone does not have it, or it cannot be read."""
         file = self.file_of(module)
         try:
             return file.read_text(encoding="utf-8") if file else ""
@@ -54,7 +54,7 @@ class Clone:
             return ""
 
     def defines(self, module: str, name: str) -> bool:
-        """Return whether the clone's own version of a module has a name."""
+        """Return whether the clone's version of a module binds a name."""
         try:
             return name in bound_names(parsed(self.text_of(module)).body)
         except (SyntaxError, ValueError):
@@ -62,7 +62,7 @@ class Clone:
 
 
 def clone_around(config: Path) -> Clone:
-    """Return the clone that a config file stands in."""
+    """Return the clone that contains a config file."""
     return Clone(
         tuple(
             folder / tool
@@ -74,7 +74,7 @@ def clone_around(config: Path) -> Clone:
 
 
 class Numbering(Enum):
-    """How runs are numbered; the value is the pattern of an id."""
+    """The numbering of runs; the value is the pattern of an id."""
 
     COUNTED_FROM_0 = "run_{place}"
     COUNTED_FROM_1 = "run_{number}"
@@ -82,7 +82,7 @@ class Numbering(Enum):
     WITH_REPETITION = "run_{place}_repetition_{repetition}"
 
     def run_id(self, place: int, repetition: int) -> str:
-        """Return the id of a run, from the place of its combination and its repetition, both from 0.
+        """Return the id of a run from the index of its combination and its repetition, both from 0.
 
         Example:
             >>> Numbering.WITH_REPETITION.run_id(2, 0)
@@ -91,7 +91,7 @@ class Numbering(Enum):
         return self.value.format(place=place, number=place + 1, repetition=repetition)
 
 
-#: Arguments of `RunTableModel` that only a fork had, and those that came with Experiment Runner's repetitions.
+#: Arguments of `RunTableModel` in a fork only, and those that came with Experiment Runner's repetitions.
 _OF_FORK = frozenset({"num_of_repetitions", "randomize_order"})
 _BY_ARGUMENT = {
     "iterations": Numbering.WITH_ITERATION,
@@ -99,22 +99,22 @@ _BY_ARGUMENT = {
     "num_repetitions": Numbering.WITH_REPETITION,
     "exclude_combinations": Numbering.WITH_REPETITION,
 }
-#: What only versions of Experiment Runner had whose ids tell the repetition, and what also those before had.
+#: Names and plugins only in versions of Experiment Runner whose ids have the repetition; below, those in earlier ones.
 _LATER_NAMES = frozenset({"execute_run", "self_measure"})
 _LATER_PLUGINS = frozenset({"EnergiBridge", "NvidiaML", "PicoCM3", "PowerLetrics", "PowerMetrics", "Ps"})
 _EARLIER_NAMES = frozenset({"exclude_variations", "run_variation", "create_run_table", "get_factor_name"})
 _EARLIER_MODULES = frozenset({"Plugins.CodecarbonWrapper"})
 
-#: How the text of a tool makes ids: `f"run_{i}_repetition_{j}"`.
+#: The expression for ids in the code of a tool: `f"run_{i}_repetition_{j}"`.
 _ID = re.compile(r"run_\{\w+(?P<from_1> ?\+ ?1)?\}(?P<kind>_repetition|_iteration)?")
 _KINDS = {"_repetition": Numbering.WITH_REPETITION, "_iteration": Numbering.WITH_ITERATION}
 
 
 def numbering_of(recognised: Recognised, arguments: Collection[str], repetitions: int = 1) -> Numbering:
-    """Return how the version numbered its runs that a config was written for.
+    """Return the numbering of runs in the version of the tool for which a config was written.
 
-    The tool decides in whose clone the config stands; where it stands alone, what it uses tells its version. (A run
-    table that is resumed keeps its ids, whatever they are.) `arguments` are those that it names for `RunTableModel`.
+    The version is that of the clone around the config; without a clone, it follows from the names that the config uses.
+    (A resumed run table keeps its ids in any case.) `arguments` are the keyword arguments of `RunTableModel`.
     """
     if _OF_FORK & set(arguments):
         return Numbering.COUNTED_FROM_1

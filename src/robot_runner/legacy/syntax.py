@@ -1,4 +1,4 @@
-"""A config file's syntax tree: what it tells without anything being executed, and changes to the text at its nodes."""
+"""Queries on the syntax tree of a config file, and edits of its text at nodes of the tree."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def nodes(tree: ast.AST, kind: type[N]) -> Iterator[N]:
 
 
 def attributes_of(tree: ast.AST, owners: Collection[str]) -> Iterator[tuple[ast.Name, ast.Attribute]]:
-    """Yield where an attribute of a name is used (`context.run_nr`), with the node of the name."""
+    """Yield the uses of attributes of names (`context.run_nr`): the node of the name, and that of the attribute."""
     for node in nodes(tree, ast.Attribute):
         if isinstance(node.value, ast.Name) and node.value.id in owners:
             yield node.value, node
@@ -24,13 +24,13 @@ def attributes_of(tree: ast.AST, owners: Collection[str]) -> Iterator[tuple[ast.
 
 @dataclass(frozen=True, slots=True)
 class ImportedName:
-    """One name that an import statement asks for.
+    """One name in an import statement.
 
     Attributes:
-        module: the module in full, such as `EventManager.Models.RunnerEvents`.
-        name: what is taken from it; empty where the module itself is imported.
-        bound_as: the name that it has in the file.
-        is_guarded: whether the file goes on without it (it stands in a `try`).
+        module: the full name of the module, such as `EventManager.Models.RunnerEvents`.
+        name: the imported name; empty if the module itself is imported.
+        bound_as: its name in the file.
+        is_guarded: whether the statement is in a `try`, so that the file may work without it.
     """
 
     module: str
@@ -41,7 +41,7 @@ class ImportedName:
 
 
 def imports_of(tree: ast.Module) -> tuple[ImportedName, ...]:
-    """Return everything that a file imports, wherever the statement stands; relative imports are left out."""
+    """Return all imports of a file, also nested ones; relative imports are left out."""
     guarded = {id(node) for each in nodes(tree, ast.Try) for node in ast.walk(each)}
     found: list[ImportedName] = []
     for node in ast.walk(tree):
@@ -58,7 +58,7 @@ def imports_of(tree: ast.Module) -> tuple[ImportedName, ...]:
 
 
 def walk_bodies(body: list[ast.stmt]) -> Iterator[ast.stmt]:
-    """Yield the statements that are executed when a module or a class is made: also those in `if`, `try`, ..."""
+    """Yield the statements in the body of a module or a class, also those in `if`, `try` and the like."""
     for statement in body:
         yield statement
         for part in ("body", "orelse", "finalbody"):
@@ -69,12 +69,12 @@ def walk_bodies(body: list[ast.stmt]) -> Iterator[ast.stmt]:
 
 
 def classes_of(tree: ast.Module) -> dict[str, ast.ClassDef]:
-    """Return the classes of a module by name; of two with one name the later counts."""
+    """Return the classes of a module by name; of two with the same name, the later one."""
     return {node.name: node for node in walk_bodies(tree.body) if isinstance(node, ast.ClassDef)}
 
 
 def bound_names(body: list[ast.stmt]) -> dict[str, int]:
-    """Return the names that a module or a class body binds, each with the line where it does so last."""
+    """Return the names that the body of a module or a class binds, each with the line of its last binding."""
     names: dict[str, int] = {}
     for node in walk_bodies(body):
         match node:
@@ -90,18 +90,18 @@ def bound_names(body: list[ast.stmt]) -> dict[str, int]:
 
 
 def has_star_import(tree: ast.Module) -> bool:
-    """Return whether names come into the file that its text does not show."""
+    """Return whether a file has a star import, so that its text does not show all names."""
     return any(each.name == "*" for each in imports_of(tree))
 
 
 def used_names(tree: ast.Module) -> set[str]:
-    """Return the names that a file uses, apart from those in annotations."""
+    """Return the names that a file uses, except those in annotations."""
     annotations = {id(node) for node in _annotations(tree)}
     return {node.id for node in nodes(tree, ast.Name) if id(node) not in annotations}
 
 
 def names_of_types(tree: ast.Module) -> set[str]:
-    """Return the names that stand in a file's annotations."""
+    """Return the names in a file's annotations."""
     return {node.id for node in _annotations(tree) if isinstance(node, ast.Name)}
 
 
@@ -120,7 +120,7 @@ class _Edit:
 
 
 class Edits:
-    """Gathers changes and applies them all at once; a change inside a part that is replaced as a whole is dropped.
+    """Collects edits and applies them at once; edits inside a replaced part are dropped.
 
     Example:
         >>> import ast
@@ -140,19 +140,19 @@ class Edits:
         self._edits: list[_Edit] = []
 
     def replace(self, node: ast.AST, text: str) -> None:
-        """Put `text` in the place of a node."""
+        """Replace a node by `text`."""
         self._edits.append(_Edit(self.start_of(node), self.end_of(node), text))
 
     def replace_span(self, start: int, end: int, text: str) -> None:
-        """Put `text` in the place of some bytes."""
+        """Replace a span of bytes by `text`."""
         self._edits.append(_Edit(start, end, text))
 
     def insert(self, position: int, text: str) -> None:
-        """Put `text` before the byte at `position`."""
+        """Insert `text` before the byte at `position`."""
         self._edits.append(_Edit(position, position, text))
 
     def remove_paragraph(self, first: int, last: int) -> None:
-        """Remove whole lines, and the blank one after them."""
+        """Remove whole lines, and a blank line after them."""
         following = self._bytes[self._line_starts[last] :].partition(b"\n")[0]
         self.remove_lines(first, last if following.strip() else min(last + 1, len(self._line_starts) - 1))
 
@@ -161,34 +161,34 @@ class Edits:
         self._edits.append(_Edit(self._line_starts[first - 1], self._line_starts[last], ""))
 
     def source(self, node: ast.AST) -> str:
-        """Return the text of a node as it was."""
+        """Return the original text of a node."""
         return self._bytes[self.start_of(node) : self.end_of(node)].decode()
 
     def edited(self, node: ast.AST) -> str:
-        """Return the text of a node with the changes so far that lie inside it."""
+        """Return the text of a node with the edits inside it so far."""
         start, end = self.start_of(node), self.end_of(node)
         inside = [edit for edit in self._edits if start <= edit.start and edit.end <= end]
         return _applied(self._bytes[start:end], [_Edit(e.start - start, e.end - start, e.text) for e in inside])
 
     def start_of(self, node: ast.AST) -> int:
-        """Return where a node begins, in bytes; a class or function begins with its first decorator."""
+        """Return the start of a node, in bytes; a class or function starts with its first decorator."""
         first = min([node, *getattr(node, "decorator_list", [])], key=lambda each: each.lineno)
         return self._position(first.lineno, first.col_offset) - (first is not node)
 
     def end_of(self, node: ast.AST) -> int:
-        """Return where a node ends, in bytes."""
+        """Return the end of a node, in bytes."""
         return self._position(node.end_lineno, node.end_col_offset)  # type: ignore[attr-defined]
 
     def line_start(self, line: int) -> int:
-        """Return where a line begins, in bytes; lines are counted from 1."""
+        """Return the start of a line, in bytes; lines are counted from 1."""
         return self._line_starts[min(line, len(self._line_starts)) - 1]
 
     def find(self, text: str, after: int) -> int:
-        """Return where `text` stands first after a position, in bytes."""
+        """Return the position of the first `text` after a position, in bytes."""
         return self._bytes.index(text.encode(), after)
 
     def applied(self) -> str:
-        """Return the text with all changes."""
+        """Return the edited text."""
         return _applied(self._bytes, self._edits)
 
     def _position(self, line: int, column: int) -> int:
@@ -196,7 +196,7 @@ class Edits:
 
 
 def _applied(text: bytes, edits: list[_Edit]) -> str:
-    # What is put before a place comes first, then the widest change there: it stands for those inside it.
+    # At one position, insertions come first, then the widest edit, which replaces those inside it.
     ordered = sorted(dict.fromkeys(edits), key=lambda edit: (edit.start, edit.end > edit.start, -edit.end))
     pieces, position = [], 0
     for edit in ordered:

@@ -1,4 +1,4 @@
-"""From counters of CPU time to utilisation: what was busy between two looks at them."""
+"""From counters of CPU time to utilisation: the busy share between two readings of them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from itertools import zip_longest
 from robot_runner.measuring.device_clock import ClockMap
 from robot_runner.measuring.host import RESCAN, ProcessUtilisation, UtilisationSample
 
-#: One that lasts so many looks for new processes is not missed.
+#: A process that lasts this many periods of looking for new ones is not missed.
 _BRIEF = 2
 
 
@@ -32,12 +32,12 @@ class ProcessCounters:
     """One process that a selector matched.
 
     Attributes:
-        selector: the selector's place in the list that was asked for, from 0.
-        pid: the process.
-        started: anything that tells it from another process that had the same pid before, such as when it was started.
+        selector: the selector's place in the list of selectors, from 0.
+        pid: of the process.
+        started: distinguishes it from an earlier process with the same pid, such as the time of its start.
         cpu: CPU time that it has used, s.
         memory: physical memory that it holds, bytes.
-        parent: the process that started it, or that took it over; 0 where nobody asked.
+        parent: the process that started it, or that adopted it; 0 where that was not looked up.
         children: CPU time of its children that have ended and were reaped, s; 0 where they do not belong to what was
             selected.
     """
@@ -53,14 +53,14 @@ class ProcessCounters:
 
 @dataclass(frozen=True, slots=True)
 class CounterSample:
-    """One look at a computer's counters.
+    """One reading of a computer's counters.
 
     Attributes:
         time: on the clock that stamped it, s.
         whole: all cores together.
-        cores: each core, None for one that is switched off; empty where the computer does not tell.
-        memory_total: physical memory, bytes; 0 where the computer does not tell.
-        memory_available: what programs could still get of it, bytes.
+        cores: each core, None for one that is switched off; empty where that is unknown.
+        memory_total: physical memory, bytes; 0 where that is unknown.
+        memory_available: how much of it programs could still get, bytes.
         processes: those that selectors matched.
     """
 
@@ -90,17 +90,17 @@ def utilisation_of(
     to_run: ClockMap | None = None,
     rescan: float = RESCAN,
 ) -> list[UtilisationSample]:
-    """Return the utilisation between each two looks; the first sample has none.
+    """Return the utilisation between each two readings; the first sample has none.
 
-    Counters move in steps (10 ms on most Linux machines), so that a look may find them where they were: its sample has
-    no CPU utilisation either, and the next one tells of the time of both.
+    Counters move in steps (10 ms on most Linux machines), so that a reading may find them unchanged: then its sample
+    has no CPU utilisation either, and the next one covers the time of both.
 
     Args:
         samples: oldest first.
         cores: how many the computer has.
         selectors: how many selectors of processes there were.
-        rescan: how long a new process may be there before it is seen, s.
-        to_run: brings the samples' times to the run's clock; left out, they are on it already.
+        rescan: how long a new process may exist before it is seen, s.
+        to_run: converts the samples' times to the run's clock; without it, they are on it already.
 
     Example:
         >>> first = CounterSample(0.0, CoreCounters(0, 0), (), 8e9, 6e9)
@@ -135,13 +135,13 @@ def utilisation_of(
 
 
 def counted_before(ended: Mapping[int, tuple[int, float]]) -> dict[int, float]:
-    """Return, by process, how much of what its ended children have used was seen while they were there, s.
+    """Return, by process, the CPU time of its ended children that was counted while they lived, s.
 
-    A parent's counter of children takes the whole life of one that ended, also what was counted already.
+    When a child ends, the parent's counter of children grows by all that it has used, also what was counted already.
 
     Args:
-        ended: the processes that have ended since they were looked at, by pid: the parent of each, and what it and its
-            own ended children had used by then, s.
+        ended: the processes that have ended since the last reading, by pid: the parent of each, and what it and its own
+            ended children had used by then, s.
 
     Example:
         >>> counted_before({8: (7, 0.5), 9: (8, 20.0)})
@@ -155,7 +155,7 @@ def counted_before(ended: Mapping[int, tuple[int, float]]) -> dict[int, float]:
 
 
 def _reaper(pid: int, ended: Mapping[int, tuple[int, float]]) -> int:
-    # Where the parent ended as well, so did its counter: who reaped the parent has both.
+    # If the parent ended, too, its counter is gone: the process that reaped the parent has counted both.
     reaper, passed = ended[pid][0], {pid}
     while reaper in ended and reaper not in passed:
         passed.add(reaper)
@@ -164,16 +164,17 @@ def _reaper(pid: int, ended: Mapping[int, tuple[int, float]]) -> int:
 
 
 class _Family:
-    """What the processes of one selector have spent from look to look, with children that came and went in between.
+    """The CPU time of one selector's processes between readings, with children that started and ended in between.
 
     Args:
-        brief: what lasts no longer may be missed, s.
+        brief: a process that lasts no longer may be missed, s.
 
     Attributes:
-        ended: how many had ended at the last look.
-        reaped: how many of them were reaped by another one, as far as one can tell.
-        brief: how many of them came after the first look, and lasted less than two looks for new ones.
-        parents: how many that no other one reaped had had children, which may have ended with them.
+        ended: how many had ended at the last reading.
+        reaped: how many of them were reaped by another process of the selector, as far as that can be known.
+        brief: how many of them started after the first reading, and were too short-lived for others like them to be
+            seen for certain.
+        parents: how many of those that no other one reaped had had children, which may have ended with them.
     """
 
     def __init__(self, brief: float) -> None:
@@ -185,7 +186,7 @@ class _Family:
         self._counted: dict[int, float] = {}
 
     def spent(self, time: float, processes: Sequence[ProcessCounters]) -> float:
-        """Return the CPU time, s, since the look before; there is none at the first look, at `time`."""
+        """Return the CPU time, s, from the reading before to that of `time`; 0 at the first reading."""
         now = {one.pid: one for one in processes}
         ended = {
             pid: (one.parent, one.cpu + one.children)
@@ -193,12 +194,12 @@ class _Family:
             if pid not in now or now[pid].started != one.started
         }
         self._take_ends(time, now, ended)
-        # A child may have ended after its parent was looked at, and before it would have been itself: then the
-        # parent's counter has it at the next look.
+        # A child may end after its parent was read, and before it is read itself: then the parent's counter has it at
+        # the next reading.
         late, self._counted = self._counted, counted_before(ended)
         spent = 0.0
         for pid, one in now.items():
-            # One that was not there at the look before was started since.
+            # One that did not exist at the reading before was started since.
             old = self._seen.get((pid, one.started))
             own, children = (old.cpu, old.children) if old else (0.0, 0.0)
             reaped = max(0.0, one.children - children)
@@ -221,7 +222,7 @@ class _Family:
         above = {one.parent for one in last.values()}
         self.parents = sum(one.children > 0 or one.pid in above for one in left)
         for one in now.values():
-            # Nobody knows how long one lasts already that was there at the first look.
+            # How long one has existed that was there at the first reading is unknown.
             self._since.setdefault((one.pid, one.started), -math.inf if self._last is None else time)
 
 

@@ -1,4 +1,4 @@
-"""How the clock of a device, or of another computer, stands to the run's."""
+"""The relation of the clock of a device, or of another computer, to the run's clock."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from typing import Any
 
 from robot_runner.core.errors import LinkError, PluginError
 
-#: Quartzes and ceramic resonators are truer than this: 0.5 % is the data-sheet figure of an Arduino Nano's.
+#: Quartzes and ceramic resonators are more accurate than this: an Arduino Nano's has 0.5 % by its data sheet.
 _LARGEST_SKEW = 0.01
-#: Over less time, s, the jitter of arrival (some milliseconds) would pass for skew.
+#: Over less time, s, the jitter of arrival (some milliseconds) would be taken for skew.
 _SHORTEST_BASE = 10.0
-#: Over less time than that, a skew is believed that moved the arrivals by more than a busy machine delays bytes, s.
+#: Over less time than that, only a skew that moved the arrivals by more than this is believed: a busy machine delays
+#: bytes by less, s.
 _BEYOND_JITTER = 0.1
 
 _Point = tuple[float, float]
@@ -25,7 +26,7 @@ class ClockMap:
     Attributes:
         offset: the run's time when the device's clock showed 0, s.
         rate: seconds of the run that go by in one second of the device.
-        drift: by how much that differs from 1 as it was found; where a clock cannot be so far off, the rate is 1.
+        drift: by how much the rate that was found differs from 1; if no clock is so inaccurate, `rate` is 1 instead.
 
     Example:
         >>> ClockMap(offset=100.0, rate=1.0).to_run(2.5)
@@ -39,13 +40,13 @@ class ClockMap:
     def to_run(self, device_time: float) -> float:
         """Return the run's time at a time of the device's clock, both in seconds; in whole microseconds.
 
-        No two clocks are known to each other better than that; and so a moment has one time, whenever the device was
-        switched on.
+        The relation of two clocks is not known more precisely; and the rounding gives a moment the same time whenever
+        the device was switched on.
         """
         return round(self.offset + self.rate * device_time, 6)
 
     def all_to_run(self, device_times: Iterable[float]) -> list[float]:
-        """Return what `to_run` does of many times."""
+        """Return `to_run` of many times."""
         offset, rate = self.offset, self.rate
         return [round(offset + rate * each, 6) for each in device_times]
 
@@ -63,7 +64,7 @@ def fit_clock(
     Args:
         device_times: when each message was stamped, by the device's clock.
         received_times: when it arrived, by the run's.
-        largest_skew: up to where a skew, in parts of one, is believed and mended; a larger one is told as `drift` only.
+        largest_skew: up to which a skew, in parts of one, is corrected; a larger one is only reported as `drift`.
 
     Raises:
         PluginError: there are no messages.
@@ -100,7 +101,7 @@ def _lower_hull(points: Iterable[_Point]) -> list[_Point]:
             if point[1] >= hull[-1][1]:
                 continue
             hull.pop()
-        # A run has tens of thousands of points, so what decides whether the last edge turns right stands here.
+        # Not in a function, as a run has tens of thousands of points: does the last edge turn right?
         while len(hull) > 1:
             (first, least), (second, less) = hull[-2], hull[-1]
             if (second - first) * (point[1] - least) > (less - least) * (point[0] - first):
@@ -110,17 +111,17 @@ def _lower_hull(points: Iterable[_Point]) -> list[_Point]:
     return hull
 
 
-#: No steady clock of a computer goes further wrong, parts of one: quartzes are truer than 1e-4, and what sets clocks by
-#: the network hastens or delays them by 5e-4 at most (man adjtimex).
+#: The largest drift of a computer's steady clock, in parts of one: quartzes are off by less than 1e-4, and a service
+#: that sets clocks by the network changes their rate by 5e-4 at most (man adjtimex).
 _MOST_DRIFT = 2e-3
 
 
 @dataclass(frozen=True, slots=True)
 class ClockExchange:
-    """One question after the time, and its answer.
+    """One request for the time, and its answer.
 
     Attributes:
-        sent: when the question was sent, s on the run's clock.
+        sent: when the request was sent, s on the run's clock.
         received: when the answer arrived, s on the run's clock.
         steady: what the computer's steady clock showed in between, s.
         wall: what the computer's wall clock showed in between, s since 1970.
@@ -137,13 +138,13 @@ class ClockExchange:
 
     @property
     def round_trip(self) -> float:
-        """The seconds from the question to its answer."""
+        """The seconds from the request to its answer."""
         return self.received - self.sent
 
 
 @dataclass(frozen=True, slots=True)
 class ClockOffset:
-    """How a computer's clocks stood to this machine's at one moment.
+    """The offsets of a computer's clocks from this machine's at one moment.
 
     Attributes:
         at: the moment, s on the run's clock.
@@ -163,15 +164,15 @@ class ClockOffset:
 
 
 def estimate_offset(exchanges: Sequence[ClockExchange]) -> ClockOffset:
-    """Return the offset that the exchange with the least delay tells.
+    """Return the offset from the exchange with the least delay.
 
-    The computer looked at its clock some time between the question and the answer. Half-way is the best guess, and it
-    is wrong by half the round trip at most, however uneven the two ways are; so the quickest exchange says most.
+    The computer read its clock at some time between request and answer. Half-way is the best guess, and it is wrong by
+    half the round trip at most, however different the two ways are; so the quickest exchange is the most precise.
     Source: Mills, Internet time synchronization: the Network Time Protocol (IEEE Trans. Comm. 39, 1991), whose clock
     filter picks the sample with the least delay for the same reason.
 
     Args:
-        exchanges: with one computer, shortly after one another.
+        exchanges: with one computer, in quick succession.
 
     Raises:
         LinkError: there are no exchanges.
@@ -198,12 +199,12 @@ def estimate_offset(exchanges: Sequence[ClockExchange]) -> ClockOffset:
 
 @dataclass(frozen=True, slots=True)
 class ClockRecord:
-    """What is known of a computer's clock over a run.
+    """The offsets of a computer's clocks over a run.
 
     Attributes:
         host: the computer.
-        before: the run.
-        after: the run; None where the computer could not be asked any more.
+        before: the offset before the run.
+        after: the offset after the run; None where the computer could not be reached any more.
 
     Example:
         >>> before = ClockOffset(at=10.0, steady=500.0, wall_offset=2.0, round_trip=0.0, uncertainty=0.0, exchanges=8)
@@ -218,10 +219,10 @@ class ClockRecord:
 
     @property
     def to_run(self) -> ClockMap:
-        """The line from the computer's steady clock to the run's; straight through both offsets, so drift is corrected.
+        """The line from the computer's steady clock to the run's; it goes through both offsets, so drift is corrected.
 
-        Between the two it is nowhere further wrong than the worse of them, as long as the drift is even. Where there
-        is only the first, both clocks are taken to go equally fast.
+        Between the two its error is at most that of the worse one, if the drift is constant. Where only the first is
+        known, both clocks are assumed to go equally fast.
         """
         first, last = self.before, self.after
         if last is None or last.steady <= first.steady:
@@ -231,7 +232,7 @@ class ClockRecord:
 
     @property
     def uncertainty(self) -> float:
-        """How far a time brought to the run's clock may be wrong, s."""
+        """How far a time that was converted to the run's clock may be wrong, s."""
         return max(offset.uncertainty for offset in (self.before, self.after) if offset is not None)
 
     @property
@@ -242,9 +243,9 @@ class ClockRecord:
         return (self.after.steady - self.before.steady) / (self.after.at - self.before.at) - 1.0
 
     def doubts(self) -> Iterator[str]:
-        """Yield that the steady clock stood still for a time, as that of a computer which was suspended.
+        """Yield a doubt where the steady clock stood still for a time, as while a computer is suspended.
 
-        The line through both offsets is bent then, and samples stand beside their true times by up to what was lost.
+        Then the line through both offsets is wrong, and samples are off their true times by up to the time lost.
         """
         if self.after is None:
             return
@@ -257,7 +258,7 @@ class ClockRecord:
             )
 
     def facts(self) -> dict[str, Any]:
-        """Return it as plain data, for the files and the manifest."""
+        """Return this record as plain data, for the files and the manifest."""
         return {
             "host": self.host,
             "before": asdict(self.before),

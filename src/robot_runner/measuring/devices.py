@@ -1,4 +1,4 @@
-"""Opens what measures or is measured in a run: serial lines to meters, and computers; each once a run."""
+"""Opens the serial lines to meters and the links to computers of a run, each once."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def open_serial_line(
     Args:
         context: the run's.
         port: a device file, or a URL of pyserial's; None is the power meter of a simulated robot, which has no other.
-        namespace: whose power meter it is, where no port is named.
+        namespace: of the robot whose power meter it is, where no port is named.
         baud: bits a second, where a port is named.
 
     Raises:
@@ -82,9 +82,9 @@ def connect_host(
         context: the run's.
         host: a host's name: `localhost` is this machine, any other is reached by ssh (`pi@robot`); None is the on-board
             computer of the run's simulated robot.
-        namespace: whose on-board computer it is, where no host is named.
-        ssh_config: a file to take the place of the user's ssh config.
-        form: how it is sampled over ssh: `python3`, `sh` or `ps`; left out, the best that it can do.
+        namespace: of the robot whose on-board computer it is, where no host is named.
+        ssh_config: a file to use instead of the user's ssh config.
+        form: how it is sampled over ssh: `python3`, `sh` or `ps`; None takes the best one that works there.
 
     Raises:
         LinkError: no host is named and the run has no simulated robot, or the name cannot be that of a host.
@@ -98,7 +98,7 @@ def connect_host(
 
 
 def _named_host(context: RobotRunnerContext, host: str, config: Path | None, form: str | None) -> HostLink:
-    # The clock of a simulation says nothing of a real computer.
+    # The clock of a simulation does not apply to a real computer.
     clock = SystemClock() if lives_by_simulation(context) else context.clock
 
     def opener() -> HostLink:
@@ -113,7 +113,7 @@ def _named_host(context: RobotRunnerContext, host: str, config: Path | None, for
 
 
 def _own_devices(context: RobotRunnerContext) -> tuple[BringsDevices, RobotName]:
-    """Return what opens the devices that a simulated robot brings."""
+    """Return the kind of link that opens a simulated robot's own devices, and the robot's name."""
     kind, name = run_robot(context)
     if isinstance(kind, BringsDevices):
         return kind, name

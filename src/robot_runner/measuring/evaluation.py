@@ -1,4 +1,4 @@
-"""From raw samples to the measures of a run: over the mission, and over each phase that was asked for."""
+"""From raw samples to the measures of a run: over the mission, and over each phase that the config names."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from robot_runner.core.events.context import Clock, RobotRunnerContext
 from robot_runner.core.events.measure import Measure, MeasureValue, Origin, Over
 from robot_runner.core.events.window import Window
 
-#: Returns the value of each measure over a window; what is left out is missing.
+#: Returns the value of each measure over a window; one that it leaves out is missing.
 Evaluate = Callable[[Window], Mapping[str, MeasureValue]]
 
-#: A profiler that saw this much more than the mission does not measure the mission.
+#: The values of a profiler that measured longer than the mission, by more than this share of it, are doubtful.
 _TOLERANCE = 0.01
 
 
@@ -29,9 +29,9 @@ def publish_measures(
     Args:
         context: the run's, in `populate_run_data`.
         measures: of the profiler.
-        evaluate: from a window to the measures' values, computed from the raw samples.
+        evaluate: computes the measures' values over a window from the raw samples.
         origin: where the values come from.
-        clock: that the samples are stamped by, where it is not the run's.
+        clock: the one that the samples are stamped by, where it is not the run's.
 
     Raises:
         MeasureError: a value is refused.
@@ -47,13 +47,13 @@ def publish_measures(
 def note_own_window(
     context: RobotRunnerContext, own: Window, *, measures: Sequence[str] = (), clock: Clock | None = None
 ) -> None:
-    """Doubt what is known only from a profiler's start to its stop, where that exceeds the mission by 1 %.
+    """Mark values over a profiler's time from start to stop as doubtful, where that exceeds the mission by 1 %.
 
     Args:
         context: the run's, in `populate_run_data`.
-        own: what the values are about.
-        measures: which measures; none named: all of the profiler's.
-        clock: that `own` is told by, where it is not the run's.
+        own: the window of the values, from the profiler's start to its stop.
+        measures: which measures; empty for all of the profiler's.
+        clock: the one of `own`, where it is not the run's.
     """
     window = context.times.window(clock)
     if window is not None and own.duration > window.duration * (1 + _TOLERANCE):

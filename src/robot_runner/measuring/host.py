@@ -1,4 +1,4 @@
-"""Computers that are sampled: the protocols of links to them and of samplers, what samples hold, and selectors."""
+"""Computers that are sampled: protocols of links to them and of samplers, the contents of samples, and selectors."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.measuring.device_clock import ClockRecord
 
-#: Seconds between two looks for new processes, where they are not looked for with nearly each sample (`loop.SCAN`).
+#: Seconds between two searches for new processes, where there is not one with nearly each sample (`loop.SCAN`).
 RESCAN = 1.0
 
 
@@ -21,13 +21,13 @@ class ProcessUtilisation:
         count: how many processes there were.
         cpu: their share of all cores together since the sample before, %; above 100 where one is new, whose CPU time
             since it was started counts all at once. None where there is no sample before.
-        memory: their share of the physical memory (resident, shared pages counted for each), 0..100 %; None where the
-            computer does not tell how much it has.
-        ended: how many were there at the sample before and have ended since.
-        reaped: those of them that were children of others, whose counters tell what they had used where children
-            belong to what was selected.
-        brief: those of them that were seen for so short a time that others may have come and gone unseen.
-        parents: those of them that nobody reaped who was selected, and that had had children.
+        memory: their share of the physical memory (resident, shared pages counted for each), 0..100 %; None where it is
+            unknown how much the computer has.
+        ended: how many have ended since the sample before.
+        reaped: how many of these were children of others of the selector; if children count to the selector, what they
+            used is in the counters of their parents.
+        brief: how many of these were seen for so short a time that other such processes may have been missed.
+        parents: how many of these had had children and were not reaped by a process of the selector.
     """
 
     count: int
@@ -46,9 +46,9 @@ class UtilisationSample:
     Attributes:
         time: seconds on the run's clock.
         cpu: share of all cores that was busy since the sample before, 0..100 %; None where there is no sample before.
-        memory: share of the physical memory in use, 0..100 %; None where the computer does not tell how much it has.
-        cores: the same as `cpu` for each core; empty where the computer does not tell.
-        processes: one for each selector that was asked for.
+        memory: share of the physical memory in use, 0..100 %; None where it is unknown how much the computer has.
+        cores: the same as `cpu` for each core; empty where that is unknown.
+        processes: one for each selector.
         host_time: seconds on the computer's own steady clock, as it stamped the sample; None where it has none.
     """
 
@@ -74,15 +74,15 @@ class FileSample:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SamplingReport:
-    """What a sampler says of itself once it was stopped.
+    """What a sampler reports about itself once it was stopped.
 
     Attributes:
-        rate: how often it sampled, Hz; a computer that cannot keep up with the rate asked for may take a lower one.
+        rate: how often it sampled, Hz; a computer that cannot keep up with the requested rate may take a lower one.
         problems: what went wrong, one sentence each, such as a connection that was lost.
-        clock: how the computer's clock stands to the run's; None where they are one.
+        clock: the relation of the computer's clock to the run's; None where they are the same.
         cpu_seconds: CPU time that sampling took on the computer itself, s; None if not known.
         form: how the samples were taken, in words.
-        rescan: how long a new process may be there before it is seen, s.
+        rescan: how long a new process may exist before it is seen, s.
     """
 
     rate: float
@@ -111,20 +111,20 @@ class FileSampler(Protocol):
 
 @runtime_checkable
 class ReportingSampler(Protocol):
-    """A sampler that knows more than its samples."""
+    """A sampler that has a report besides its samples."""
 
     def report(self) -> SamplingReport:
-        """Say how it went; to be asked after `stop`."""
+        """Return the report; call it after `stop`."""
 
 
 def report_of(sampler: object, rate: float) -> SamplingReport:
-    """Return what a sampler says of itself once it was stopped; of one that says nothing, its rate (Hz)."""
+    """Return the report of a sampler that was stopped; one with only the rate (Hz) where the sampler has none."""
     return sampler.report() if isinstance(sampler, ReportingSampler) else SamplingReport(rate=rate)
 
 
 @runtime_checkable
 class PromptSampler(Protocol):
-    """A sampler that takes a sample when it is told to, such as at the edges of the mission."""
+    """A sampler that takes a sample on request, such as at the edges of the mission."""
 
     def take_now(self) -> None:
         """Take one more sample at once, out of turn."""
@@ -135,10 +135,10 @@ S_co = TypeVar("S_co", covariant=True)
 
 @runtime_checkable
 class TellingSampler(Protocol[S_co]):
-    """A sampler that tells of its samples while it goes on, for who watches."""
+    """A sampler that announces its samples while it samples, for live displays."""
 
     def tell(self, on_sample: Callable[[Callable[[], S_co]], None]) -> None:
-        """Have each further sample told as it is taken, in the thread that samples, by what returns it at once.
+        """Call `on_sample` at each further sample, in the thread that samples, with a function that returns the sample.
 
         So a sample that nobody looks at is not computed.
         """
@@ -146,10 +146,10 @@ class TellingSampler(Protocol[S_co]):
 
 @runtime_checkable
 class EndingSampler(Protocol):
-    """A sampler whose samples have a long way to come, so that who ends it need not wait for them at once."""
+    """A sampler whose samples take a while to arrive, so that it can be ended first, and waited for later."""
 
     def end(self) -> None:
-        """Sample no more; `stop` fetches the samples."""
+        """Stop sampling without waiting; `stop` fetches the samples."""
 
 
 @runtime_checkable
@@ -164,7 +164,7 @@ class HostLink(Protocol):
         """Begin to sample CPU and memory utilisation `rate` times a second."""
 
     def close(self) -> None:
-        """End all samplers and leave; closing twice does nothing."""
+        """End all samplers and disconnect; closing twice does nothing."""
 
 
 @runtime_checkable
@@ -177,7 +177,7 @@ class RemoteHost(Protocol):
 
 @runtime_checkable
 class ProcessHost(HostLink, Protocol):
-    """A computer that tells of its processes, too, and may send its samples while it takes them."""
+    """A computer whose processes can be sampled, too, and which may send its samples while it takes them."""
 
     def sample_processes(
         self, rate: float, processes: Sequence[str], *, is_streamed: bool = False
@@ -206,16 +206,16 @@ class FileHost(Protocol):
         """Begin to read the first line of each file `rate` times a second."""
 
 
-#: What stands before the colon of a selector.
+#: The words before the colon of a selector.
 KINDS = ("pid", "name", "node", "subject")
 _SELECT = "Give a name, a number, node:/name or subject:Name."
 
-#: Software under test has its plugin's name in this variable of its environment, with all that it starts.
+#: The environment variable of software under test, and of all that it starts, that holds its plugin's name.
 SUBJECT_VARIABLE = "ROBOT_RUNNER_SUBJECT"
 
 
 def process_selector(process: str | int) -> str:
-    """Return the selector of a process: a number is its pid, a text its name unless it says another of `KINDS`.
+    """Return the selector of a process: a number is its pid, a text its name unless it begins with one of `KINDS`.
 
     Raises:
         LinkError: it is neither a number nor a text, is empty, or begins with another word and a colon.
@@ -240,7 +240,7 @@ def process_selector(process: str | int) -> str:
 
 
 def checked_words(words: Iterable[str]) -> list[str]:
-    """Return words that can stand on one line with tabs between.
+    """Return words as a list, if they can be sent on one line with tabs between.
 
     Raises:
         LinkError: one of them holds a tab or the end of a line, or is empty.

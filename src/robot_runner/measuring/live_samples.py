@@ -1,4 +1,4 @@
-"""A few samples a second, written while a profiler samples, for who watches; gone once all samples are written."""
+"""A preview of samples, a few a second, written while a profiler samples; removed once all samples are written."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pathlib import Path
 from robot_runner.core.storage.guarded_files import open_to_append, remove
 from robot_runner.measuring.quality import Column
 
-#: What the file's name ends in; it begins with a dot, so that nobody takes it for samples to be analysed.
+#: The end of the file's name; the name begins with a dot, so that nobody takes the file for samples to be analysed.
 LIVE = ".live"
-#: How often a sample is written at most, s: a curve that a person follows needs no more, and the mission no load.
+#: At least this long between two samples that are written, s: enough for a curve on a screen, and little load.
 _EVERY = 0.5
 
 _log = logging.getLogger(__name__)
@@ -21,10 +21,10 @@ _log = logging.getLogger(__name__)
 class LiveSamples:
     r"""The preview of one file of samples: `.samples.csv.live` beside `samples.csv`.
 
-    What it cannot write it leaves: a preview never fails a run.
+    Errors of writing are ignored: a preview never fails a run.
 
     Args:
-        path: the file that the samples go to in the end.
+        path: the file that all samples are written to in the end.
 
     Example:
         >>> import tempfile

@@ -79,7 +79,7 @@ class LocalProcesses:
                 used,
                 float(memory),
                 parent,
-                # Whose children belong to it, those that came and went between two looks do as well.
+                # Where children belong to the selector, so do those that started and ended between two readings.
                 reaped if self._selectors[place].startswith("subject:") else 0.0,
             )
             for place in places
@@ -88,7 +88,7 @@ class LocalProcesses:
     def _scan(self, now: float) -> None:
         known, self._young_until = self._young_until, {}
         for pid in self._psutil.pids():
-            # What was not there at the look before is new, whatever the computer's clock has been set to since.
+            # What did not exist at the search before is new, whatever the computer's clock has been set to since.
             until = known.get(pid) or now + YOUNG - (0.0 if known else self._age_of(pid))
             self._young_until[pid] = until
             if pid not in known or now < until:
@@ -96,7 +96,7 @@ class LocalProcesses:
         self._subjects = {pid: subject for pid, subject in self._subjects.items() if pid in self._young_until}
 
     def _age_of(self, pid: int) -> float:
-        """Return for how long a process has been there, s; nothing for one that has ended."""
+        """Return the age of a process, s; 0 for one that has ended."""
         with suppress(self._psutil.Error):
             return max(0.0, time.time() - float(self._psutil.Process(pid).create_time()))
         return 0.0
@@ -106,9 +106,9 @@ class LocalProcesses:
         try:
             process = self._psutil.Process(pid)
             if process == before:
-                process = before  # the time of its start, once told, stays when the computer's clock is set
+                process = before  # its start as first read, which setting the computer's clock does not change
             name, words = process.name(), process.cmdline()
-        except self._psutil.ZombieProcess:  # it is there until its parent awaits it, which has its time from then on
+        except self._psutil.ZombieProcess:  # it stays until its parent reaps it, whose counter then has its time
             if places:
                 self._matched[pid] = known
             return
@@ -120,7 +120,7 @@ class LocalProcesses:
             self._matched[pid] = (process, places)
 
     def _subject_of(self, process: Any) -> str:
-        """Return the subject whose mark a process has, or else whose process has started it: sudo takes marks away."""
+        """Return the subject whose mark a process, or else the process that started it, has: sudo removes marks."""
         subject = ""
         with suppress(self._psutil.Error):  # another user's
             subject = str(process.environ().get(SUBJECT_VARIABLE, ""))
@@ -184,7 +184,7 @@ class LocalSampler(Generic[R, S]):
         self._sampler.start()
 
     def tell(self, on_sample: Callable[[Callable[[], S]], None]) -> None:
-        """Have each further sample told as it is taken, in the thread that samples, by what returns it."""
+        """Call `on_sample` at each further sample, in the thread that samples, with a function that returns it."""
         last: list[tuple[float, R]] = []
 
         def take(time: float, reading: R) -> None:
@@ -207,7 +207,7 @@ class LocalSampler(Generic[R, S]):
         return self._samples
 
     def report(self) -> SamplingReport:
-        """Say how it went; to be asked after `stop`."""
+        """Return the report; call it after `stop`."""
         sampling = self._sampler.stop()
         failures = [f"{sampling.failures} readings failed: {sampling.first_failure}"] if sampling.failures else []
         return SamplingReport(
@@ -254,7 +254,7 @@ class LocalHost:
         Args:
             rate: samples a second, Hz.
             processes: what to look for: `pid:123`, `name:talker` or `node:/talker`.
-            is_streamed: means nothing here: there is no network between.
+            is_streamed: ignored: there is no network in between.
 
         Raises:
             LinkError: psutil is not installed, or the link was closed.
@@ -326,7 +326,7 @@ class _Counters:
         memory = self._psutil.virtual_memory()
         return CounterSample(
             time=0.0,
-            # The sum of the cores would fall and rise by hours where one of them is switched off and on.
+            # Not the sum of the cores, which would change by hours when one of them is switched off or on.
             whole=_core(self._psutil.cpu_times()),
             cores=placed_cores(dict(zip(_online_cores(len(cores)), cores, strict=True))),
             memory_total=memory.total,
@@ -336,7 +336,7 @@ class _Counters:
 
 
 def _online_cores(count: int) -> Sequence[int]:
-    """Return the numbers of the cores that psutil tells of, which leaves out those that are switched off."""
+    """Return the numbers of the cores that psutil lists: those that are switched on."""
     spans = [span.partition("-") for span in (_first_line(_ONLINE) or "").split(",")]
     try:
         numbers = [core for first, _, last in spans for core in range(int(first), int(last or first) + 1)]
@@ -346,7 +346,7 @@ def _online_cores(count: int) -> Sequence[int]:
 
 
 def _core(times: Any) -> CoreCounters:
-    # Linux counts the time of guests among that of the user already.
+    # Without the time of guests, which Linux has in that of the user already.
     guests = getattr(times, "guest", 0.0) + getattr(times, "guest_nice", 0.0)
     return CoreCounters(total=sum(times) - guests, idle=times.idle + getattr(times, "iowait", 0.0))
 

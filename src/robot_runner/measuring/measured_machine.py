@@ -1,4 +1,4 @@
-"""What profilers of a machine ask: whose time it lives by, and whether it is the robot's and can be reached."""
+"""What profilers of a machine need: its clock, whether it is the robot's, and whether it can be reached."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class Computer:
 
     Attributes:
         host: `localhost` for this machine, or as ssh takes it.
-        ssh_config: a file to take the place of the user's ssh config.
-        form: how it is sampled over ssh, as `connect_host` takes it.
-        subjects: selectors of processes that are measured on purpose (`process_selector`).
+        ssh_config: a file to use instead of the user's ssh config.
+        form: how it is sampled over ssh, as in `connect_host`.
+        subjects: selectors of the processes to be measured (`process_selector`).
     """
 
     host: str = LOCAL
@@ -36,13 +36,13 @@ class Computer:
     subjects: tuple[str, ...] = ()
 
 
-#: What a profiler measures that reads counters of the machine that it is executed on.
+#: The computer of profilers that read counters of the machine on which they are executed.
 THIS_MACHINE = Computer()
 
 
 @runtime_checkable
 class MeasuresComputer(Protocol):
-    """A profiler whose measures depend on what else goes on on a computer."""
+    """A profiler whose measures depend on everything that is executed on a computer."""
 
     @property
     def measured_computer(self) -> Computer | None:
@@ -50,7 +50,7 @@ class MeasuresComputer(Protocol):
 
 
 def concerned(plugins: Iterable[Plugin]) -> list[tuple[str, Computer]]:
-    """Return which plugin measures which computer; how a parameter is bound to a factor decides it anew in each run."""
+    """Return which plugin measures which computer; where a factor sets a parameter, that may change in each run."""
     measured = [(plugin.name, plugin.measured_computer) for plugin in plugins if isinstance(plugin, MeasuresComputer)]
     return [(name, computer) for name, computer in measured if computer is not None]
 
@@ -64,7 +64,7 @@ def machine_clock(context: RobotRunnerContext) -> Clock:
 
 
 def clock_details(context: RobotRunnerContext) -> Mapping[str, str]:
-    """Return, for `quality.json`, whose clock the times in the raw data are of."""
+    """Return, for `quality.json`, which clock the times in the raw data are of."""
     return {"clock": "machine" if lives_by_simulation(context) else "run"}
 
 
@@ -79,14 +79,14 @@ def simulation_findings(plugin: str, robot: str | None) -> list[Finding]:
 def host_findings(
     plugin: str, robot: str | None, *, host: str | None, ssh_config: Path | None, has_selection: bool
 ) -> list[Finding]:
-    """Return what stands in the way of sampling a computer.
+    """Return what prevents the sampling of a computer.
 
     Args:
-        plugin: the name of the plugin that asks.
+        plugin: the name of the plugin.
         robot: how the experiment's robot is reached.
         host: the computer; None for the on-board one of a simulated robot.
-        ssh_config: a file to take the place of the user's ssh config.
-        has_selection: whether single processes or cores are asked for.
+        ssh_config: a file to use instead of the user's ssh config.
+        has_selection: whether single processes or cores are to be measured.
 
     Example:
         >>> host_findings("PsUtil", "simulated", host=None, ssh_config=None, has_selection=False)

@@ -1,4 +1,4 @@
-"""A meter that is a program: started, its output followed as it comes, and ended in one way or another."""
+"""A meter that is a program: it is started, its output is read while it runs, and it is ended, by force if needed."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import Clock
 from robot_runner.core.execution.processes import stop_with_parent
 
-#: How often output is looked at, s: records are stamped as much too late, at most.
+#: How often output is read, s: the stamps of records are late by this much at most.
 _LOOK = 0.01
-#: How long a program that got SIGTERM after its own signal may take before it is killed, s.
+#: How long a program may take after SIGTERM, which follows its own stop signal, before it is killed, s.
 _LAST_GRACE = 1.0
-#: How long to wait for what was killed to be gone, s.
+#: How long to wait for the end of a process that was killed, s.
 _DEATH = 5.0
 
 
@@ -30,9 +30,9 @@ class Record:
     """A piece of output, without the separator that ended it.
 
     Attributes:
-        received_at: when it was there, s on the run's clock.
-        text: what it says.
-        is_ended: whether a separator ended it; else the program ended in the middle of it, or writes none at its end.
+        received_at: when it was read, s on the run's clock.
+        text: its content.
+        is_ended: whether a separator ended it; if not, the program ended within it, or writes no last separator.
     """
 
     received_at: float
@@ -46,8 +46,8 @@ class Ending:
 
     Attributes:
         exit_code: its exit code; negative for the signal that ended it; None if nothing could end it.
-        was_asked: whether we asked it to; False where it ended by itself before.
-        was_killed: whether it took SIGKILL to end it.
+        was_asked: whether it got the stop signal; False if it ended by itself before.
+        was_killed: whether SIGKILL was needed.
         complaint: the last line that it wrote to stderr; empty for none.
     """
 
@@ -58,18 +58,18 @@ class Ending:
 
 
 class ChildProgram:
-    """A program that was started, and is ended in one way or another.
+    """A program that is executed until it is stopped, by force if needed.
 
-    In a process group of its own, it gets SIGTERM on Linux should this process die without a chance to end it; in this
-    process's group, it is ended with the group. Its stdin is a pipe that is never written to: a program that ends at
-    the end of its input ends with us.
+    In a process group of its own, it gets SIGTERM, on Linux, if this process dies before it could end it; in this
+    process's group, it is ended with the group. Its stdin is a pipe that is never written to: so a program that ends at
+    the end of its input ends with this process.
 
     Args:
         command: the program and its arguments.
         output: takes what it writes to stdout.
         errors: takes what it writes to stderr, and can be read; closed when the program has ended.
         has_own_group: whether it gets a process group of its own.
-        environment: variables beside those of this process.
+        environment: variables in addition to those of this process.
 
     Attributes:
         said: all that it wrote to stderr, once it was stopped.
@@ -112,11 +112,11 @@ class ChildProgram:
         return self.process.poll() is None
 
     def wait(self, is_enough: Callable[[], bool], *, seconds: float) -> bool:
-        """Wait for a condition, at most so many real seconds or until the program ends; say whether it came true."""
+        """Wait for a condition, at most `seconds` of real time or until the program ends; return whether it holds."""
         deadline = time.monotonic() + seconds
         while not is_enough():
             if not self.is_running:
-                time.sleep(2 * _LOOK)  # the last of its output may be on the way
+                time.sleep(2 * _LOOK)  # the last of its output may not have been read yet
                 return is_enough()
             if time.monotonic() >= deadline:
                 return False
@@ -126,18 +126,18 @@ class ChildProgram:
     def stop(self, stop_signal: signal.Signals, *, grace: float) -> Ending:
         """End it and return how it ended; a second call returns the same.
 
-        It gets its own signal, alone, so that it can end what it started itself; then its own group gets SIGTERM, and
-        then SIGKILL.
+        First the program alone gets its stop signal, so that it can end what it started itself; then its group gets
+        SIGTERM, and then SIGKILL.
 
         Args:
-            stop_signal: what it takes for "write what you have, and end".
+            stop_signal: the signal at which it writes what it has, and ends.
             grace: how long it may take for that, s.
         """
         if self._ending is None:
             was_asked = self.is_running
             was_killed = was_asked and not self._end(stop_signal, grace)
             if self._group is not None:
-                self._send(self._group, signal.SIGTERM)  # what it may have left behind
+                self._send(self._group, signal.SIGTERM)  # for processes that it may have left behind
             self._stop_following()
             if self.process.stdin is not None:
                 self.process.stdin.close()
@@ -150,7 +150,7 @@ class ChildProgram:
         return self._ending
 
     def _stop_following(self) -> None:
-        """Take the last of its output; nothing here, where nobody follows it."""
+        """Read the last of its output; does nothing here, where the output is not read."""
 
     def _end(self, stop_signal: signal.Signals, grace: float) -> bool:
         """Return whether it ended without being killed."""
@@ -185,7 +185,7 @@ class ChildProgram:
 
 
 class MeterProcess(ChildProgram):
-    """A program in a process group of its own, whose output is followed from a file.
+    """A program in a process group of its own, whose output is read from a file while it grows.
 
     Args:
         command: the program and its arguments.

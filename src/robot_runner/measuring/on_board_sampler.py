@@ -1,4 +1,4 @@
-"""A sampler on board of another computer: its samples are fetched at the end, or arrive while they are taken."""
+"""A sampler on another computer: its samples are fetched at the end, or arrive while they are taken."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def counter_sample(fields: Sequence[str]) -> CounterSample | None:
         return CounterSample(
             time=float(time),
             whole=whole,
-            cores=placed_cores(counters),  # one that is switched off has no line of its own
+            cores=placed_cores(counters),  # a core that is switched off is not in the line
             memory_total=total * _KILOBYTE,
             memory_available=available * _KILOBYTE,
             processes=tuple(map(_process, filter(None, processes.split(",")))),
@@ -55,7 +55,7 @@ def _core(text: str) -> tuple[int, CoreCounters]:
 
 def _process(text: str) -> ProcessCounters:
     selector, pid, started, cpu, memory, *family = text.split(":")
-    parent, children = family or ("0", "0")  # ps tells neither
+    parent, children = family or ("0", "0")  # ps has neither
     return ProcessCounters(int(selector), int(pid), started, float(cpu), float(memory), int(parent), float(children))
 
 
@@ -82,11 +82,10 @@ class Quantity(Generic[S_co]):
     """What is sampled.
 
     Attributes:
-        kind: what the on-board loop calls it.
-        about: what the loop is to look at.
-        understood: from the lines that come back, the computer's clock, how many cores it has and how long (s) a new
-            process may be there before it is seen, to the samples, placed on the run's clock; damaged lines are left
-            out.
+        kind: its name in the on-board loop.
+        about: the selectors or paths that the loop samples.
+        understood: returns the samples, on the run's clock and without damaged lines, from: the lines that were sent,
+            the computer's clock, its number of cores, and how long (s) a new process may exist before it is seen.
     """
 
     kind: str
@@ -107,7 +106,7 @@ def utilisation_counters(processes: Sequence[str]) -> Quantity[UtilisationSample
 
 
 def file_lines(paths: Sequence[str]) -> Quantity[FileSample]:
-    """Return what stands in the first line of each of some files."""
+    """Return the first lines of files."""
 
     def understood(
         lines: Sequence[Sequence[str]], clock: ClockRecord, _cores: int, _rescan: float
@@ -122,11 +121,11 @@ class OnBoardSampler(Generic[S_co]):
     """Samples from the moment that it is made until `stop`.
 
     Args:
-        session: with the computer; it takes no other samples meanwhile.
+        session: with the computer; it can take no other samples meanwhile.
         quantity: what is sampled.
         rate: samples a second.
         is_streamed: whether samples are sent at once. Otherwise they are kept in a file on the computer until they are
-            fetched, so that measuring does not load the network; that file survives a connection that is lost.
+            fetched, so that measuring does not load the network; that file remains if the connection is lost.
         reconnect: opens another session with the computer, to recover such a file.
 
     Raises:
@@ -161,21 +160,21 @@ class OnBoardSampler(Generic[S_co]):
 
     @property
     def is_stopped(self) -> bool:
-        """Whether it was stopped, so that its session is free for another."""
+        """Whether it was stopped, so that its session is free for another sampler."""
         return self._samples is not None
 
     def end(self) -> None:
-        """Sample no more; the samples are on their way, and `stop` waits for them."""
+        """Stop sampling; the samples are being sent, and `stop` waits for them."""
         if not self._is_ended:
             self._is_ended = True
-            with suppress(LinkError):  # `stop` finds it lost, and tells
+            with suppress(LinkError):  # `stop` notices the lost connection, and reports it
                 self._session.end()
 
     def stop(self) -> Sequence[S_co]:
         """End sampling and return the samples, oldest first; a second call returns the same.
 
-        Nothing is raised: where the connection is lost, the samples that can be had are returned, and the report
-        tells of it.
+        Nothing is raised: if the connection is lost, the samples that are available are returned, and the report says
+        that it was lost.
         """
         if self._samples is None:
             lines = self._lines()
@@ -185,7 +184,7 @@ class OnBoardSampler(Generic[S_co]):
         return self._samples
 
     def report(self) -> SamplingReport:
-        """Say how it went; to be asked after `stop`."""
+        """Return the report; call it after `stop`."""
         return SamplingReport(
             rate=self._rate,
             problems=(*self._problems, *self._clock.doubts()),
@@ -209,7 +208,7 @@ class OnBoardSampler(Generic[S_co]):
         return self._session.samples
 
     def _rescued(self, error: LinkError) -> list[list[str]]:
-        """Return the samples that a lost connection leaves: those that were sent, or those that were kept on board."""
+        """Return the samples that remain after a lost connection: those that were sent, or those kept on board."""
         self._problems.append(error.problem)
         if self._path is None:
             self._problems.append(f"the {len(self._session.samples)} samples that had arrived by then are kept")

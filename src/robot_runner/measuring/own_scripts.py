@@ -1,4 +1,4 @@
-"""The user's own scripts among the words of a command, and the modules beside them: what a package has to keep."""
+"""The user's own scripts in a command, and the modules beside them: a package has to contain these."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from robot_runner.core.storage.input_files import InputFile, input_file, kept_co
 
 #: Folders of the system and of installed programs: every machine has its own.
 _INSTALLED = ("/bin", "/sbin", "/lib", "/usr", "/opt", "/dev", "/proc", "/sys", "/etc", "/snap", "/nix")
-#: Interpreters, by a pattern of their names: after which letters of an option a program stands, and no file, and which
-#: letters have a value, behind them or in the next word (from the manual of each).
+#: Interpreters, by a pattern of their names: option letters that are followed by a program instead of a file, and
+#: letters that have a value, in the same or the next word (from the manual of each).
 _INTERPRETERS = {
     r"python[\d.]*": ("cm", "WX"),
     r"(?:ba|da|z|k|fi)?sh": ("cs", "oO"),
@@ -33,11 +33,11 @@ _WRAPPER = re.compile(
 )
 
 _IMPORT = re.compile(r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import|import[ \t]+([\w., \t]+))", re.MULTILINE)
-#: Into how many files is looked for further ones, and how large one may be, bytes.
+#: In how many files to search for further ones, and how large such a file may be, bytes.
 _MOST_NAMING, _LARGEST_NAMING = 200, 1_000_000
-#: What is not read by software under test, or is written while it is executed.
+#: Folders that software under test does not read, or writes while it is executed.
 _NOT_READ = frozenset({"__pycache__", "node_modules"})
-_MOST_FILES = 5001  # more than is kept of any input
+_MOST_FILES = 5001  # one more than is kept of any input
 
 
 def is_installed(path: Path) -> bool:
@@ -46,7 +46,7 @@ def is_installed(path: Path) -> bool:
 
 
 def scripts_in(words: Sequence[str]) -> Iterator[str]:
-    """Yield the files of a command that are executed: a program of the user's own, and a script for an interpreter.
+    """Yield the files that a command executes: a program of the user's own, and a script for an interpreter.
 
     Example:
         >>> list(scripts_in(["python3", "-u", "planner.py", "--map", "hall.yaml"])), list(scripts_in(["planner"]))
@@ -55,7 +55,7 @@ def scripts_in(words: Sequence[str]) -> Iterator[str]:
     program, *rest = words
     path = Path(program)
     options = _options_of(path.name)
-    # A copy of a virtual environment's Python finds none of its packages.
+    # The interpreter itself is left out: a copy of a virtual environment's Python would find none of its packages.
     is_of_environment = options is not None and (path.parent.parent / "pyvenv.cfg").is_file()
     if _is_own(program) and not is_of_environment:
         yield program
@@ -68,7 +68,7 @@ def scripts_in(words: Sequence[str]) -> Iterator[str]:
 
 
 def _is_own(word: str) -> bool:
-    """Return whether a word is a path of the user's: no option, no assignment, and of no installed program."""
+    """Return whether a word is a path of the user's: no option, no assignment, and no installed program."""
     return "/" in word and "=" not in word and not word.startswith("-") and not is_installed(Path(word))
 
 
@@ -77,7 +77,7 @@ def _options_of(program: str) -> tuple[str, str] | None:
 
 
 def _script_behind(words: Sequence[str], inline: str, valued: str) -> Iterator[str]:
-    """Yield the script that an interpreter executes, unless an option gives it its program."""
+    """Yield the script that an interpreter executes, unless an option has the program."""
     left = iter(words)
     for word in left:
         if not word.startswith(("-", "+")) or word == "--":
@@ -94,11 +94,11 @@ def _script_behind(words: Sequence[str], inline: str, valued: str) -> Iterator[s
 def script_inputs(paths: Iterable[Path]) -> Iterator[InputFile]:
     """Yield programs and scripts as inputs, with the modules beside them that they import.
 
-    A program that its user may execute and not read cannot be kept: see `unread_findings`.
+    A program that the user may execute but not read cannot be kept: see `unread_findings`.
     """
     for path in paths:
         found = input_file(path)
-        # Python and Node execute folders, too. Modules that they compile there are no inputs.
+        # Python and Node execute folders, too. Modules that they compile are no inputs.
         if os.path.isdir(found):  # noqa: PTH112 - false of a name that no path can have
             yield InputFile(path, tuple(files_below(found)))
         elif os.access(found, os.R_OK):
@@ -106,7 +106,7 @@ def script_inputs(paths: Iterable[Path]) -> Iterator[InputFile]:
 
 
 def unread_findings(where: str, paths: Iterable[Path]) -> Iterator[Finding]:
-    """Yield a warning for each program that can be executed and not read, so that a package lacks it."""
+    """Yield a warning for each program that can be executed but not read: a package lacks it."""
     for path in paths:
         found = input_file(path)
         if is_file(found) and not os.access(found, os.R_OK):
@@ -118,7 +118,7 @@ def with_named(path: Path, look: Callable[[Path], Iterable[Path]]) -> InputFile:
     """Return a file as an input, with the files that `look` finds in it, and those that it finds in them."""
     found = {kept_copy(path) or path: None}
     for place in range(_MOST_NAMING):
-        each = next(islice(found, place, None), None)  # those that were found meanwhile come, too
+        each = next(islice(found, place, None), None)  # `found` grows in this loop
         if each is not None:
             found |= dict.fromkeys(look(each))
     return InputFile(path, tuple(found)[1:])
@@ -135,7 +135,7 @@ def modules_beside(path: Path) -> Iterator[Path]:
 
 
 def text_of(path: Path) -> str:
-    """Return what a file says; nothing where it cannot be read, or is too large for one that names others."""
+    """Return the text of a file; empty where it cannot be read, or is too large to be searched for names of files."""
     try:
         if path.is_file() and path.stat().st_size <= _LARGEST_NAMING:
             return path.read_text(encoding="utf-8", errors="replace")
@@ -145,7 +145,7 @@ def text_of(path: Path) -> str:
 
 
 def files_below(folder: Path) -> Iterator[Path]:
-    """Yield the files in a folder and below it, without hidden folders and results of experiments."""
+    """Yield the files in a folder and below it, except in hidden folders and results of experiments."""
     return islice(_walked(folder), _MOST_FILES)
 
 
@@ -159,5 +159,5 @@ def _walked(folder: Path) -> Iterator[Path]:
 
 
 def is_file(path: Path) -> bool:
-    """Return whether a text that may be the path of a file is that of one."""
+    """Return whether a path, which may be any text, is that of a file."""
     return os.path.isfile(path)  # noqa: PTH113 - false of a name that no path can have

@@ -28,9 +28,9 @@ from robot_runner.measuring.series import Series, within
 
 R = TypeVar("R")
 
-#: How long a reading may hold up the end of the measurement, s.
+#: How long a reading may delay the end of the measurement, s.
 _PATIENCE = 5.0
-#: How long the first reading may hold up the beginning of the measurement, or one at an edge of the mission that, s.
+#: How long the first reading may delay the measurement's beginning, or one at an edge of the mission that edge, s.
 _FIRST_PATIENCE = 1.0
 
 
@@ -39,7 +39,7 @@ class TickingClock(Protocol):
     """A clock whose time passes only during a sleep on it, such as that of a simulated robot."""
 
     def call_every(self, period: float, callback: Callable[[], None]) -> Closable:
-        """Have `callback` called every `period` seconds of the clock, until the result is closed."""
+        """Call `callback` every `period` seconds of the clock, until the result is closed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +48,12 @@ class Sampling(Generic[R]):
 
     Attributes:
         times: when each reading was taken, s on the run's clock; the middle of the time that reading took.
-        readings: what was read, one for each time.
-        window: that the readings are evaluated over; at first from the start to the stop of the sampler, whose last
-            reading is taken at the stop, whenever the one before it was.
+        readings: one for each time.
+        window: the one that the readings are evaluated over; at first from the start to the stop of the sampler, which
+            takes a last reading at the stop, whenever the one before it was.
         rate: the nominal rate, Hz.
         failed_at: when readings raised an exception instead, s on the run's clock.
-        first_failure: what the first of those said.
+        first_failure: the text of the first of these exceptions.
         cpu_seconds: CPU time that reading took on the machine that is read, s; None if not known.
         sampled_seconds: how long the sampler worked, s.
 
@@ -78,11 +78,11 @@ class Sampling(Generic[R]):
         return sum(self.window.start <= time <= self.window.end for time in self.failed_at)
 
     def over(self, window: Window) -> Sampling[R]:
-        """Return the same readings, to be evaluated over another window; those outside tell of its edges."""
+        """Return the same readings, to be evaluated over another window; those outside serve for its edges."""
         return replace(self, window=window)
 
     def within(self) -> Sampling[R]:
-        """Return the readings that were taken in the window, for what counts readings instead of integrating them."""
+        """Return the readings that were taken in the window, for measures that count readings."""
         seen = within(self.times, self.window)
         return replace(self, times=self.times[seen], readings=self.readings[seen])
 
@@ -104,7 +104,7 @@ class Sampling(Generic[R]):
         )
 
     def _own_seconds(self) -> float | None:
-        """Return the CPU time of the window, from that of all the time that was sampled."""
+        """Return the window's share of the CPU time that sampling took in all."""
         if self.cpu_seconds is None:
             return None
         return self.cpu_seconds * self.window.duration / self.sampled_seconds if self.sampled_seconds else 0.0
@@ -113,12 +113,12 @@ class Sampling(Generic[R]):
 class PeriodicSampler(Generic[R]):
     """Calls `read` at fixed moments of the run's clock, from `start` until `stop`.
 
-    On the machine's own clock it does so in a thread of the run's process: the moments are start + n / rate, and one
-    that was missed is passed over, so that the samples neither drift nor come in bursts. On a clock that moves only
-    while it is slept on (a simulated robot's, a test's) it is called on the way, in the thread that sleeps.
+    On the machine's own clock it does so in a thread of the run's process: the moments are start + n / rate, and missed
+    ones are skipped, so that the samples neither drift nor come in bursts. On a clock that moves only during a sleep on
+    it (a simulated robot's, a test's) `read` is called during that sleep, in the thread that sleeps.
 
-    A reading that raises is counted and its place stays empty; sampling goes on. So a meter that fails costs samples,
-    which the quality tells of, and not the mission.
+    A reading that raises an exception is counted and left out; sampling goes on. So a meter that fails costs samples,
+    which shows in the quality, but not the mission.
 
     Args:
         read: returns one reading; it must not sleep on the run's clock.
@@ -142,7 +142,7 @@ class PeriodicSampler(Generic[R]):
         if not (math.isfinite(rate) and rate > 0):
             raise PluginError(f"the sample rate is {rate!r} Hz", where="sampling", fix="Give a rate above 0.")
         self._read = read
-        #: Called with each reading and its time, in the thread that reads: for who watches.
+        #: Called with the time of each reading and the reading, in the thread that reads: for live displays.
         self.on_reading: Callable[[float, R], None] = lambda _time, _reading: None
         self._rate = rate
         self._clock = clock
@@ -174,11 +174,12 @@ class PeriodicSampler(Generic[R]):
         else:
             self._thread = threading.Thread(target=self._keep_taking, name="sampler", daemon=True)
             self._thread.start()
-            # A thread may come to its turn only when a short mission is over, and a counter has counted most of it.
+            # Wait for the first reading: a thread may start so late that a short mission, of which a counter would
+            # have seen most, is over.
             self._has_taken.wait(_FIRST_PATIENCE)
 
     def take_now(self) -> None:
-        """Take one more reading at once, out of turn; a reading that hangs is waited for a moment only."""
+        """Take one more reading at once, out of turn; for one that hangs wait only a moment."""
         if self._thread is None:
             if not self._times or self._times[-1] < self._clock.now():
                 self._take()
@@ -255,15 +256,15 @@ class PeriodicSampler(Generic[R]):
 
 
 class HostSampler(Generic[R]):
-    """Has a computer read the first lines of files from `start` until `stop`, which are fetched then.
+    """Has a computer read the first lines of files from `start` until `stop`, which fetches them.
 
     Args:
         host: the computer.
         paths: the files.
-        understood: from the lines of the files, None for one that could not be read, to one reading; a ValueError costs
-            that reading, as in a `PeriodicSampler`.
+        understood: converts the lines of the files, None for one that could not be read, to a reading; after a
+            ValueError that reading is left out, as in a `PeriodicSampler`.
         rate: readings a second, Hz.
-        clock: that the computer's samples are stamped by.
+        clock: the one that the computer's samples are stamped by.
     """
 
     def __init__(
@@ -297,16 +298,16 @@ class HostSampler(Generic[R]):
         self._begun = self._clock.now()
 
     def take_now(self) -> None:
-        """Do nothing: the computer reads on its own, and the edges lie between two of its readings."""
+        """Do nothing: the computer reads on its own, and the mission's edges are between two of its readings."""
 
     def latest(self) -> R | None:
-        """Return the last reading; None where there is none: most computers tell at the end."""
+        """Return the last reading; None where there is none yet: most computers send them at the end."""
         with suppress(ValueError):
             return None if self._latest is None else self._understood(self._latest().lines)
         return None
 
     def stop(self) -> Sampling[R]:
-        """Fetch what was sampled; a second call returns the same."""
+        """Fetch the readings; a second call returns the same."""
         if self._sampling is None:
             window = Window(self._begun, self._clock.now())
             samples = self._files.stop() if self._files is not None else ()
@@ -314,7 +315,7 @@ class HostSampler(Generic[R]):
         return self._sampling
 
     def report(self) -> SamplingReport:
-        """Return what the computer says of its sampling; to be asked after `stop`."""
+        """Return the computer's report of its sampling; call it after `stop`."""
         return report_of(self._files, self._rate)
 
     def _take_latest(self, sample: Callable[[], FileSample]) -> None:

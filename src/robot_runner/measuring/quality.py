@@ -1,4 +1,4 @@
-"""What a profiler says about its own samples: kept with the raw data, and warned of where it is poor."""
+"""The quality of a profiler's samples: kept with the raw data, with warnings where it is poor."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Column:
 
 
 def write_samples(path: Path, columns: Sequence[Column]) -> None:
-    """Write columns of equal length as a CSV file with a heading, replacing what was there.
+    """Write columns of equal length as a CSV file with a heading; an existing file is replaced.
 
     Raises:
         ValueError: the columns are not equally long.
@@ -68,12 +68,12 @@ def write_quality(
     *,
     sampled: Window | None = None,
 ) -> None:
-    """Write what is known about the samples as a JSON object.
+    """Write the quality of samples and facts about the sensor as a JSON object.
 
     Args:
         path: the file.
         quality: of the samples within the window.
-        window: that the values are about; raw samples outside it count for nothing but its edges.
+        window: the one that the values are about; raw samples outside it only serve for its edges.
         details: plain facts about the sensor.
         sampled: from the profiler's start to its stop.
     """
@@ -90,15 +90,15 @@ def write_quality(
 #: Percentage of the window that samples must cover for a value to be computed: power and utilisation that change
 #: by a third between phases bend a mean over the rest by less than 2 %.
 MINIMUM_COVERAGE = 95.0
-#: A pause longer than this many periods of sampling is a gap: what happened in it was not seen.
+#: A pause longer than this many sampling periods is a gap: what happened in it is unknown.
 _GAP_PERIODS = 5.0
-#: An interval that is longer than this many periods lacks a sample.
+#: In an interval longer than this many periods a sample is missing.
 _OVERDUE_PERIODS = 1.5
-#: By how many percent the samples may be fewer than expected; one sample depends on where the window's edges fall.
+#: By how many percent the samples may be fewer than expected; one sample depends on where the window's edges are.
 _FEWER = 2.0
-#: Jitter (95th percentile) in periods above which the samples are not what their rate says.
+#: Jitter (95th percentile), in periods, above which samples are too uneven for their rate.
 _JITTER_PERIODS = 0.5
-#: Percentage of the window: samples that may stand further than this beside their true place can bend a value so far.
+#: Percentage of the window by which the times of samples may be wrong; beyond it a value may be wrong by as much.
 _CLOCK_SHARE = 1.0
 #: Percentage of one core above which a profiler changes what it measures on its own machine.
 _OWN_SHARE = 5.0
@@ -120,7 +120,7 @@ class Jitter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SampleQuality:
-    """What is known about the samples of one window.
+    """The quality of the samples of one window.
 
     Attributes:
         expected: how many samples the window should hold at the nominal rate.
@@ -128,16 +128,16 @@ class SampleQuality:
         period: the nominal time between two samples, s.
         largest_gap: the longest time without a sample, the window's edges included, s.
         coverage: percentage of the window outside gaps; a gap is a pause of more than five periods.
-        overdue: for how long within the window a sample was overdue, s: what intervals of more than one and a half
-            periods have beyond a period, those that reach across the window's edges included.
-        jitter: of the times between the window's samples, those that were taken for its edges left out; None for fewer
-            than two samples.
+        overdue: for how long within the window a sample was overdue, s: the time beyond one period in intervals of more
+            than one and a half periods, including intervals across the window's edges.
+        jitter: of the times between the window's samples, without those taken for its edges; None for fewer than two
+            samples.
         duplicates: samples that came twice and were left out.
         lost: samples that were taken or due and never arrived.
         corrupt: messages that arrived damaged and were left out.
-        failed: readings that raised an error instead; `first_failure` is what the first one said.
+        failed: readings that raised an error instead; `first_failure` is the text of the first one.
         saturated: samples at the end of the sensor's range: the true value lies beyond.
-        is_bracketed: whether samples stand on both sides of the window, each no further than a period from its edge.
+        is_bracketed: whether there are samples on both sides of the window, each at most a period away from its edge.
         clock_offset: how far the clock of the samples was ahead of the run's, s; None where they share one.
         clock_uncertainty: how far that may be wrong, s.
         cpu_seconds: CPU time that the profiler itself used on the machine that it measures, s; None if not known.
@@ -169,7 +169,7 @@ class SampleQuality:
         return (self.got > 0 or self.is_bracketed) and self.coverage >= MINIMUM_COVERAGE
 
     def warnings(self) -> tuple[str, ...]:
-        """Return one sentence, with figures, for each thing that is doubtful; nothing where all is well."""
+        """Return one sentence, with figures, for each doubt; nothing where there is none."""
         return tuple(self._doubts())
 
     def _doubts(self) -> Iterator[str]:
@@ -263,8 +263,8 @@ def quality_of(  # noqa: PLR0913 - each is one thing that a sensor may know of i
 def _overdue(times: Sequence[float], window: Window, period: float) -> float:
     """Return for how long within a window a sample was overdue, s.
 
-    Of an interval that reaches across an edge, the samples on both sides tell together: what is interpolated between
-    them is as uncertain within the window as if it lay there.
+    Intervals across an edge count, too: what is interpolated between their samples is as uncertain in the window as if
+    the whole interval were in it.
     """
     near = list(times[max(bisect_right(times, window.start) - 1, 0) : bisect_left(times, window.end) + 1])
     near = [*([] if near and near[0] <= window.start else [window.start]), *near]
@@ -316,18 +316,18 @@ def report_quality(
     sampled: Window | None = None,
     measures: Sequence[str] = (),
 ) -> bool:
-    """Keep the quality in the raw-data folder as `quality.json`, doubt what is poor, and say whether it suffices.
+    """Write the quality to the raw-data folder as `quality.json`, report doubts, and return whether it suffices.
 
-    The doubts reach the end of the run, the journal, and the schema of the run table.
+    The doubts appear at the end of the run, in the journal, and in the schema of the run table.
 
     Args:
         context: the run's.
         quality: of the samples.
-        window: that they are about.
+        window: the one that the quality is about.
         fix: what the reader of a warning can do, in one sentence.
-        details: plain facts to keep beside, such as the sensor's settings.
+        details: plain facts to keep with it, such as the sensor's settings.
         sampled: from the profiler's start to its stop.
-        measures: whose values the samples are; none named: all of the profiler's.
+        measures: those that are computed from the samples; empty for all of the profiler's.
 
     Returns:
         Whether a value may be computed from the samples (`SampleQuality.is_sufficient`).

@@ -14,12 +14,12 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.core.events.context import Clock
 
-#: The name of the link to a port at whose other end is a simulated meter; it tells who opens it so.
+#: The name of a link to the port of a simulated meter: by it the meter is known to be simulated.
 SIMULATED_PORT = "simulated-ina219"
 
 
 class Chunk(NamedTuple):
-    """Bytes that came together, and when: seconds on the run's clock (a tuple, because there are 19,000 in a run)."""
+    """Bytes that arrived together, and when, s on the run's clock (a tuple, as a run has 19,000 of them)."""
 
     received_at: float
     data: bytes
@@ -53,7 +53,7 @@ class SerialLine(Protocol):
 
 DEFAULT_BAUD = 115200
 
-#: How long the reader waits for a byte before it looks whether it was told to stop, s.
+#: How long the reader waits for a byte before it checks whether to stop, s.
 _READ_TIMEOUT = 0.2
 #: How long sending may take, s; a `?` takes 0.1 ms.
 _WRITE_TIMEOUT = 1.0
@@ -68,7 +68,7 @@ _SHARE = "End the other program that has it open (a serial monitor, a second exp
 
 
 def found_ports() -> list[str]:
-    """Return the serial ports of this machine, links by name included; nothing where pyserial is not installed."""
+    """Return the serial ports of this machine, and links to them by name; nothing where pyserial is not installed."""
     try:
         listing = import_module("serial.tools.list_ports")
     except ModuleNotFoundError:
@@ -77,9 +77,9 @@ def found_ports() -> list[str]:
 
 
 def port_problem(port: str) -> LinkError | None:
-    """Return what stands in the way of opening this port, or None; nothing is opened by asking.
+    """Return what prevents opening this port, or None; the port is not opened for that.
 
-    Opening would reset an Arduino. Of a port on the network (a URL of pyserial's) only pyserial itself is looked for.
+    Opening would reset an Arduino. For a port on the network (a URL of pyserial's) only pyserial itself is checked.
 
     Example:
         >>> port_problem("/dev/no-such-port").problem
@@ -143,7 +143,7 @@ class SerialPort:
         """
         if self._is_closed:
             raise LinkError("the line was closed", where=self._where, fix="Drain it before it is closed.")
-        failure = self._failure  # looked at first: what was read before it stands in the queue
+        failure = self._failure  # before the queue is read: then all that arrived before it is in the queue
         chunks = [self._chunks.popleft() for _ in range(len(self._chunks))]
         if failure is not None and not chunks:
             raise self._lost(failure)
@@ -167,7 +167,7 @@ class SerialPort:
         if self._is_closed:
             return
         self._is_closed = True
-        cancel = getattr(self._device, "cancel_read", None)  # not every kind of port has it
+        cancel = getattr(self._device, "cancel_read", None)  # some kinds of port do not have it
         if cancel is not None:
             cancel()
         self._reader.join(_PATIENCE)

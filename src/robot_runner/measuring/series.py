@@ -1,4 +1,4 @@
-"""Integrals and means of samples over their real time stamps, which are never quite evenly spaced."""
+"""Integrals and means of samples over their actual time stamps, which are never quite evenly spaced."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from robot_runner.core.events.window import Window
 
 #: By how many times between changes a renewal is recognised, and how far these may differ, as a share of their mean.
 _EVEN_CHANGES, _EVENNESS = 2, 0.1
-#: So many values has what is switched on and off.
+#: The number of values of a quantity that is only switched on and off.
 _STATES = 2
-#: Or how far, in times between two readings, where more of them are.
+#: Or how far, in times between two readings, if that is more.
 _SLACK = 1.1
 
 
@@ -64,8 +64,8 @@ def cut(series: Series, window: Window, *, reach: float = 0.0) -> Series:
     """Return the samples of the window, with a sample on each edge.
 
     The value on an edge is interpolated linearly between the samples on either side of it. Where there is no
-    sample beyond an edge, the nearest one inside stands for it if it is no further than `reach` seconds away
-    (one period of sampling is a fair choice); otherwise the result begins or ends with that sample.
+    sample beyond an edge, the nearest one inside is used for it if it is at most `reach` seconds away
+    (one sampling period is a good choice); otherwise the result begins or ends with that sample.
 
     Example:
         >>> from robot_runner.core.events.window import Window
@@ -120,7 +120,7 @@ def growth(counter: Series, window: Window) -> float | None:
     """Return by how much a counter grew over the window, or None where its readings span no time.
 
     At the edges the counter is interpolated between the readings on either side; beyond the first or the last reading
-    it goes on as fast as on average.
+    it is assumed to grow at its average rate.
 
     Example:
         >>> from robot_runner.core.events.window import Window
@@ -135,10 +135,10 @@ def growth(counter: Series, window: Window) -> float | None:
 
 
 def renewed_every(series: Series) -> float | None:
-    """Return how far the changes of a series are apart, s, where they are evenly so; None otherwise, or for too few.
+    """Return the time between changes of a series, s, where it is even; None otherwise, or for too few changes.
 
-    So is what a meter renews less often than it is read; what goes to and fro between two values is a load that is
-    switched.
+    Even changes are those of a meter that renews its value less often than it is read. A series of two values is left
+    out: that is a load which is switched on and off.
 
     Example:
         >>> renewed_every(Series([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [7.5, 7.5, 7.6, 7.6, 7.4, 7.4, 7.5]))
@@ -150,14 +150,14 @@ def renewed_every(series: Series) -> float | None:
     if len(apart) < _EVEN_CHANGES or len(set(values)) == _STATES:
         return None
     every, spread = math.fsum(apart) / len(apart), max(apart) - min(apart)
-    # A change is seen at the next reading only, so that times between changes may differ by as much.
+    # A change is seen only at the next reading, so that times between changes may differ by the time between readings.
     reading = (times[-1] - times[0]) / (len(series) - 1)
     is_even = spread <= _EVENNESS * every or (len(apart) > _EVEN_CHANGES and spread <= _SLACK * reading)
     return every if is_even else None
 
 
 def longest_standstill(times: Sequence[float], values: Sequence[object]) -> Sequence[float]:
-    """Return the times, s, of the longest stretch of equal values; that of the most samples, empty for none.
+    """Return the times, s, of the longest stretch of equal values, by the number of samples; empty for none.
 
     Example:
         >>> longest_standstill([0.0, 1.0, 2.0, 3.0], [7, 8, 8, 9])
@@ -176,10 +176,10 @@ def mean(series: Series) -> float | None:
 
 
 def mean_of_intervals(series: Series, window: Window) -> float | None:
-    """Return the mean over the window of values that each tell of the time since the sample before.
+    """Return the mean over the window of values that are each about the time since the sample before.
 
-    CPU utilisation is such a value: the share of time that was busy since the last look. The first sample
-    has no time before it and does not count. None where the samples say nothing about the window.
+    CPU utilisation is such a value: the busy share of the time since the last sample. The first sample
+    has no time before it and does not count. None where the samples do not cover any of the window.
 
     Example:
         >>> from robot_runner.measuring.series import Series
@@ -216,7 +216,7 @@ def energy_from_mean_power(power: Series, window: Window) -> float | None:
     """Return the paper's E = P x t in joules: the plain mean of the window's samples times the window's duration.
 
     Source: Swanborn and Malavolta, Robot Runner (ICSE 2021), section II.C. It equals the integral for evenly
-    spaced samples; where samples are missing, it takes it that power was as on average.
+    spaced samples; where samples are missing, average power is assumed.
     """
     seen = power.values[within(power.times, window)]
     return math.fsum(seen) / len(seen) * window.duration if len(seen) else None

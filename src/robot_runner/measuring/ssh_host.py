@@ -1,4 +1,4 @@
-"""A computer that is reached with the system's own OpenSSH client."""
+"""A computer that is reached with the system's OpenSSH client."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ class SshHost:
     """A computer at the other end of ssh, on which a small loop samples.
 
     The user's own ssh config, agent, keys, jump hosts and known hosts apply. Nothing is installed there: the loop is
-    sent when a session begins and gone when it ends. A session stays open for the run; a second sampler at the same
+    sent when a session begins and is gone when it ends. A session stays open for the run; a second sampler at the same
     time gets a session of its own.
 
     Args:
-        host: as ssh takes it: `robot`, `pi@robot`, `ssh://pi@robot:2222`.
+        host: in one of ssh's forms: `robot`, `pi@robot`, `ssh://pi@robot:2222`.
         clock: the run's.
-        config: a file to take the place of the user's ssh config.
-        form: `python3`, `sh` or `ps`; left out, the best that the computer can do.
-        command: what starts the shell at the other end; left out, ssh.
+        config: a file to use instead of the user's ssh config.
+        form: `python3`, `sh` or `ps`; None takes the best one that works there.
+        command: what starts the shell at the other end; None for ssh.
 
     Example:
         >>> from robot_runner.core.events.context import SystemClock
@@ -123,7 +123,7 @@ class SshHost:
         return sorted(self._session().ask("list", *checked_words([pattern]), answer="paths"))
 
     def clock_offset(self) -> ClockOffset:
-        """Return how the computer's clock stands to this machine's.
+        """Return the offset of the computer's clock from the run's.
 
         Raises:
             LinkError: the computer cannot be reached.
@@ -137,7 +137,7 @@ class SshHost:
             for session in self._sessions:
                 closing.callback(session.close)
             for session, sampler in self._samplers:
-                if session.is_alive:  # a run that was broken off: nothing may be left behind on board
+                if session.is_alive:  # after an aborted run: leave nothing behind on board
                     closing.callback(sampler.stop)
             self._sessions, self._samplers = [], []
 

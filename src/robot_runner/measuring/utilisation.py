@@ -1,4 +1,4 @@
-"""What the samples of a run amount to: means over the measured window, and how far they can be trusted."""
+"""Means of utilisation over the measured window of a run, and how far they can be trusted."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from robot_runner.measuring.on_board_session import FORMS
 from robot_runner.measuring.quality import Column, SampleQuality, quality_of, write_quality, write_samples
 from robot_runner.measuring.series import Series, cut, mean, mean_of_intervals
 
-#: In steps of how many seconds ps tells what a process has used.
+#: The resolution of the CPU times that ps shows, s.
 _PS_STEP = 1.0
-#: Percentage of one core, over the window, above which what ended processes may have used unseen is worth a doubt.
+#: Percentage of one core, over the window, above which the unseen CPU time of ended processes is doubted.
 _UNSEEN_SHARE = 1.0
 _NO_PROCESS = (
     "Start it before or during the mission, and compare its selector with what `ps -eo pid,comm,args` shows then."
@@ -36,8 +36,8 @@ class Doubt(NamedTuple):
 
     Attributes:
         problem: with figures.
-        measures: the names of those that it is about; none: all.
-        fix: what to do; empty where that is for the profiler to say.
+        measures: the names of those concerned; empty for all.
+        fix: what to do; empty for the profiler's default.
     """
 
     problem: str
@@ -63,7 +63,7 @@ class Selection:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """A word for each selector, for the names of measures."""
+        """A word for each selector, used in the names of measures."""
         return tuple(re.sub(r"\W+", "_", one.partition(":")[2]).strip("_") or "process" for one in self.processes)
 
     def measures(self) -> tuple[Measure, ...]:
@@ -105,7 +105,7 @@ class Utilisation:
         samples: oldest first.
         window: on the same clock; at first from the start to the stop of the sampler.
         selection: what was measured besides the whole computer.
-        report: what the sampler said of itself.
+        report: of the sampler.
         is_simulated: whether the computer is a simulated one.
     """
 
@@ -140,7 +140,7 @@ class Utilisation:
     def means(self) -> dict[str, float | None]:
         """Return the means over the window, by measure.
 
-        CPU utilisation tells of the time since the sample before, memory of a moment.
+        CPU utilisation is about the time since the sample before, memory about a moment.
         """
         return {
             "CPU": self._mean_of_intervals(lambda sample: sample.cpu),
@@ -150,10 +150,10 @@ class Utilisation:
         }
 
     def doubted(self, started: Container[str] = ()) -> Iterator[Doubt]:
-        """Yield what is doubtful besides the quality of the samples, of which measures, and what to do.
+        """Yield doubts besides those about the quality of the samples.
 
         Args:
-            started: the names of software under test that the run has started; a probe before it starts none.
+            started: the names of software under test that the run has started; in a probe before the run, none.
         """
         yield from map(Doubt, self.report.problems)
         if self.report.form == FORMS["ps"].description and self.window.duration > 0:
@@ -189,8 +189,8 @@ class Utilisation:
                 yield Doubt(problem, (f"CPU_core{core}",), _CORES)
 
     def _unseen_memory(self, place: int) -> float:
-        """Return what processes may have held before they were seen, % of what they were seen to hold."""
-        late = self.report.rescan - 1 / self.report.rate  # a sampler that looks each time is not late
+        """Return how much memory processes may have held before they were seen, % of what they were seen to hold."""
+        late = self.report.rescan - 1 / self.report.rate  # a sampler that searches at each sample is not late
         held = unseen = 0.0
         for sooner, later in pairwise(self.samples):
             if later.time > self.window.start and sooner.time < self.window.end:
@@ -208,7 +208,7 @@ class Utilisation:
 
     def _doubts_about_ends(self, place: int) -> Iterator[str]:
         selector, label = self.selection.processes[place], self.selection.labels[place]
-        has_children = selector.startswith("subject:")  # whose parents' counters tell of them
+        has_children = selector.startswith("subject:")  # then the CPU time of children is in their parents' counters
         ended = brief = 0
         unseen = 0.0  # s, if each, or a child that was not found yet, had kept one core busy from its last sample on
         for sooner, later in pairwise(self.samples):
@@ -230,20 +230,20 @@ class Utilisation:
             )
 
     def write(self, folder: Path, mission: Window | None) -> None:
-        """Write `samples.csv`, and `quality.json` with the quality over the mission; None where there was none."""
+        """Write `samples.csv`, and `quality.json` with the quality over `mission`, None where there was no mission."""
         write_samples(folder / "samples.csv", list(self._columns()))
         quality = None if mission is None else self.over(mission).quality
         write_quality(folder / "quality.json", quality, mission, self._details(), sampled=self.window)
 
     def _own_seconds(self) -> float | None:
-        """Return the CPU time that sampling took in the window, from that of all the time that was sampled."""
+        """Return the window's share of the CPU time that sampling took in all."""
         spent, times = self.report.cpu_seconds, self.times
         sampled = times[-1] - times[0] if len(times) else 0.0
         return spent if spent is None or not sampled else spent * min(1.0, self.window.duration / sampled)
 
     def _mean_of_intervals(self, pick: Callable[[UtilisationSample], float | None]) -> float | None:
-        # The first sample only tells from when on the second one does. Those without a value are passed over, so that
-        # the next one stands for the time of both.
+        # The first sample only marks the beginning of the second one's time. Samples without a value are skipped, so
+        # that the next one covers the time of both.
         told = [(sample.time, 0.0) for sample in self.samples[:1]]
         told += [(sample.time, value) for sample in self.samples[1:] if (value := pick(sample)) is not None]
         return mean_of_intervals(Series([time for time, _ in told], [value for _, value in told]), self.window)
@@ -252,11 +252,11 @@ class Utilisation:
         return self._mean_of_intervals(_core(core)) if self._covers(core) else None
 
     def _tells_of(self, core: int) -> bool:
-        """Whether any sample does: a core that is switched off has its place, and nothing in it."""
+        """Whether any sample has a value for the core: for one that is switched off it is None."""
         return any(_core(core)(sample) is not None for sample in self.samples)
 
     def _covers(self, core: int) -> bool:
-        """Whether the samples that tell of a core cover enough of the window."""
+        """Whether the samples with a value for a core cover enough of the window."""
         told = [sample.time for sample in self.samples if _core(core)(sample) is not None]
         return quality_of([*self.times[:1], *told], self.window, self.report.rate).is_sufficient
 
@@ -311,7 +311,7 @@ class Utilisation:
 
 
 def means_over(utilisation: Utilisation | None, window: Window) -> dict[str, float | None]:
-    """Return the means over a window, by measure; nothing where too little of it was sampled, or nothing at all."""
+    """Return the means over a window, by measure; empty where too little of it was sampled."""
     measured = utilisation.over(window) if utilisation is not None else None
     return measured.means() if measured is not None and measured.quality.is_sufficient else {}
 

@@ -22,9 +22,10 @@ from robot_runner.measuring.series import Series, cut, growth, integrate, mean
 from robot_runner.meters.parameter_checks import check_positive
 
 _TYPE = "sensor_msgs/BatteryState"
-#: Above this share a state of charge is told in percent; boards that reckon it from the voltage exceed 1 by little.
+#: A state of charge above this is in percent: boards that compute it from the voltage exceed 1 only slightly.
 _FULLEST = 1.5
-#: Steps of a state of charge are coarse beyond this share of what was used; they show by so many alike messages.
+#: Steps of a state of charge are coarse if larger than this share of the charge used; steps are recognised where each
+#: value stays for this many messages on average.
 _COARSE, _STAYS = 0.1, 3
 _FIX = "Look at the topic, with `ros2 topic hz` or `rostopic hz`, before you use this run."
 _FIX_MESSAGES = "Look at its messages, with `ros2 topic echo` or `rostopic echo`, before you use this run."
@@ -32,7 +33,7 @@ _FIX_MESSAGES = "Look at its messages, with `ros2 topic echo` or `rostopic echo`
 
 @dataclass(slots=True)
 class _Heard:
-    """What was heard of the battery; NaN for what it does not measure, as ROS has it."""
+    """The battery's messages, by quantity; NaN for what it does not measure, as in ROS."""
 
     is_simulated: bool = False
     times: list[float] = field(default_factory=list)
@@ -47,7 +48,7 @@ class _Heard:
         self.charge.append(100.0 * float(message.get("percentage", math.nan)))
 
     def over(self, window: Window) -> _Heard:
-        """Return the messages of a window, its beginning left out: that was before it was listened for."""
+        """Return the messages of a window, without one at its very start, which came before the subscription."""
         first, last = bisect_right(self.times, window.start), bisect_right(self.times, window.end)
         columns = (self.times, self.voltage, self.current, self.charge)
         return _Heard(self.is_simulated, *(column[first:last] for column in columns))
@@ -58,12 +59,12 @@ class _Heard:
 
     @property
     def measures_current(self) -> bool:
-        """Whether any current was told of: boards that do not measure it say NaN, or 0 throughout."""
+        """Whether any message has a current: boards that do not measure it publish NaN, or 0 throughout."""
         return any(math.isfinite(value) and value for value in self.current)
 
     @property
     def volts(self) -> list[float]:
-        """The voltages; NaN for 0, which no robot lives on: drivers say so before they have measured, or do not."""
+        """The voltages; NaN for 0, which drivers publish before their first measurement, or if they have none."""
         return [value or math.nan for value in self.voltage]
 
     def power(self) -> Series:
@@ -72,14 +73,14 @@ class _Heard:
 
 
 class Battery(Profiler):
-    """Measures what the robot itself says of its battery: voltage, charge, and energy where it measures current.
+    """Measures the battery from the robot's own messages: voltage, charge, and energy where it measures current.
 
     A TurtleBot3's own board (OpenCR) measures the voltage only; use `Ina219` for its energy.
 
     Args:
-        name: tells several instances apart; the class's name if left out.
+        name: distinguishes several instances; None for the class's name.
         topic: the topic, relative to the robot's namespace.
-        rate_hz: how often the robot is expected to tell, Hz.
+        rate_hz: the expected rate of the messages, Hz.
         namespace: which robot, where there are several.
 
     Raises:
@@ -107,7 +108,7 @@ class Battery(Profiler):
         ),
     )
     needs: ClassVar[str] = "A robot that publishes battery_state (sensor_msgs/BatteryState)."
-    #: Messages begin to come when publisher and subscription have found each other, which takes seconds on some graphs.
+    #: No probe: on some graphs it takes seconds until publisher and subscription have discovered each other.
     probe_s: float | None = None
     bytes_per_run: int = 120_000  # 30 messages a second of 40 bytes for a mission of 95 s
 
@@ -125,12 +126,12 @@ class Battery(Profiler):
         self._sampled: Window | None = None
 
     def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: nothing but the robot, which the experiment names."""
+        """Return what only one run may use at a time: nothing besides the robot, which the experiment claims."""
         del robot
         return ()
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no robot."""
+        """Return an error if the experiment has no robot."""
         if circumstances.robot is None:
             fix = "Name one in the config: robot = 'simulated'. Or: --set robot=simulated."
             problem = "the battery is that of a robot, and the experiment names none"
@@ -138,19 +139,19 @@ class Battery(Profiler):
         return []
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Forget the run before."""
+        """Discard the messages of the run before."""
         del context
         self._heard = self._subscription = self._sampled = None
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
-        """Begin to listen."""
+        """Subscribe to the topic."""
         link, clock = connect_robot(context, namespace=self.namespace), context.clock
         self._heard = heard = _Heard()
         self._subscription = link.subscribe(self.topic, _TYPE, lambda message: heard.take(clock.now(), message))
         self._begun_at = clock.now()
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
-        """Listen no more."""
+        """End the subscription."""
         subscription, self._subscription = self._subscription, None
         if subscription is not None and self._heard is not None:
             subscription.close()
@@ -159,7 +160,7 @@ class Battery(Profiler):
             self._heard.is_simulated = is_simulation(link, robot_namespace(context, self.namespace))
 
     def stop_run(self, context: RobotRunnerContext) -> None:
-        """Write what was heard: later than `stop_measurement`, so that other profilers need not wait for the disk."""
+        """Write the messages: later than `stop_measurement`, so that other profilers need not wait for the disk."""
         if self._heard is None or self._sampled is None:
             return
         columns = (
@@ -171,7 +172,7 @@ class Battery(Profiler):
         write_samples(context.raw_data_folder / "samples.csv", columns)
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
-        """Publish the measures; no value where too little was heard, or the battery does not measure it."""
+        """Publish the measures; no value where too few messages came, or the battery does not measure it."""
         heard, window = self._heard, context.window
         if heard is None or window is None:
             context.doubt("nothing was measured: the measurement was never started", fix=_FIX)
@@ -191,7 +192,7 @@ class Battery(Profiler):
         )
 
     def _doubts(self, heard: _Heard, window: Window) -> Iterator[tuple[str, Sequence[str]]]:
-        """Yield what is doubtful about what the robot says, and about which measures."""
+        """Yield doubts about the messages, each with the measures concerned."""
         told = (
             ("voltage", heard.series(heard.volts), ("MeanVoltage", "MinVoltage")),
             ("charge", heard.series(heard.charge), ("ChargeUsed",)),
@@ -225,14 +226,14 @@ class Battery(Profiler):
             )
 
     def _values(self, heard: _Heard, window: Window) -> Mapping[str, float | None]:
-        """Return the measures over a part of the mission, at whose edges the nearest messages within stand for it."""
+        """Return the measures over a part of the mission; the nearest messages within it count for its edges."""
         if not quality_of(heard.times, window, self.rate_hz).is_sufficient:
             return {}
         voltage, power = (
             cut(sufficient(series, window, self.rate_hz), window, reach=window.duration)
             for series in (heard.series(heard.volts), heard.power())
         )
-        # Beyond the outermost messages it goes on as on average: what is used until the first one counts, too.
+        # Before the first and after the last message the mean rate is assumed, so that the charge used then counts.
         charged = growth(sufficient(heard.series(heard.charge), window, self.rate_hz), window)
         return {
             "MeanVoltage": mean(voltage),
@@ -243,7 +244,7 @@ class Battery(Profiler):
 
 
 def _step(values: Sequence[float]) -> float:
-    """Return in which steps values are told that stay the same for several messages; 0 where they do not."""
+    """Return the smallest step between values that each stay for several messages; 0 where they do not stay."""
     told = sorted({round(value, 6) for value in values})
     stays = len(told) > 1 and len(values) >= _STAYS * len(told)
     return min(later - sooner for sooner, later in pairwise(told)) if stays else 0.0

@@ -22,22 +22,22 @@ from robot_runner.meters.parameter_checks import check_positive
 
 _INSTALL = "Install it: pip install 'robot-runner[codecarbon]'."
 _JOULES = 3.6e6  # in a kilowatt hour
-#: By how many percent CodeCarbon's own duration may differ from ours before it is worth a warning.
+#: CodeCarbon's own duration may differ from ours by this many percent without a warning.
 _TOLERANCE = 5.0
-#: And by how many seconds: what starting and stopping takes.
+#: And by this many seconds, for starting and stopping.
 _SLACK = 1.0
 
 
 class CodeCarbon(Profiler):
-    """Estimates energy and greenhouse gas emissions of this machine with CodeCarbon, without asking the internet.
+    """Estimates energy and greenhouse gas emissions of this machine with CodeCarbon, without internet access.
 
-    CodeCarbon reads energy counters where it can (RAPL, NVML); where it cannot, it reckons from the processor's load
-    and thermal design power, and memory from its size. All its values are labelled as estimated. It tells of totals
-    from its start to its stop: they are doubted where that exceeds the mission by more than 1 %.
+    CodeCarbon reads energy counters where it can (RAPL, NVML); where it cannot, it computes from the processor's load
+    and thermal design power, and memory from its size. All its values are labelled as estimated. They are totals
+    from its start to its stop, and doubted if that exceeds the mission by more than 1 %.
 
     Args:
-        country: the country whose electricity mix is reckoned with, as three letters (ISO 3166-1 alpha-3).
-        name: tells several instances apart; the class's name if left out.
+        country: the country whose electricity mix is used, as three letters (ISO 3166-1 alpha-3).
+        name: distinguishes several instances; None for the class's name.
         interval_s: time between two of its readings, s.
         options: further arguments of its OfflineEmissionsTracker, such as `{"region": "california"}`.
 
@@ -57,7 +57,7 @@ class CodeCarbon(Profiler):
     )
     measured_computer = THIS_MACHINE
     needs: ClassVar[str] = "robot-runner[codecarbon]."
-    #: It has totals only, and an estimate for every machine: a probe would tell nothing in the seconds that it starts.
+    #: No probe: CodeCarbon has totals only, and an estimate for every machine, so that a probe could find no fault.
     probe_s: float | None = None
     bytes_per_run: int = 2_000
 
@@ -84,13 +84,13 @@ class CodeCarbon(Profiler):
         self._hardware: list[str] = []
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: the library is not installed."""
+        """Return an error if the library is not installed."""
         if importlib.util.find_spec("codecarbon") is None:
             return [Finding.error(f"plugin {self.name}", "codecarbon is not installed", _INSTALL)]
         return simulation_findings(self.name, circumstances.robot)
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Forget the run before."""
+        """Discard the totals of the run before."""
         del context
         self._tracker = self._sampled = self._data = None
 
@@ -106,18 +106,18 @@ class CodeCarbon(Profiler):
         self._begun_at = machine_clock(context).now()
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
-        """Stop the tracker and take what it says."""
+        """Stop the tracker and take its totals."""
         tracker, self._tracker = self._tracker, None
         if tracker is None:
             return
         self._sampled = Window(self._begun_at, machine_clock(context).now())
         stop_tracker(tracker)
-        # It swallows its own exceptions, and then has nothing to say.
+        # The tracker swallows its own exceptions, and then has no totals.
         self._data = getattr(tracker, "final_emissions_data", None)
         self._hardware = list(map(str, getattr(tracker, "_conf", {}).get("hardware", [])))
 
     def stop_run(self, context: RobotRunnerContext) -> None:
-        """Write what it said."""
+        """Write the totals."""
         if self._sampled is None:
             return
         said = None if self._data is None else asdict(self._data)
@@ -132,7 +132,7 @@ class CodeCarbon(Profiler):
         write_quality(context.raw_data_folder / "quality.json", None, mission, details, sampled=self._sampled)
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
-        """Publish what it said; no value where it said nothing."""
+        """Publish the totals; no values where the tracker has none."""
         for problem in self._doubts():
             context.doubt(problem, fix="Look at the log of the run and at emissions.json.")
         if self._sampled is not None and self._data is not None:
@@ -182,7 +182,7 @@ def started_tracker(kind: str, *arguments: Any, **settings: Any) -> Any:
 def stop_tracker(tracker: Any) -> float | None:
     """Stop a tracker; returns the emissions, kg of CO2 equivalent.
 
-    Where its `stop` fails, the tracker goes on to start a thread for each reading while the process lives: its
+    If its `stop` fails, the tracker goes on to start a thread for each reading while the process lives, so its
     schedulers are ended here in any case.
     """
     try:

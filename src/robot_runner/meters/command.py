@@ -1,4 +1,4 @@
-"""The profiler of everything that measures from the command line."""
+"""The profiler for any measuring program with a command line."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ from robot_runner.meters.command_output import (
 )
 from robot_runner.meters.parameter_checks import check_list, check_positive
 
-#: How long to wait, once the measured window is over, for the row that tells of its last moments: in periods, and s.
+#: How long to wait after the measured window for the row that covers its end: in periods, and in s.
 _AFTERMATH_PERIODS = 1.2
 _LONGEST_AFTERMATH = 2.0
 #: Stands for the path of the output file in a command.
 _PLACE = "{output}"
 _COUNTERS = (Aggregate.INCREASE, Aggregate.RATE)
-#: Which share of the rows may be the same as the one before where they are told apart by their arrival alone.
+#: If rows have only the times of their arrival, this share of them may equal the row before without a doubt.
 _HELD_UP = 0.3
 
 
@@ -68,24 +68,24 @@ class CommandProfiler(Profiler):
     """Measures with a program: starts it, follows the rows of its output, ends it, and aggregates the columns.
 
     It starts the program and waits for a first row before the mission, and evaluates the rows over the mission. A
-    measure that says no `over` of its own has the one that goes with its column's aggregate. `{output}` among the
-    arguments stands for the full path of the output file, in the folder of the plugin's raw data.
+    measure without an `over` gets the one of its column's aggregate. In the arguments, `{output}` stands for the full
+    path of the output file, in the folder of the plugin's raw data.
 
     Args:
         command: the program and its arguments.
-        columns: which columns of the output yield which measures.
-        name: tells several instances apart; the class's name if left out.
+        columns: the columns of the output that yield measures.
+        name: distinguishes several instances; None for the class's name.
         output: the name of the file that the program writes to, in the raw-data folder; None for its stdout.
-        parse: from the records of the output to rows; None for `parse_csv`.
+        parse: converts the records of the output to rows; None for `parse_csv`.
         separator: what ends a record of the output.
-        time: the column that says when a row was taken; None takes the time of its arrival.
-        period_s: the time between two rows that is to be expected, s.
-        stop_signal: what the program takes for "write what you have, and end".
-        grace_s: how long it may take for that before it is killed, s.
+        time: the column with the time of a row; None takes the time of its arrival.
+        period_s: the expected time between two rows, s.
+        stop_signal: the signal at which the program writes its last rows and ends.
+        grace_s: how long that may take before the program is killed, s.
         startup_s: how long to wait for the first row, s.
-        exit_codes: exit codes that mean success, beside those of the stop signal.
+        exit_codes: exit codes that mean success, besides those of the stop signal.
         origin: where the values come from; ESTIMATED for a program that computes power from a model.
-        install: how to get the program, in one imperative sentence, for the finding that says that it is missing.
+        install: how to get the program, in one imperative sentence, for the finding if it is missing.
 
     Raises:
         PluginError: the command is empty, there are no columns, two yield one measure, or a time is not positive.
@@ -109,7 +109,7 @@ class CommandProfiler(Profiler):
     _measured: Measured | None
     _fault: str
     _utc_offset: float
-    _clock_step: float | None  # by how much the wall clock, which stamps the rows, was set meanwhile, s
+    _clock_step: float | None  # by how much the wall clock, which stamps the rows, was set during the measurement, s
 
     def __init__(  # noqa: PLR0913 - each is one habit of a program that we did not write
         self,
@@ -154,17 +154,17 @@ class CommandProfiler(Profiler):
         self._forget()
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: the program is not there; or that a package will lack it."""
+        """Return an error if the program is missing, or warnings if a package of the experiment would lack scripts."""
         del circumstances
         missing = self._missing_programs(self._found[0])
         return missing or list(unread_findings(f"plugin {self.name}", map(Path, scripts_in(self.command))))
 
     def input_files(self) -> Iterable[InputFile]:
-        """Yield the program where it is one of the user's own, and a script that an interpreter executes."""
+        """Yield the program if it is a file of the user, and the script if an interpreter executes one."""
         return script_inputs(map(Path, scripts_in(self.command)))
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Forget the run before."""
+        """Discard the results of the run before."""
         del context
         self._forget()
 
@@ -172,7 +172,7 @@ class CommandProfiler(Profiler):
         """Start the program and wait for its first row.
 
         Raises:
-            PluginError: it cannot be started, or it ends before it has said anything.
+            PluginError: the program cannot be started, or ends before its first row.
         """
         folder, self._clock = context.raw_data_folder, machine_clock(context)
         begun_at = self._clock.now()
@@ -183,7 +183,7 @@ class CommandProfiler(Profiler):
             folder=folder,
             clock=self._clock,
             separator=self._separator,
-            environment=graph_variables(context.robot),  # one of ROS finds its graph by it
+            environment=graph_variables(context.robot),  # by which a ROS program finds its graph
         )
         has_begun = process.wait(lambda: self._has_row(process.records), seconds=self.startup_s)
         if not has_begun and not process.is_running:
@@ -193,13 +193,13 @@ class CommandProfiler(Profiler):
         self._begun_at = begun_at
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
-        """Note when it was. The program goes on until `stop_run`, so that no other profiler waits for it."""
+        """Note the time. The program goes on until `stop_run`, so that no other profiler waits for it."""
         del context
         if self._begun_at is not None and self._sampled is None:
             self._sampled = Window(self._begun_at, self._clock.now())
 
     def stop_run(self, context: RobotRunnerContext) -> None:
-        """Wait for the row that tells of the window's last moments, end the program, and write the samples."""
+        """Wait for the row that covers the window's end, end the program, and write the samples."""
         process, self._process = self._process, None
         if process is None:
             return
@@ -224,7 +224,7 @@ class CommandProfiler(Profiler):
         self._write(context.raw_data_folder, self._measured)
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
-        """Publish one value for each column; no value where the rows do not tell."""
+        """Publish one value for each column; no value where the rows do not suffice."""
         measured = self._measured
         if measured is None:
             nothing = "nothing was measured: the measurement was never started"
@@ -249,7 +249,7 @@ class CommandProfiler(Profiler):
         return [word.replace(_PLACE, str(output)) if output else word for word in self._found]
 
     def doubts(self, measured: Measured) -> Iterable[str]:
-        """Yield what is doubtful about the output, besides the quality of its samples; a subclass may add to it."""
+        """Yield doubts about the output, besides the quality of its samples; a subclass may add to them."""
         ending = measured.ending
         asked = {*self.exit_codes, -self._stop_signal, 128 + self._stop_signal}
         said = f": {ending.complaint}" if ending.complaint else ""
@@ -268,10 +268,10 @@ class CommandProfiler(Profiler):
             yield f"the program's output has no column {lacking}; it has {found}"
 
     def column_doubts(self, measured: Measured) -> Iterator[tuple[str, str]]:
-        """Yield what makes single measures doubtful, with their names; a subclass may add to it.
+        """Yield the names of doubtful measures, each with the doubt; a subclass may add to them.
 
-        Their cells hold texts such as `N/A`, `7,5` or `7.5 W`, or too few hold anything, or their counter fell, or rows
-        that come twice are added up.
+        Reasons are cells with texts such as `N/A`, `7,5` or `7.5 W`, too few cells with a value, a counter that fell,
+        and repeated rows that are summed.
         """
         window = measured.window
         yield from self._doubts_about_sums(measured)
@@ -295,14 +295,14 @@ class CommandProfiler(Profiler):
 
     def _doubts_about_sums(self, measured: Measured) -> Iterator[tuple[str, str]]:
         count, repeated = len(measured.rows), repeated_rows(measured.times, measured.rows)
-        # By their arrival, rows that were held up look as if they were of one moment.
+        # By their arrival, delayed rows look as if they were of one moment.
         if repeated > (0 if self._time is not None else _HELD_UP * count):
             same = f"{repeated} of {count} rows are the same as the row before, at the same moment"
             problem = f"{same}: each of them counts in the sum"
             yield from ((each.measure.name, problem) for each in self.columns if each.aggregate is Aggregate.SUM)
 
     def _is_told(self, column: CommandColumn, measured: Measured, window: Window) -> bool:
-        """Whether the cells that hold a number cover enough of a window; the last one may stand alone."""
+        """Whether the cells with a number cover enough of a window; the last row alone suffices for `LAST`."""
         if column.aggregate is Aggregate.LAST:
             return True
         numbers = zip(measured.times, column.values(measured.rows), strict=True)
@@ -344,7 +344,7 @@ class CommandProfiler(Profiler):
     def _has_row(self, records: Sequence[Record]) -> bool:
         try:
             return any(row is not None for row in self._parse([record.text for record in records]))
-        except Exception:  # noqa: BLE001 - a parse function may stumble over half an output; stop_run tells of it
+        except Exception:  # noqa: BLE001 - a parse function may fail on half an output; stop_run reports it
             return False
 
     def _missing_programs(self, *programs: str) -> list[Finding]:
@@ -387,5 +387,5 @@ class CommandProfiler(Profiler):
 
 
 def _heading(source: str) -> str:
-    """Return the name of a column as it can stand in a file of samples."""
+    """Return the name of a column in a form that is valid in a file of samples."""
     return '"' + source.replace('"', '""') + '"' if set(source) & set(',"\n') else source

@@ -21,24 +21,25 @@ from robot_runner.meters.command_output import Aggregate, CommandColumn, Row, Ti
 from robot_runner.meters.parameter_checks import check_list, check_positive
 from robot_runner.meters.rapl import POWERCAP, find_domains, permission_findings
 
-#: What is not what it is called in a run's values, where CPU and memory are.
+#: The measures that are doubted if the energy is of something else; CPU and memory are right then, too.
 _OF_ENERGY = ("Energy", "MeanPower")
 
-#: Where the energy of the processor is, in the order of EnergiBridge's own summary (src/main.rs): power in W of Apple's
-#: processors, else a counter in J.
+#: The columns of the processor's energy, in the order of EnergiBridge's own summary (src/main.rs): power in W of
+#: Apple's processors, else a counter in J.
 _POWERS = ("CPU_POWER (Watts)", "SYSTEM_POWER (Watts)")
 _COUNTERS = ("CPU_ENERGY (J)", "PACKAGE_ENERGY (J)")
-#: All that the Macs with Apple's own processors tell (src/cpu/apple.rs): the power of the whole computer.
+#: The only power on Macs with Apple's own processors (src/cpu/apple.rs): that of the whole computer.
 _WHOLE = "SYSTEM_POWER (Watts)"
-#: A counter that falls by more than this share of itself has begun at 0 again; its range is a power of two in joules.
+#: A counter that falls by more than this share of itself has restarted at 0; its range is a power of two in joules.
 _WRAP = 0.5
-#: By itself if it grew by less than this share of what it last showed: in 65536 J that is 16 kJ, in a row or two.
+#: It has wrapped, and was not reset, if it then grew by less than this share of its last value before: 16 kJ of
+#: 65536 J, in a row or two.
 _MOST_BETWEEN = 0.25
 _INSTALL = "Build it from https://github.com/tdurieux/EnergiBridge (cargo build -r), and put it on the PATH."
 
 
 def parse_energibridge(records: Sequence[str]) -> list[Row | None]:
-    """Return rows with the time, the energy so far (J), CPU and memory utilisation (%), and whose energy it is.
+    """Return rows with the time, the energy so far (J), CPU and memory utilisation (%), and the energy's column.
 
     Example:
         >>> rows = parse_energibridge(["Delta,Time,CPU_ENERGY (J),CPU_USAGE_0", "0,1000,50.0,20", "200,1200,51.5,30"])
@@ -82,9 +83,10 @@ def _joules_between(sooner: Row, later: Row) -> float:
 
 
 def _growth(sooner: float, later: float) -> float:
-    """Return by how much a 32-bit counter of 2^-n J grew: its range is the power of two above what it last showed.
+    """Return by how much a 32-bit counter of 2^-n J grew: its range is the power of two above its last value.
 
-    One that fell long before that was set back, as by a sleep of the machine: NaN, as nobody knows what it counted.
+    A counter that fell long before the end of its range was reset, as by a suspended machine: NaN, as its increase is
+    unknown.
     """
     if later >= sooner * _WRAP:
         return later - sooner
@@ -98,11 +100,11 @@ class EnergiBridge(CommandProfiler):
     It wraps a program that does nothing but wait; the mission is not its child.
 
     Args:
-        name: tells several instances apart; the class's name if left out.
-        interval_ms: time between two rows, ms; at least 200 for its CPU utilisation to be true.
+        name: distinguishes several instances; None for the class's name.
+        interval_ms: time between two rows, ms; its CPU utilisation is right from 200 on.
         program: the program, if it is not on the PATH.
-        devices: where the model-specific registers are.
-        cores: where the kernel tells to which processor each core belongs.
+        devices: the folder of the model-specific registers.
+        cores: the folder where the kernel shows to which processor each core belongs.
 
     Raises:
         PluginError: the interval is not positive.
@@ -137,7 +139,7 @@ class EnergiBridge(CommandProfiler):
         columns = zip(sources, type(self).measures, aggregates, strict=True)
         super().__init__(
             name=name,
-            # `cat` waits for the end of its input, which comes when we stop or die.
+            # `cat` waits for the end of its input, which comes when this process stops it or ends.
             command=[program, "--output", "{output}", "--interval", str(interval_ms), "--", "cat"],
             output="energibridge.csv",
             columns=[CommandColumn(source, measure, aggregate) for source, measure, aggregate in columns],
@@ -145,14 +147,14 @@ class EnergiBridge(CommandProfiler):
             time=TimeColumn("Time", TimeKind.UTC, unit=0.001),
             period_s=interval_ms / 1000,
             stop_signal=signal.SIGINT,
-            exit_codes=(0, 1),  # it ends with 1 when it was interrupted
+            exit_codes=(0, 1),  # 1 after an interrupt
             install=_INSTALL,
         )
         self.devices = devices
         self.cores = cores
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no program, or no right to read the registers."""
+        """Return errors: the program is missing, or the registers may not be read."""
         findings = [*super().check(circumstances), *simulation_findings(self.name, circumstances.robot)]
         registers = self.devices / "0" / "msr"
         if sys.platform == "linux" and not os.access(registers, os.R_OK):
@@ -161,12 +163,13 @@ class EnergiBridge(CommandProfiler):
         return findings
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
-        """Publish the values, and say where the energy is not that of the processor, or not of all of them."""
+        """Publish the values, with a doubt where the energy is not the processor's, or not that of all processors."""
         told = {row["told"] for row in self._measured.rows} if self._measured is not None else set()
         if _WHOLE in told:
             problem = f"the power is that of the whole computer ({_WHOLE}): this Mac tells none of its processor"
             context.doubt(problem, fix="Compare it with such values only, or use Powermetrics.", measures=_OF_ENERGY)
-        # It reads the registers of core 0, and on AMD's of further ones, whose last processor stands (src/cpu/*.rs).
+        # EnergiBridge reads the registers of core 0, and on AMD's processors those of further cores, of which the last
+        # processor remains in the output (src/cpu/*.rs).
         processors = {
             file.read_text(encoding="ascii") for file in self.cores.glob("cpu[0-9]*/topology/physical_package_id")
         }
@@ -184,7 +187,7 @@ _BOARD = Path("/proc/device-tree/model")
 
 
 def parse_powerjoular(records: Sequence[str]) -> list[Row | None]:
-    """Return the rows. A power of exactly 0 is what PowerJoular writes where it found nothing to measure: no value.
+    """Return the rows. A power of exactly 0 is no value: PowerJoular writes it if it found nothing to measure.
 
     Example:
         >>> parse_powerjoular(["Date,CPU Utilization,Total Power", "2026-01-01 10:00:00,0.5,0.00000000000000"])[1]
@@ -202,10 +205,10 @@ class PowerJoular(CommandProfiler):
     Board, PowerJoular estimates from CPU utilisation by a regression model; there the values are labelled as estimated.
 
     Args:
-        name: tells several instances apart; the class's name if left out.
+        name: distinguishes several instances; None for the class's name.
         program: the program, if it is not on the PATH.
         arguments: further arguments, such as `["-l"]` for its linear models.
-        powercap: where the energy counters of the processor are.
+        powercap: the folder of the processor's energy counters.
         board: the file that names the model of a board.
 
     Example:
@@ -251,7 +254,7 @@ class PowerJoular(CommandProfiler):
         self.powercap = powercap
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no program, or no counters that it could read, so that it would say 0 W."""
+        """Return errors: the program is missing, or has no counters that it may read, so that it would write 0 W."""
         findings = [*super().check(circumstances), *simulation_findings(self.name, circumstances.robot)]
         if self.origin is Origin.MEASURED and "-m" not in self.command:
             findings += permission_findings(self.name, self.powercap, ("package",))
@@ -259,19 +262,19 @@ class PowerJoular(CommandProfiler):
         return [*findings, *(Finding.warning(where, problem, _USE_RAPL) for problem in self._misread())]
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
-        """Publish the values, and say where the energy is not the processor's, or not that of all, or lacks the GPU."""
+        """Publish the values, with a doubt where the energy is of another part, or lacks processors or the GPU."""
         for problem in self._misread() if self._measured is not None else ():
             context.doubt(problem, fix=_USE_RAPL, measures=_OF_ENERGY)
         rows = self._measured.rows if self._measured is not None else ()
         powers = CommandColumn(_GPU_POWER, self.measures[1]).values(rows)
         if any(powers) and (silent := powers.count(0.0)):
-            # It adds 0 W where nvidia-smi fails, or one of several GPUs answers no number (src/nvidia_smi.adb).
+            # PowerJoular adds 0 W if nvidia-smi fails, or has no number for one of several GPUs (src/nvidia_smi.adb).
             problem = f"the GPU told no power in {silent} of {len(powers)} rows, which lack it"
             context.doubt(problem, fix="Look what `nvidia-smi` says.", measures=_OF_ENERGY)
         super().populate_run_data(context)
 
     def _misread(self) -> list[str]:
-        """Return where PowerJoular reads another counter than one would think (src/intel_rapl_sysfs.adb)."""
+        """Return problems where PowerJoular reads another counter than expected (src/intel_rapl_sysfs.adb)."""
         try:
             kinds = [domain.kind for domain in find_domains(self.powercap)]
             second = self.powercap / "intel-rapl:1" / "name"
@@ -287,7 +290,7 @@ class PowerJoular(CommandProfiler):
         return [told] if packages > 1 else []
 
     def doubts(self, measured: Measured) -> Iterable[str]:
-        """Yield what is doubtful, and that it found nothing to measure."""
+        """Yield doubts, also that PowerJoular found nothing to measure."""
         yield from super().doubts(measured)
         silent = sum(row.get(_POWER, "") is None for row in measured.rows)
         if silent:
@@ -295,13 +298,13 @@ class PowerJoular(CommandProfiler):
 
 
 _NANO = 1e-9
-#: Where a Mac tells its power: Apple's processors in mW, Intel's in W.
+#: The keys of a Mac's power: for Apple's processors in mW, for Intel's in W.
 _APPLE = ("combined_power", 1e-3)
 _INTEL = ("package_watts", 1.0)
 
 
 def parse_powermetrics(records: Sequence[str]) -> list[Row | None]:
-    """Return one row for each property list: the seconds that it is about, and power in W.
+    """Return one row for each property list: the seconds that it covers, and power in W.
 
     Example:
         >>> processor = "<key>processor</key><dict><key>combined_power</key><real>3248.0</real></dict>"
@@ -314,7 +317,7 @@ def parse_powermetrics(records: Sequence[str]) -> list[Row | None]:
 
 def _row(record: str) -> Row | None:
     text = record.strip()
-    if not text.endswith("</plist>"):  # nothing, or torn when it was ended
+    if not text.endswith("</plist>"):  # empty, or cut off when powermetrics was ended
         return None
     document: dict[str, Any] = plistlib.loads(text.encode())
     processor: dict[str, Any] = document.get("processor", {})
@@ -331,13 +334,13 @@ def _row(record: str) -> Row | None:
 class Powermetrics(CommandProfiler):
     """Measures power of the processor of this Mac with Apple's powermetrics.
 
-    Apple says of its figures that they are estimates, to be compared only between runs on one machine (man
+    According to Apple these figures are estimates, which can be compared only between runs on one machine (man
     powermetrics); the values are labelled as estimated.
 
     Args:
-        name: tells several instances apart; the class's name if left out.
+        name: distinguishes several instances; None for the class's name.
         interval_ms: time between two rows, ms.
-        command: how it is called, up to its options; powermetrics needs root.
+        command: the command without its options; powermetrics needs root.
 
     Raises:
         PluginError: the interval is not positive.
@@ -385,5 +388,5 @@ class Powermetrics(CommandProfiler):
         self._programs = [word for word in command if not word.startswith("-")]
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: this is no Mac, or the program is not there."""
+        """Return errors: this is no Mac, or the program is missing."""
         return [*self._missing_programs(*self._programs), *simulation_findings(self.name, circumstances.robot)]

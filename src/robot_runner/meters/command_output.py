@@ -1,4 +1,4 @@
-"""What the output of a command-line meter amounts to: rows, their times, and one value for each measure."""
+"""From the output of a command-line meter to rows, their times, and one value for each measure."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from robot_runner.measuring.series import Series, cut, growth, mean_of_intervals
 
 #: The cells of one row by the name of their column, as text or as numbers.
 Row = Mapping[str, str | float | None]
-#: From the records of the output to one row for each of them; None for a record that is no row, such as a heading.
+#: Converts the records of the output to a row each; None for a record that is no row, such as a heading.
 Parse = Callable[[Sequence[str]], Sequence[Row | None]]
 
 
-#: Rows are of one moment where no more of the mean time between rows lies between them.
+#: Rows are of one moment if no more than this share of the mean time between rows is between them.
 _AT_ONCE = 0.1
-#: So often comes a row that is repeated, as a rule.
+#: How often a repeated row usually comes.
 _TWICE = 2
 
 
 class Aggregate(Enum):
     """How the rows of a column become the value of a measure.
 
-    For MEAN, INTEGRAL and SUM each row tells of the time since the row before; where the window begins or ends
-    between two rows, it counts by its share. What lies beyond the outermost rows is taken to be as on average.
+    For MEAN, INTEGRAL and SUM each row covers the time since the row before; if the window begins or ends between two
+    rows, that row counts by its share. Before the first and after the last row the mean is assumed.
     """
 
     MEAN = "mean over the measured window"
@@ -45,7 +45,7 @@ class Aggregate(Enum):
 
     @property
     def over(self) -> Over | None:
-        """How the values of several windows make one."""
+        """How the values of several windows are combined into one."""
         return _OVER.get(self)
 
 
@@ -61,7 +61,7 @@ _OVER: Mapping[Aggregate, Over] = {
 
 
 class TimeKind(Enum):
-    """What a column that tells of time holds."""
+    """The content of a column of times."""
 
     UTC = "seconds since 1970"
     SPAN = "seconds since the row before"
@@ -70,12 +70,12 @@ class TimeKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class TimeColumn:
-    """The column that says when a row was taken.
+    """The column with the time of a row.
 
     Attributes:
         source: its heading.
-        kind: what it holds.
-        unit: how many seconds its unit is; 0.001 for milliseconds.
+        kind: its content.
+        unit: of its numbers, s; 0.001 for milliseconds.
 
     Example:
         >>> TimeColumn("Time", TimeKind.UTC, unit=0.001).unit
@@ -89,13 +89,13 @@ class TimeColumn:
 
 @dataclass(frozen=True, slots=True)
 class CommandColumn:
-    """A column of the output, and the measure that it becomes.
+    """A column of the output, and the measure that is computed from it.
 
     Attributes:
         source: its heading.
-        measure: what it yields.
-        aggregate: how its rows become one value.
-        factor: by what a cell is multiplied, so that the value comes in the unit of the measure.
+        measure: that it yields.
+        aggregate: how its rows are reduced to one value.
+        factor: each cell is multiplied by it, to get the unit of the measure.
 
     Example:
         >>> from robot_runner.plugins import Measure
@@ -111,19 +111,19 @@ class CommandColumn:
 
     @property
     def yields(self) -> Measure:
-        """The measure, which says how it comes out of the rows."""
+        """The measure; its description says how it is computed from the rows."""
         times = "" if self.factor == 1.0 else f", times {self.factor:g}"
         how = f"Column {self.source!r}: {self.aggregate.value}{times}."
         over = self.measure.over or self.aggregate.over
         return replace(self.measure, over=over, description=f"{self.measure.description} {how}".lstrip())
 
     def values(self, rows: Sequence[Row]) -> list[float | None]:
-        """Return the number of each row in the unit of the measure; None where the cell holds none."""
+        """Return the number of each row in the unit of the measure; None where the cell holds no number."""
         numbers = (_number(row.get(self.source)) for row in rows)
         return [None if number is None else number * self.factor for number in numbers]
 
     def value(self, times: Sequence[float], rows: Sequence[Row], window: Window) -> float | None:
-        """Return the value of the measure; None where the rows tell nothing of the window.
+        """Return the value of the measure; None where no rows cover the window.
 
         Args:
             times: when each row was taken, s on the run's clock.
@@ -139,7 +139,7 @@ class CommandColumn:
         if self.aggregate in _PICK:
             within = [value for time, value in known if window.start <= time <= window.end]
             return _PICK[self.aggregate](within) if within else None
-        # A count is that since the row before, also where that one holds none: it does not stand for the time of both.
+        # A count is the one since the row before, also if that row has no number: it never covers the time of both.
         pairs = told if self.aggregate is Aggregate.SUM else known
         value = _MEASURE[self.aggregate](Series([time for time, _ in pairs], [value for _, value in pairs]), window)
         if self.aggregate is Aggregate.RATE and value is not None:
@@ -174,7 +174,7 @@ def _sum(series: Series, window: Window) -> float | None:
 
 
 def _increase(series: Series, window: Window) -> float | None:
-    """Return by how much a counter grew; None where it fell, since what it counted in between is unknown."""
+    """Return by how much a counter grew; None where it fell, since its increase in between is unknown."""
     counter = cut(series, window).values
     falls = any(later < sooner for sooner, later in pairwise(counter))
     return None if falls else growth(series, window)
@@ -198,10 +198,10 @@ def _number(cell: str | float | None) -> float | None:
 
 
 def repeated_rows(times: Sequence[float], rows: Sequence[Row]) -> int:
-    """Return how many rows are the same as the row before, in a tenth of the mean time between rows or less.
+    """Return how many rows equal the row before, within a tenth of the mean time between rows.
 
-    None are where stamps are coarser than the rows, as those of events in whole seconds: more than two rows share one,
-    now more and now fewer.
+    The count is 0 where stamps are coarser than the rows, as for events in whole seconds: there a varying number of
+    rows, also more than two, shares a stamp.
 
     Example:
         >>> repeated_rows([0.0, 0.0, 1.0, 2.0], [{"count": "3"}] * 4)
@@ -218,7 +218,7 @@ def repeated_rows(times: Sequence[float], rows: Sequence[Row]) -> int:
 def parse_csv(records: Sequence[str], *, delimiter: str = ",", comment: str = "#") -> list[Row | None]:
     """Return one row for each line of CSV; the first line that is not empty is the heading.
 
-    A line that has not as many cells as the heading (torn, or said by the program in between) is no row.
+    A line with another number of cells than the heading (torn, or a message of the program) is no row.
 
     Example:
         >>> parse_csv(["watts,volts", "7.5,12.1", "bye"])
@@ -239,18 +239,18 @@ def parse_csv(records: Sequence[str], *, delimiter: str = ",", comment: str = "#
 def row_times(
     rows: Sequence[Row], received: Sequence[float], column: TimeColumn | None, *, utc_offset: float
 ) -> list[float]:
-    """Return when each row was taken, s on the run's clock, never falling.
+    """Return the time of each row, s on the run's clock, never decreasing.
 
-    Times that the program counts itself are laid on the run's clock by the row that came with the least delay.
+    Times by the program's own clock are converted to the run's clock by the row that came with the least delay.
 
     Args:
         rows: the rows.
         received: when they arrived, s on the run's clock.
-        column: which column tells; None for none: then they were taken when they arrived.
+        column: with the times; None takes the times of arrival.
         utc_offset: the run's clock less UTC, s.
 
     Raises:
-        PluginError: the column is not there, or holds no number.
+        PluginError: the column is missing, or holds no number.
     """
     if column is None:
         return list(received)

@@ -1,4 +1,4 @@
-"""Counters that only rise, and wrap around or are set back."""
+"""Counters that only rise, and wrap around or are reset."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ Counters = tuple[int, ...]
 
 
 class FileCounters(Meter[Counters]):
-    """Counters that stand in files of the kernel, which can be read from the beginning on."""
+    """Counters in files of the kernel, which are read again from their beginning each time."""
 
     def __init__(self, paths: Sequence[Path]) -> None:
         self._paths = paths
         self.read()
 
     def read(self) -> Counters:
-        """Return the counters of this moment."""
+        """Return the current values."""
         return tuple(int(path.read_bytes()) for path in self._paths)
 
 
 def unwrapped(counts: Sequence[int] | Sequence[float], wraps_at: float | None = None) -> list[float]:
-    """Return a counter that goes on where the true one began at 0 again, from 0 at its first count.
+    """Return a counter without its restarts at 0, from 0 at its first count.
 
-    A single count that is too low, with the next one where the counter would be, was misread and is passed over.
+    A single count that is too low, followed by one where the counter would be, was misread and is skipped.
 
     Args:
         counts: as they were read, oldest first.
-        wraps_at: the value at which the counter begins at 0 again; None where it never does. Where it did not, a lower
-            count can only mean that it was set to 0 meanwhile, so that what it counted since then is all that is known.
+        wraps_at: the value at which the counter wraps to 0; None if it never does. Unless it wrapped, a lower count
+            means a reset to 0 in between, of which only the count since then is known.
 
     Example:
         >>> unwrapped([90, 97, 5], wraps_at=100)
@@ -53,7 +53,7 @@ def unwrapped(counts: Sequence[int] | Sequence[float], wraps_at: float | None = 
 
 
 def _without_dips(counts: Sequence[int] | Sequence[float]) -> Sequence[float]:
-    """Return the counts without those that were misread; one that had begun at 0 again would not be so high so soon."""
+    """Return the counts without misread ones; after a restart at 0 the next count would not be so high so soon."""
     mended = list(counts)
     for place in range(1, len(counts) - 1):
         if counts[place] < mended[place - 1] <= counts[place + 1]:
@@ -62,7 +62,7 @@ def _without_dips(counts: Sequence[int] | Sequence[float]) -> Sequence[float]:
 
 
 def fall_count(counts: Sequence[int] | Sequence[float], wraps_at: float | None = None) -> int:
-    """Return how often a counter was lower than at the reading before, though it had not gone round.
+    """Return how often a counter was lower than at the reading before without a wrap-around.
 
     Example:
         >>> fall_count([90, 97, 5, 6]), fall_count([90, 97, 5, 6], wraps_at=100), fall_count([90, 5, 97], wraps_at=100)
@@ -77,5 +77,5 @@ def fall_count(counts: Sequence[int] | Sequence[float], wraps_at: float | None =
 
 
 def _goes_round(sooner: float, later: float, wraps_at: float) -> bool:
-    """Whether a counter began at 0 again by itself: it was read often enough to count less than half its range."""
+    """Whether a counter wrapped: between two readings it counts less than half its range, as these are frequent."""
     return later < sooner <= wraps_at and sooner - later > wraps_at / 2

@@ -28,8 +28,8 @@ from robot_runner.meters.polled import PolledProfiler
 if TYPE_CHECKING:
     from robot_runner.measuring.periodic import Sampling
 
-#: What a counter's step and its seldom renewal may hide at one edge of the window, as a share of its increase: with
-#: both edges, the energy is off by 1 % at most.
+#: The error at one edge of the window, by a counter's step and its rare updates, may be this share of its increase:
+#: with both edges, the energy is off by 1 % at most.
 _FINE = 0.005
 
 _MEASURES = (
@@ -46,7 +46,7 @@ _MEASURES = (
 
 
 def electrical_measures(channels: Sequence[str]) -> tuple[Measure, ...]:
-    """Return the measures of a meter's channels; of a single one they have no suffix.
+    """Return the measures of a meter's channels, without suffix if there is only one.
 
     Example:
         >>> [measure.name for measure in electrical_measures(["VDD_IN", "VDD_CPU"])][::4]
@@ -63,23 +63,23 @@ def electrical_measures(channels: Sequence[str]) -> tuple[Measure, ...]:
 
 
 class ElectricalProfiler(PolledProfiler[Readings]):
-    """Reads an electrical meter; a subclass opens it, and says which channels it has.
+    """Reads an electrical meter; a subclass opens it and names its channels.
 
-    It measures energy, mean power, mean voltage and mean current of each channel, as far as the readings tell them.
-    Energy is that of the meter's own counter where it is fine enough, else the integral of power; where power is not
-    told, but voltage and current are, the subclass multiplies them.
+    It measures energy, mean power, mean voltage and mean current of each channel, as far as the readings contain them.
+    Energy is taken from the meter's own counter if that is fine enough, else it is the integral of power. If a meter
+    has voltage and current but no power, the subclass multiplies them.
 
     Args:
-        name: tells several instances apart; the class's name if left out.
+        name: distinguishes several instances; None for the class's name.
         rate_hz: readings a second, Hz.
         channels: the names of the channels in the order of the readings; a single one yields measures without suffix.
 
     Attributes:
         counter_step: the smallest step of the meter's energy counters, J.
-        counter_period: how much time may go by until the meter brings its energy counters up to date, s.
-        averaged: over how much time power, voltage and current are means, s, where each reading tells of all the time
-            since the one before; 0 where they are those of a moment.
-        disagreement: how far a counter and the integral of power may be apart before they are doubted, as a share.
+        counter_period: the longest time between two updates of the meter's energy counters, s.
+        averaged: the time over which power, voltage and current are means, s, where each reading covers all the time
+            since the one before; 0 where they are values of a moment.
+        disagreement: the largest difference between a counter and the integral of power without a doubt, as a share.
 
     Example:
         >>> from robot_runner.plugins import ElectricalReading
@@ -108,7 +108,7 @@ class ElectricalProfiler(PolledProfiler[Readings]):
         self.measures = electrical_measures(self.channels)
 
     def columns(self, sampling: Sampling[Readings]) -> Sequence[Column]:
-        """Return what each channel said, and the meter's own stamps where it has some; without what it never told."""
+        """Return the quantities of each channel that have values, and the meter's own stamps where it has some."""
         picks = (
             ("power_W", "power"),
             ("voltage_V", "voltage"),
@@ -136,20 +136,20 @@ class ElectricalProfiler(PolledProfiler[Readings]):
         return dict(zip((measure.name for measure in self.measures), values, strict=True))
 
     def doubts(self, sampling: Sampling[Readings]) -> Iterator[str]:
-        """Yield what is doubtful: a meter that is stuck or the wrong way round, or a counter that power contradicts."""
+        """Yield doubts, such as a meter that is stuck or connected backwards, or a counter that power contradicts."""
         for place, channel in enumerate(self.channels):
             of = f" of {channel}" if len(self.channels) > 1 else ""
             yield from (doubt.format(of=of) for doubt in self._channel_doubts(sampling, place))
 
     def details(self) -> Mapping[str, Any]:
-        """Return what the energy of each channel was taken from."""
+        """Return the source of each channel's energy."""
         if self._measured is None:
             return {}
         sources = [self._energy(self._measured, place)[1] for place in range(len(self.channels))]
         return {"energy_from": dict(zip(self.channels, sources, strict=True))}
 
     def _energy(self, sampling: Sampling[Readings], place: int) -> tuple[float | None, str]:
-        """Return the energy of one channel, J, and what it was taken from."""
+        """Return the energy of one channel, J, and its source."""
         counted, integral = self._counted(sampling, place), self._integral(sampling, place)
         is_fine = counted is not None and counted > 0 and self._blur(sampling, counted) <= _FINE * counted
         if counted is not None and (integral is None or (is_fine and not falls_of(sampling, place))):
@@ -170,11 +170,11 @@ class ElectricalProfiler(PolledProfiler[Readings]):
         if self.averaged:
             watts = self._mean(sampling, place, "power")
             return None if watts is None else watts * sampling.window.duration
-        # Where the readings suffice, a gap at an edge is bridged as one inside: by the reading beside it.
+        # If the readings suffice, a gap at an edge is bridged like one inside: by the reading beside it.
         return energy(told_series(sampling, place, "power"), sampling.window, reach=sampling.window.duration)
 
     def _blur(self, sampling: Sampling[Readings], joules: float) -> float:
-        """Return how far a counter may be behind at one edge of a window in which so many joules were used, J."""
+        """Return how far a counter may be behind at one edge of a window in which `joules` were used, J."""
         duration = sampling.window.duration
         return self.counter_step + (abs(joules) / duration * self.counter_period if duration else 0.0)
 

@@ -1,4 +1,4 @@
-"""What electrical meters say, reading by reading, and what is doubtful about it."""
+"""The readings of electrical meters, and doubts about them."""
 
 from __future__ import annotations
 
@@ -15,42 +15,43 @@ if TYPE_CHECKING:
     from robot_runner.core.events.window import Window
     from robot_runner.measuring.periodic import Sampling
 
-#: A stretch of equal readings is doubted where it is this long, and fills this share of the window. A converter of ten
-#: bits and more shows its own noise in one of three quantities far sooner.
+#: Equal readings in a row are doubted if they are this many, and fill this share of the window. A converter of ten or
+#: more bits shows its own noise in one of three quantities far sooner.
 _STUCK_READINGS, _STUCK_SHARE = 30, 0.2
-#: Power is renewed seldom where that takes so many readings, and this share of the window.
+#: Power is updated rarely if an update takes this many readings, and this share of the window.
 _SELDOM_READINGS, _SELDOM_SHARE = 3, 0.05
 
-#: Power that changed between samples is told where the energy may be off by more than this share.
+#: Changes of power between samples are reported if the energy may be off by more than this share.
 OFF_SHARE = 0.05
-#: A counter sees what readings of power miss. The two disagree only where they are further apart than so many times the
-#: error that steps between readings explain: bursts shorter than the time between readings explain up to 2.5 times it.
+#: A counter includes what readings of power miss. The two disagree only if they differ by more than this many times the
+#: error by steps between readings: bursts shorter than the time between readings explain up to 2.5 times that error.
 STEP_ERRORS = 3
-#: What is larger than any meter tells in SI units, and small enough for sums and squares to stay finite.
+#: Larger than any value of a meter in SI units, and small enough for sums and squares to stay finite.
 _BEYOND = 1e18
-#: Power contradicts voltage times current above this multiple: rounding a small current doubles it, three phases of
-#: which one tells its current triple it, and another unit makes a thousandfold. And below this share: the filter of a
-#: charger that stands by makes it some hundredths, and the noise of a clamp without a load a 200th.
+#: Power contradicts voltage times current above this multiple: a small current that is rounded doubles the ratio, three
+#: phases with the current of one triple it, and a wrong unit makes it a thousandfold. And below this share: the filter
+#: of a charger in standby makes it some hundredths, and the noise of a clamp without a load a 200th.
 _MOST_OF_APPARENT, _LEAST_OF_APPARENT = 10.0, 1 / 500
-#: No power at all contradicts so many volt-amperes: such a clamp tells 0 W at 19 VA (a Shelly Pro EM-50 in ShellyPy's
-#: issue 20), and coarse meters tell whole watts.
+#: No power at all contradicts this many volt-amperes: such a clamp shows 0 W at 19 VA (a Shelly Pro EM-50 in ShellyPy's
+#: issue 20), and coarse meters show whole watts.
 _APPARENT = 100.0
-#: What is told as 0 may be a step of a coarse meter, V and A; and less than so many volt-amperes may be noise.
+#: A reading of 0 may be up to a step of a coarse meter, V and A; and less than this many volt-amperes may be noise.
 _VOLTS_AT_0, _AMPERES_AT_0, _NOISE = 0.1, 0.01, 0.001
-#: Told where it holds for more than a step of the load explains and this share of the readings: in a row, or in all.
-#: Where quantities are asked one after the other, steps come alone, and make power too high in a quarter at most.
+#: Contradictions are reported if a step of the load does not explain their number and they are this share of the
+#: readings: in a row, or in all. If quantities are queried one after the other, a step contradicts in single readings,
+#: and makes power too high in a quarter of them at most.
 _OF_A_STEP, _IN_A_ROW, _IN_ALL = 2, 0.05, 0.3
 
 
 class ElectricalReading(NamedTuple):
-    """What one channel of a meter says at one moment; None for what it does not tell.
+    """The values of one channel of a meter at one moment; None for those that the meter does not have.
 
     Attributes:
         power: active power, W.
         voltage: V.
         current: A.
         joules: the meter's own energy counter, J.
-        time: when it was measured, s on the clock of the sampling; None for the moment at which it was read.
+        time: of the measurement, s on the clock of the sampling; None for the time of the reading.
 
     Example:
         >>> ElectricalReading(power=7.5, voltage=12.0).current is None
@@ -71,8 +72,8 @@ Readings = tuple[ElectricalReading, ...]
 def step_error(power: Series, window: Window) -> float:
     """Return how far the integral of power may be off, J: twice its standard deviation.
 
-    Between two samples power may have changed at once, at any moment: a step that is uniformly distributed over an
-    interval has a variance of a twelfth of (change x interval) squared.
+    Between two samples power may have changed in one step at any moment: if the moment is uniformly distributed over
+    the interval, the variance is a twelfth of (change x interval) squared.
     """
     steps = zip(pairwise(power.times), pairwise(power.values), strict=True)
     inside = (
@@ -82,7 +83,7 @@ def step_error(power: Series, window: Window) -> float:
 
 
 def stepped(power: Series, sampling: Sampling[Any], joules: float | None) -> Iterator[str]:
-    """Yield that power changed so much between samples that its integral may be off; `{of}` stands for the channel."""
+    """Yield a doubt if power changed so much between samples that its integral may be off; `{of}`: the channel."""
     off = step_error(power, sampling.window)
     if joules is not None and off > OFF_SHARE * abs(joules):
         apart = f"{1 / sampling.rate:.1f} s apart"
@@ -93,13 +94,13 @@ def stepped(power: Series, sampling: Sampling[Any], joules: float | None) -> Ite
 
 
 def _quantity(reading: ElectricalReading, quantity: str) -> float | None:
-    """Return what a reading tells of a quantity; None also for what is none, such as NaN and what overflowed."""
+    """Return a quantity of a reading; None also for values that are no quantity, such as NaN and overflows."""
     value: float | None = getattr(reading, quantity)
     return value if value is not None and abs(value) < _BEYOND else None
 
 
 def series_of(sampling: Sampling[Readings], place: int, quantity: str) -> Series:
-    """Return one quantity of a channel; a reading that the meter stamped counts once, at its stamp."""
+    """Return one quantity of a channel; a reading with a stamp of the meter counts once, at its stamp."""
     told: dict[float, float] = {}
     for time, readings in zip(sampling.times, sampling.readings, strict=True):
         reading = readings[place]
@@ -111,7 +112,7 @@ def series_of(sampling: Sampling[Readings], place: int, quantity: str) -> Series
 
 
 def told_series(sampling: Sampling[Readings], place: int, quantity: str) -> Series:
-    """Return one quantity of a channel where it was told for enough of the window, else nothing."""
+    """Return one quantity of a channel if its values cover enough of the window, else an empty series."""
     moments = zip(sampling.times, sampling.readings, strict=True)
     times = [time for time, readings in moments if _quantity(readings[place], quantity) is not None]
     is_sufficient = quality_of(times, sampling.window, sampling.rate).is_sufficient
@@ -119,7 +120,7 @@ def told_series(sampling: Sampling[Readings], place: int, quantity: str) -> Seri
 
 
 def partly_told(sampling: Sampling[Readings], place: int) -> Iterator[str]:
-    """Yield which quantities of a channel were told too seldom for a value; `{of}` stands for the channel."""
+    """Yield the quantities of a channel with too few values for a measure; `{of}` stands for the channel."""
     readings = [each[place] for each in sampling.within().readings]
     for quantity, word in (("power", "power"), ("voltage", "voltage"), ("current", "current"), ("joules", "energy")):
         told = sum(_quantity(reading, quantity) is not None for reading in readings)
@@ -129,7 +130,7 @@ def partly_told(sampling: Sampling[Readings], place: int) -> Iterator[str]:
 
 
 def falls_of(sampling: Sampling[Readings], place: int) -> int:
-    """Return how often a counter was set back: it was lower than before, and not because a load fed back."""
+    """Return how often a counter was reset: it was lower than before, and not because a load fed back."""
     within = sampling.within()
     if any(backward_steps(sampling, place)):
         return backward_steps(within, place).count(False)
@@ -147,14 +148,14 @@ def backward_steps(sampling: Sampling[Readings], place: int) -> list[bool]:
 
 
 def seldom_renewed(power: Series, sampling: Sampling[Any]) -> Iterator[str]:
-    """Yield that a meter renews its power, as read in the window, less often than it is read; `{of}` as above."""
+    """Yield a doubt if a meter updates its power in the window less often than it is read; `{of}` as above."""
     every = renewed_every(power) or 0.0
     if every * sampling.rate >= _SELDOM_READINGS and every > _SELDOM_SHARE * sampling.window.duration:
         yield f"the meter renews its power{{of}} every {every:.1f} s only: the energy lacks what changed in between"
 
 
 def doubts_about_readings(sampling: Sampling[Readings], place: int = 0) -> Iterator[str]:
-    """Yield that a meter is stuck, or that its quantities contradict each other; `{of}` stands for the channel."""
+    """Yield doubts if a meter is stuck, or its quantities contradict each other; `{of}` stands for the channel."""
     yield from _stuck(sampling, place)
     yield from _contradicted(sampling, place)
 
@@ -166,7 +167,7 @@ def _stuck(sampling: Sampling[Readings], place: int) -> Iterator[str]:
 
 
 def standstills(times: Sequence[float], values: Sequence[object], sampling: Sampling[Any]) -> Iterator[str]:
-    """Yield how often and for how long a meter said the same in the window, where its noise should have been seen."""
+    """Yield for how many readings and how long a meter repeated one value, if that fills so much of the window."""
     longest = longest_standstill(times, values)
     span = longest[-1] - longest[0] if longest else 0.0
     if len(longest) >= _STUCK_READINGS and span >= _STUCK_SHARE * sampling.window.duration:
@@ -174,7 +175,7 @@ def standstills(times: Sequence[float], values: Sequence[object], sampling: Samp
 
 
 def _standing(readings: Readings, place: int) -> object:
-    """Return what says the same where a channel is stuck: that of all channels where nothing is drawn from this one."""
+    """Return the values that repeat if a channel is stuck: those of all channels if this one draws nothing."""
     power, _, current = readings[place][:3]
     return [each[:4] for each in readings] if power == 0 or current == 0 else readings[place][:4]
 
@@ -202,7 +203,7 @@ def _contradicted(sampling: Sampling[Readings], place: int) -> Iterator[str]:
 
 
 def _contradiction(watts: float, volts: float, amperes: float) -> int:
-    """Return 1 where power is far more than voltage times current allow, -1 where it is far less, else 0."""
+    """Return 1 if power is far more than voltage times current allow, -1 if it is far less, else 0."""
     apparent = abs(volts * amperes)
     most = _MOST_OF_APPARENT * max((abs(volts) or _VOLTS_AT_0) * (abs(amperes) or _AMPERES_AT_0), _NOISE)
     is_less = abs(watts) < _LEAST_OF_APPARENT * apparent if watts else apparent >= _APPARENT

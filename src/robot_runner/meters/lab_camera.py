@@ -1,4 +1,4 @@
-"""The profiler that keeps a video of each run, on the run's clock."""
+"""The profiler that records a video of each run, on the run's clock."""
 
 from __future__ import annotations
 
@@ -23,35 +23,35 @@ from robot_runner.meters.video_recording import Recording, frame_times, missing_
 
 _VIDEO, _FRAMES, _STILLS, _ERRORS = "video.mkv", "frames.csv", "stills.json", "stderr.txt"
 _LOOK = f"Look at {_VIDEO} and {_ERRORS} in its folder."
-#: How far the wall clock may be set while a video is recorded, s, before frames are said to be misplaced.
+#: By how much the wall clock may be set during a recording, s, before frames are reported as misplaced.
 _CLOCK_STEP = 0.05
-#: From which time without a frame on something is said, s.
+#: A shorter time without a frame is not reported, s.
 _GAP = 1.0
 #: How long ffmpeg may take to complete the file, s.
 _GRACE = 10.0
-#: Phases of which a still is taken: more would not be looked at.
+#: The largest number of phases with a still: nobody would look at more.
 _MOST_STILLS = 8
 
 
 class LabCamera(Profiler):
-    """Keeps a video of each run, from before the mission until after it, with the time of each frame.
+    """Records a video of each run, from before the mission until after it, with the time of each frame.
 
-    `video.mkv` can be played, also when the run or ffmpeg was killed; `frames.csv` tells for each frame where it is in
-    the video and when it came, on the run's clock. A still of each phase of the mission, or of its beginning, middle
-    and end, is kept beside it and shown in the report.
+    `video.mkv` can be played even if the run or ffmpeg was killed; `frames.csv` has the time of each frame in the video
+    and on the run's clock. Stills of each phase of the mission, or of its beginning, middle and end, are kept beside it
+    and shown in the report.
 
     Args:
         device: a device file (`/dev/video0`), an address (`rtsp://camera/stream`), a file, or `lavfi:` and a source of
             ffmpeg's own, such as `lavfi:testsrc2`.
-        name: tells several cameras apart; the class's name if left out.
-        size: width x height that a device is asked for, such as `1280x720`; None for its own.
-        rate_hz: frames a second that a device is asked for, Hz; None for its own.
+        name: distinguishes several cameras; None for the class's name.
+        size: width x height to request from a device, such as `1280x720`; None for its default.
+        rate_hz: frame rate to request from a device, Hz; None for its default.
         encoder: ffmpeg's name of an encoder; `copy` keeps what the camera encoded, which costs this machine next to
             nothing.
         startup_s: how long to wait for the first frame, s.
 
     Raises:
-        PluginError: the device is empty, the size is none, or a number is not positive.
+        PluginError: the device is empty, the size is malformed, or a number is not positive.
 
     Example:
         >>> LabCamera(device="rtsp://camera/stream", encoder="copy").device
@@ -86,12 +86,12 @@ class LabCamera(Profiler):
         self._forget()
 
     def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: the camera."""
+        """Return a claim of the camera."""
         del robot
         return (f"device:camera {self.device}",)
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: ffmpeg or the device is not there."""
+        """Return errors if ffmpeg or the device is missing."""
         del circumstances
         where = f"plugin {self.name}"
         missing = missing_programs()
@@ -105,7 +105,7 @@ class LabCamera(Profiler):
             yield Finding.error(where, f"there is no {self.device}", fix)
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Forget the run before."""
+        """Discard the video of the run before."""
         del context
         self._forget()
 
@@ -113,7 +113,7 @@ class LabCamera(Profiler):
         """Start ffmpeg and wait for the first frame.
 
         Raises:
-            PluginError: it cannot be started, or no frame comes.
+            PluginError: ffmpeg cannot be started, or no frame comes.
         """
         folder, clock = context.raw_data_folder, machine_clock(context)
         self._clock, self._epoch = clock, int(time.time())
@@ -136,7 +136,7 @@ class LabCamera(Profiler):
         raise PluginError(problem, where=self.name, fix="Look at the camera: ffplay shows what ffmpeg can see.")
 
     def stop_run(self, context: RobotRunnerContext) -> None:
-        """End the video, later than `stop_measurement`: what happens right after the mission is on it, too."""
+        """End the video, later than `stop_measurement`, so that it also shows what happens right after the mission."""
         process, self._process = self._process, None
         if process is None or self._clock is None:
             return
@@ -158,7 +158,7 @@ class LabCamera(Profiler):
         self._read_frames(context)
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
-        """Say what is missing of the mission, and keep stills of it."""
+        """Report gaps in the video of the mission, and keep stills."""
         for problem in (*self._problems, *self._gaps(context)):
             context.warn(problem, fix=_LOOK)
         try:
@@ -177,7 +177,7 @@ class LabCamera(Profiler):
         self._problems: list[str] = []
 
     def _read_frames(self, context: RobotRunnerContext) -> None:
-        """Write where each frame is in the video, and when it was."""
+        """Write the time of each frame in the video and on the run's clock."""
         folder = context.raw_data_folder
         try:
             self._frames = frame_times(folder / _VIDEO)
@@ -192,7 +192,7 @@ class LabCamera(Profiler):
         return at + self._epoch + self._offset
 
     def _write_facts(self, context: RobotRunnerContext, *, complete: bool) -> None:
-        """Write what places the video on the run's clock: before it is recorded, so that a killed run has it, too."""
+        """Write the video's offset from the run's clock: before the recording, so that a killed run has it, too."""
         facts = {
             "device": without_secrets(self.device),
             "run_s_at_video_0": self._epoch + self._offset,
@@ -210,7 +210,7 @@ class LabCamera(Profiler):
         path.write_text(without_secrets(text), encoding="utf-8")
 
     def _gaps(self, context: RobotRunnerContext) -> Iterator[str]:
-        """Yield how long the mission was out of sight."""
+        """Yield a problem if the video has no frames for parts of the mission."""
         window = context.times.window(self._clock)
         if window is None or self._clock is None:
             return

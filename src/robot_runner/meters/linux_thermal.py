@@ -1,4 +1,4 @@
-"""The profiler that watches how warm and how fast the processor is, and whether it is held back."""
+"""The profiler of the processor's temperature, frequency and throttling."""
 
 from __future__ import annotations
 
@@ -36,25 +36,24 @@ if TYPE_CHECKING:
 
 _MILLI = 1e-3
 _KILO = 1e3
-#: Of a zone that tells whole degrees, what is taken for thousandths is below this, in degC; a processor that is at work
-#: passes by there for a moment at most.
+#: A zone in whole degrees, taken for thousandths, shows less than this, in degC, which a working processor has only
+#: for a moment: for less than this share of the samples.
 _WHOLE_DEGREES, _A_MOMENT = 0.15, 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class ThermalReading:
-    """How the processor is at one moment; None for what the machine does not tell.
+    """The state of the processor at one moment; None for what the machine does not show.
 
     Attributes:
         temperature: of the hottest zone, degC.
         frequency: mean over the cores, Hz.
-        core_frequencies: of each core, Hz, in the order of their numbers; None for one that does not tell.
+        core_frequencies: of each core, Hz, in the order of their numbers; None for a core without one.
         silent_zones: how many zones could not be read.
-        throttle_count: how often it was throttled since the machine started; None where a core does not tell.
-        is_held_back: whether the kernel or the firmware holds it back now.
+        throttle_count: how often it was throttled since the machine started; None where a core has no counter.
+        is_held_back: whether the kernel or the firmware throttles it now.
         is_under_voltage: whether the supply voltage is too low now.
-        happened: the flags of what the firmware says to have happened before, in the places of those of now; None where
-            it does not tell.
+        happened: the firmware's flags of earlier events, at the bits of the current ones; None where there are none.
     """
 
     temperature: float | None
@@ -68,7 +67,7 @@ class ThermalReading:
 
 
 class _Machine(Meter[ThermalReading]):
-    """The files of a machine that tell of temperature, frequency and throttling, as far as it has them."""
+    """The files of a machine with temperature, frequency and throttling, as far as it has them."""
 
     def __init__(self, root: Path, zones: Sequence[str] | None) -> None:
         thermal, cpus = root / "class" / "thermal", root / "devices" / "system" / "cpu"
@@ -99,7 +98,7 @@ class _Machine(Meter[ThermalReading]):
         return ThermalReading(
             temperature=max(temperatures, default=None),
             frequency=math.fsum(frequencies) / len(frequencies) * _KILO if frequencies else None,
-            # Without the counters of a core that is switched off, the sum would fall, and rise when it comes back.
+            # If a core is switched off, the sum would fall without its counters, and rise when it comes back.
             throttle_count=int(sum(counts)) if counts and len(counts) == len(self.counters) else None,
             is_held_back=any(states) or any(flag & HELD_BACK for flag in flags) if tells else None,
             is_under_voltage=any(flag & UNDER_VOLTAGE for flag in flags),
@@ -114,14 +113,14 @@ def _core_number(path: Path) -> int:
 
 
 def _number(path: Path) -> float | None:
-    """Return the number in a file; None where a sensor is asleep or gone, as some are."""
+    """Return the number in a file; None if it cannot be read, as when a sensor is asleep or gone."""
     with suppress(ValueError):
         return float(text_in(path))
     return None
 
 
 def _temperature(path: Path) -> float | None:
-    """Return the temperature of a zone, degC; None where it is asleep, gone or broken."""
+    """Return the temperature of a zone, degC; None if it is asleep, gone or broken."""
     number = _number(path)
     return number * _MILLI if number is not None and is_plausible(number * _MILLI) else None
 
@@ -133,14 +132,14 @@ def _numbers(paths: Sequence[Path]) -> list[float]:
 class LinuxThermal(PolledProfiler[ThermalReading]):
     """Measures temperature and frequency of the processor of this machine, and warns of throttling.
 
-    A processor that was held back because it was hot, or starved of voltage, makes a run incomparable with others.
+    If the processor was throttled for heat or undervoltage, the run cannot be compared with others.
 
     Args:
-        name: tells several instances apart; the class's name if left out.
+        name: distinguishes several instances; None for the class's name.
         zones: the types of the thermal zones to read, such as `x86_pkg_temp` or `cpu-thermal`; None for all that
             measure something.
         rate_hz: readings a second, Hz.
-        root: where sysfs is.
+        root: the folder of sysfs.
 
     Raises:
         PluginError: the rate is not positive.
@@ -193,7 +192,7 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
         self._cores: Sequence[int] = ()
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way, and which measures will be missing on this machine."""
+        """Return errors, and warnings of measures that will be missing on this machine."""
         where, machine = f"plugin {self.name}", _Machine(self.root, self.zones)
         problem = self._nothing(machine)
         if problem:
@@ -216,7 +215,7 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
         """Return the machine's files.
 
         Raises:
-            PluginError: it tells neither of temperature nor of frequency.
+            PluginError: they show neither temperature nor frequency.
         """
         del context
         machine = _Machine(self.root, self.zones)
@@ -246,7 +245,7 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
         ]
 
     def values(self, sampling: Sampling[ThermalReading]) -> Mapping[str, float | None]:
-        """Return the means and the maximum, and how much of the time the processor was held back."""
+        """Return the means and the maximum, and the share of the time in which the processor was throttled."""
         reach = 5 / self.rate_hz
         temperature = cut(_sufficient(sampling, "temperature"), sampling.window, reach=reach)
         held_back = _held_back(sampling.within().readings)
@@ -258,7 +257,7 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
         }
 
     def doubts(self, sampling: Sampling[ThermalReading]) -> Iterable[str]:
-        """Yield that the processor was held back or starved of voltage, and that sensors were silent."""
+        """Yield doubts if the processor was throttled or the voltage too low, or if sensors could not be read."""
         yield from _silences(sampling)
         sampling = sampling.within()
         temperatures = _series(sampling, "temperature").values
@@ -279,7 +278,7 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
             yield "the supply voltage of the computer was too low for a time"
 
     def details(self) -> Mapping[str, Any]:
-        """Return what was read."""
+        """Return the zones and files that were read."""
         return self._facts
 
     @staticmethod
@@ -299,7 +298,7 @@ def _series(sampling: Sampling[ThermalReading], quantity: str) -> Series:
 
 
 def _sufficient(sampling: Sampling[ThermalReading], quantity: str) -> Series:
-    """Return one quantity where it was told for enough of the window, else nothing."""
+    """Return one quantity if its values cover enough of the window, else an empty series."""
     return sufficient(_series(sampling, quantity), sampling.window, sampling.rate)
 
 
@@ -318,7 +317,7 @@ def _silences(sampling: Sampling[ThermalReading]) -> Iterable[str]:
 
 
 def _held_back(readings: Sequence[ThermalReading]) -> list[bool]:
-    """Return, for each reading that tells, whether the processor was held back then or since the reading before."""
+    """Return whether the processor was throttled at or just before each reading, of those that show it."""
     held_back, counted, happened = [], math.inf, HELD_BACK
     for each in readings:
         if each.is_held_back is not None or each.throttle_count is not None:

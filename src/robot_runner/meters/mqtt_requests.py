@@ -1,4 +1,4 @@
-"""Requests over MQTT: something is published, and the answers on other topics are waited for."""
+"""Requests over MQTT: publish a message, and wait for the answers on other topics."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ _FIX_LOGIN = "Name its user, and where its password stands: password_env='NAME' 
 
 
 class MqttRequests:
-    """A connection to a broker, without a thread: the network is looked at while an answer is waited for.
+    """A connection to a broker, without a thread: the network is polled during the wait for an answer.
 
     Args:
         broker: such as `mqtt://192.168.0.2:1883`, or `mqtts://...` for TLS.
-        exchange: what is asked again and again.
+        exchange: the request to repeat.
         timeout: how long to wait for the broker and for the answers, s.
-        user: of the broker; empty where it lets everybody in.
+        user: of the broker; empty where it needs none.
         password: of that user.
         where: for errors: whose connection it is.
 
@@ -76,14 +76,14 @@ class MqttRequests:
             raise
 
     def ask(self) -> Mapping[str, bytes]:
-        """Publish the question and return the answers, by topic.
+        """Publish the request and return the answers, by topic.
 
         Raises:
-            LinkError: the broker was lost, or an answer did not come in time.
+            LinkError: the connection was lost, or an answer did not come in time.
         """
         if not self._client.is_connected():
             self._connect()
-        # What was sent late is not an answer to what is asked now. paho takes one message at a time, and TLS may have
+        # First read late answers, which are not for this request. paho takes one message at a time, and TLS may have
         # taken more from the network than that.
         while (line := self._client.socket()) is not None and (
             select.select([line], [], [], 0.0)[0] or (isinstance(line, ssl.SSLSocket) and line.pending())
@@ -102,12 +102,12 @@ class MqttRequests:
         return dict(self._answers)
 
     def close(self) -> None:
-        """Leave the broker."""
+        """Disconnect from the broker."""
         with suppress(OSError, ValueError):
             self._client.disconnect()
             self._client.loop(0)
         self._drop()
-        # A client that nothing refers to in a circle closes its inner sockets at once.
+        # Without a reference cycle the client is freed, and closes its inner sockets, at once.
         self._client.on_connect = self._client.on_subscribe = self._client.on_message = None
 
     @property
@@ -162,5 +162,5 @@ class MqttRequests:
         self._subscribed += 1
 
     def _received(self, _client: Any, _data: Any, message: Any) -> None:
-        if not message.retain:  # what a broker has kept tells of an earlier moment
+        if not message.retain:  # a retained message is of an earlier moment
             self._answers[message.topic] = bytes(message.payload)

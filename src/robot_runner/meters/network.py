@@ -1,4 +1,4 @@
-"""The profiler that counts what goes over the network."""
+"""The profiler of network traffic."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ if TYPE_CHECKING:
     from robot_runner.measuring.periodic import Sampling
 
 _COUNTERS = ("rx_bytes", "tx_bytes", "rx_packets", "tx_packets", "rx_dropped", "tx_dropped")
-#: Counters are as wide as a machine word: on a 32-bit Raspberry Pi OS they begin at 0 again after 4 GiB.
+#: Counters are as wide as a machine word: on a 32-bit Raspberry Pi OS they wrap to 0 after 4 GiB.
 _WORD = 1 << 32
-#: What `capture` keeps of each packet: headers, and no more of what is said than it must.
+#: How many bytes `capture` keeps of each packet: the headers, and little of the content.
 _SNAP_LENGTH = 128
 _GRACE = 5.0
-#: How long tshark may take until it listens, s: a busy Raspberry Pi needs ten.
+#: How long tshark may take until it captures, s: a busy Raspberry Pi needs ten.
 _STARTUP = 30.0
 
 
 def wraps_at(counters: Sequence[Sequence[int]]) -> int | None:
-    """Return the value at which counters of one interface begin at 0 again; None where it was set up anew.
+    """Return the value at which counters of one interface wrap to 0; None if the interface was set up anew.
 
-    Then several of them fall at once, from whatever they had counted, and on a 64-bit machine that may be 4 GiB.
+    In that case several of them fall at once, from any value, which on a 64-bit machine may be above 4 GiB.
 
     Example:
         >>> wraps_at([[4_294_967_000, 200], [1_000, 1_300]]), wraps_at([[4_294_967_000, 200], [1_000, 3]])
@@ -50,15 +50,15 @@ def wraps_at(counters: Sequence[Sequence[int]]) -> int | None:
 
 
 class Network(PolledProfiler[Counters]):
-    """Counts bytes and packets that go through the network interfaces of this machine.
+    """Counts bytes and packets through the network interfaces of this machine.
 
     Args:
-        name: tells several instances apart; the class's name if left out.
-        interfaces: which ones, such as `wlan0`; None for all that have a device behind them (no loopback, no bridges).
-        capture: whether to keep the packets too, as `capture.pcapng`, with tshark.
-        capture_filter: which packets to keep, as tcpdump writes it, such as `udp port 7400`.
+        name: distinguishes several instances; None for the class's name.
+        interfaces: their names, such as `wlan0`; None for all with a device behind them (no loopback, no bridges).
+        capture: whether tshark also keeps the packets, as `capture.pcapng`.
+        capture_filter: which packets to keep, in tcpdump's syntax, such as `udp port 7400`.
         rate_hz: readings a second, Hz.
-        root: where the interfaces are.
+        root: the folder of the interfaces.
 
     Raises:
         PluginError: interfaces is empty, or the rate is not positive.
@@ -104,7 +104,7 @@ class Network(PolledProfiler[Counters]):
         self._ending: Ending | None = None
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no such interface, or no tshark where packets are to be kept."""
+        """Return errors: no such interface, or no tshark although packets are to be kept."""
         where = f"plugin {self.name}"
         findings = [Finding.error(where, error.problem, error.fix) for error in self._faults()]
         if self.capture and shutil.which("tshark") is None:
@@ -113,12 +113,12 @@ class Network(PolledProfiler[Counters]):
         return [*findings, *simulation_findings(self.name, circumstances.robot)]
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Forget the run before."""
+        """Discard the results of the run before."""
         super().start_run(context)
         self._ending = None
 
     def open(self, context: RobotRunnerContext) -> FileCounters:
-        """Return the counters of the interfaces; begin to keep packets, if that was asked for.
+        """Return the counters of the interfaces, and start the capture if there is to be one.
 
         Raises:
             PluginError: there is no such interface, or tshark does not begin to capture.
@@ -137,12 +137,12 @@ class Network(PolledProfiler[Counters]):
         """Return tshark once it captures.
 
         Raises:
-            PluginError: it does not, or cannot be started.
+            PluginError: tshark does not capture, or cannot be started.
         """
         folder = context.raw_data_folder
         capture = folder / "capture.pcapng"
         tshark = MeterProcess(self._tshark(capture), output=None, folder=folder, clock=machine_clock(context))
-        # tshark begins its file once it listens to the interfaces.
+        # tshark begins its file once it captures.
         if tshark.wait(lambda: capture.exists() and capture.stat().st_size > 0, seconds=_STARTUP):
             return tshark
         ending = tshark.stop(signal.SIGINT, grace=_GRACE)
@@ -170,7 +170,7 @@ class Network(PolledProfiler[Counters]):
         ]
 
     def values(self, sampling: Sampling[Counters]) -> Mapping[str, float | None]:
-        """Return what all interfaces together have counted."""
+        """Return the counts of all interfaces together."""
         totals = dict.fromkeys(_COUNTERS, 0)
         for its in self._counts(sampling):
             for counter, counts in zip(_COUNTERS, its, strict=True):
@@ -187,7 +187,7 @@ class Network(PolledProfiler[Counters]):
         }
 
     def doubts(self, sampling: Sampling[Counters]) -> Iterable[str]:
-        """Yield that an interface came or was set up anew, and that tshark failed."""
+        """Yield doubts if an interface appeared or was set up anew, or if tshark failed."""
         for name in sorted(set(self._chosen()).difference(self._names)):
             yield f"interface {name!r} was plugged in meanwhile, and nothing of it is counted"
         for name, index, its in zip(self._names, self._indices, self._counts(sampling.within()), strict=True):
@@ -201,17 +201,17 @@ class Network(PolledProfiler[Counters]):
             yield f"tshark ended with exit code {self._ending.exit_code}: {self._ending.complaint}"
 
     def details(self) -> Mapping[str, Any]:
-        """Return which interfaces were read."""
+        """Return the interfaces that were read."""
         return {"interfaces": self._names, "is_captured": self.capture}
 
     def _counts(self, sampling: Sampling[Counters]) -> list[list[list[int]]]:
-        """Return what each counter of each interface counted."""
+        """Return the readings of each counter of each interface."""
         width = len(_COUNTERS)
         begins = range(0, len(self._names) * width, width)
         return [[[each[at + place] for each in sampling.readings] for place in range(width)] for at in begins]
 
     def _index(self, name: str) -> str:
-        """Return the kernel's number of an interface, which no other one has until the next start of the machine."""
+        """Return the kernel's number of an interface, which is unique until the machine restarts."""
         return text_in(self.root / name / "ifindex")
 
     def _there(self) -> list[str]:

@@ -1,4 +1,4 @@
-"""The profiler that asks NVIDIA's management library about GPUs."""
+"""The profiler of GPUs through NVIDIA's management library."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ if TYPE_CHECKING:
 _INSTALL = "Install it: pip install 'robot-runner[nvml]'."
 _DRIVER = "Install NVIDIA's driver, and see that `nvidia-smi` works."
 _MILLI = 1e-3
-#: How long a GPU's energy counter may be behind, s, and the time over which the power of newer ones is an average, s
-#: (NVML's reference manual, nvmlDeviceGetPowerUsage).
+#: How long a GPU's energy counter may be behind, s, and the averaging time of the power of newer GPUs, s (NVML's
+#: reference manual, nvmlDeviceGetPowerUsage).
 _RENEWED, _AVERAGED = 0.1, 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class GpuReading:
-    """What one GPU says of itself; None for what it cannot tell.
+    """A reading of one GPU; None for what it does not support.
 
     Attributes:
         power: W; on most GPUs an average over the last second (NVML's reference manual, nvmlDeviceGetPowerUsage).
-        joules: since the driver was loaded, J; from Volta on.
+        joules: energy since the driver was loaded, J; from Volta on.
         utilisation: share of the last sample period in which a kernel was executing, 0..100 %.
         memory: share of its memory in use, 0..100 %.
     """
@@ -56,7 +56,7 @@ class GpuReading:
 
 
 class _Gpus:
-    """The library, initialised, and the GPUs to be read."""
+    """The initialised library, and the GPUs to read."""
 
     def __init__(self, indices: Sequence[int] | None) -> None:
         try:
@@ -115,12 +115,12 @@ class _Gpus:
 class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
     """Measures power, energy, utilisation and memory of NVIDIA GPUs of this machine, through NVML.
 
-    Energy is that of the GPU's own counter, where it has one; else the integral of its power.
+    Energy is taken from the GPU's own counter if it has one; else it is the integral of its power.
 
     Args:
-        name: tells several instances apart; the class's name if left out.
-        gpus: which GPUs, as `nvidia-smi -L` counts them; None for all.
-        rate_hz: readings a second, Hz; GPUs renew what they say 10 to 50 times a second.
+        name: distinguishes several instances; None for the class's name.
+        gpus: numbers of GPUs, as in `nvidia-smi -L`; None for all.
+        rate_hz: readings a second, Hz; GPUs update their values 10 to 50 times a second.
 
     Raises:
         PluginError: a number of a GPU is below 0, or the rate is not positive.
@@ -156,7 +156,7 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
         self._names: list[str] = []
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no library, no driver, or no such GPU."""
+        """Return errors: no library, no driver, or no such GPU."""
         if importlib.util.find_spec("pynvml") is None:
             return [Finding.error(f"plugin {self.name}", "nvidia-ml-py is not installed", _INSTALL)]
         return trial_findings(self, lambda: _Gpus(self.gpus)) or simulation_findings(self.name, circumstances.robot)
@@ -165,7 +165,7 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
         """Return the GPUs.
 
         Raises:
-            PluginError: the library, its driver or a GPU is not there.
+            PluginError: the library, its driver or a GPU is missing.
         """
         del context
         gpus = _Gpus(self.gpus)
@@ -173,7 +173,7 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
         return gpus
 
     def columns(self, sampling: Sampling[tuple[GpuReading, ...]]) -> Sequence[Column]:
-        """Return what each GPU said of itself."""
+        """Return the values of each GPU."""
         picks = (
             ("power_W", "power"),
             ("energy_J", "joules"),
@@ -200,7 +200,7 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
         }
 
     def doubts(self, sampling: Sampling[tuple[GpuReading, ...]]) -> Iterator[str]:
-        """Yield where counter or power may be off, and what was told for a part of the time only."""
+        """Yield doubts where counter or power may be off, or values cover only a part of the time."""
         within = sampling.within()
         for place, gpu in enumerate(self.gpus or range(len(self._names))):
             for quantity, word in _WORDS.items():
@@ -245,7 +245,7 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
             *stepped(_series(sampling, place, "power"), sampling, joules),
         ):
             yield doubt.format(of=f" of GPU {gpu}")
-        # One that has nothing to do may draw the same power for long.
+        # An idle GPU may draw the same power for a long time.
         busy = [each[place].power if each[place].utilisation else object() for each in within.readings]
         for standstill in standstills(within.times, busy, sampling):
             yield f"GPU {gpu} told the same power {standstill}, while it computed: it may be stuck"
@@ -259,11 +259,11 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
         return counted or (counted if integral is None else integral)
 
     def _integral(self, sampling: Sampling[tuple[GpuReading, ...]], place: int) -> float | None:
-        # Where the readings suffice, a gap at an edge is bridged as one inside: by the reading beside it.
+        # If the readings suffice, a gap at an edge is bridged like one inside: by the reading beside it.
         return energy(_series(sampling, place, "power"), sampling.window, reach=sampling.window.duration)
 
     def _counted(self, sampling: Sampling[tuple[GpuReading, ...]], place: int) -> float | None:
-        """Return by how much the GPU's energy counter grew, J; None where it has none, or was set back."""
+        """Return by how much the GPU's energy counter grew, J; None if there is none, or it was reset."""
         counter = _series(sampling, place, "joules")
         return None if fall_count(counter.values) else growth(counter, sampling.window)
 
@@ -271,7 +271,7 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
         return mean(cut(_series(sampling, place, quantity), sampling.window))
 
 
-#: What the quantities of a reading are called.
+#: The names of a reading's quantities in messages.
 _WORDS = {"power": "power", "joules": "energy", "utilisation": "utilisation", "memory": "memory"}
 
 
@@ -280,12 +280,12 @@ def _known(sampling: Sampling[tuple[GpuReading, ...]], place: int, quantity: str
 
 
 def _series(sampling: Sampling[tuple[GpuReading, ...]], place: int, quantity: str) -> Series:
-    """Return one quantity of a GPU where it was told for enough of the window, else nothing."""
+    """Return one quantity of a GPU if its values cover enough of the window, else an empty series."""
     return sufficient(_known(sampling, place, quantity), sampling.window, sampling.rate)
 
 
 def _total(values: Sequence[float | None]) -> float | None:
-    """Return the sum; None where one of them is missing, for the sum of the others would pass for all."""
+    """Return the sum; None if one is missing, as the sum of the others would be taken for that of all."""
     known = [value for value in values if value is not None]
     return sum(known) if len(known) == len(values) else None
 

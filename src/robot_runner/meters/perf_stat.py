@@ -1,4 +1,4 @@
-"""The profiler that counts what the processor and the kernel do, with Linux' perf."""
+"""The profiler of events of the processor and the kernel, with Linux' perf."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from robot_runner.meters.parameter_checks import check_list, check_positive
 
 _INSTALL = "Install it: sudo apt install linux-perf (Debian), linux-tools-generic (Ubuntu)."
 _DEFAULT_EVENTS = ("task-clock", "context-switches", "page-faults", "instructions", "cycles", "cache-misses")
-#: Percentage of the time that an event was counted below which it is worth a warning; perf scales up what it missed.
+#: An event that was counted for less than this percentage of the time is doubted; perf extrapolates the rest.
 _FULL_TIME, _ALL_TIME = 90.0, 100.0
-#: In what perf tells times (tools/perf/util: the clocks in ms, its own three in ns).
+#: The units of perf's times (tools/perf/util: the clocks in ms, its own three in ns).
 _OF_SECOND = MappingProxyType(
     {"task-clock": 1e-3, "cpu-clock": 1e-3, "duration_time": 1e-9, "user_time": 1e-9, "system_time": 1e-9}
 )
-#: On all processors they tick whether these work or not: what they count is the window times the processors.
+#: On all processors these count idle time, too: the result is the window times the number of processors.
 _CLOCKS = ("task-clock", "cpu-clock")
 _SEPARATOR = ";"  # events may have commas in their names
 _COUNTED = " counted"
 _NOT_SUPPORTED, _NOT_COUNTED = "<not supported>", "<not counted>"
-#: What perf takes from the resources of its own child once that has ended: in intervals it never knows them, and writes
-#: `<not counted>` with 100 % however busy the machine is (perf 6.1; later ones read them from /proc).
+#: perf takes these from the resource usage of its ended child: in intervals they are unknown, and perf writes
+#: `<not counted>` with 100 % however busy the machine is (perf 6.1; later versions read them from /proc).
 _OF_ITS_CHILD = ("user_time", "system_time")
-#: perf 6.1 counts it once for each thread of a process, and 7.2 not at all beside other events.
+#: perf 6.1 counts it once for each thread of a process, and 7.2 not at all together with other events.
 _DURATION = "duration_time"
 _TRIAL_SECONDS = 10.0
 #: The highest /proc/sys/kernel/perf_event_paranoid with which a user may count on all processors (man perf_event_open).
@@ -46,8 +46,8 @@ def parse_perf(records: Sequence[str]) -> list[Row | None]:
     """Return one row for each event and interval of `perf stat -I ... -x ;`.
 
     perf writes `<not counted>` in two cases (tools/perf/util/stat-display.c): with 100 %, the process did not execute
-    in the interval, and nothing happened; with less, other events had the counters, and nobody knows what happened.
-    Nor does anybody of user_time and system_time, which perf itself does not count in intervals.
+    in the interval, so the count is 0; with less, other events had the counters, so the count is unknown. It is also
+    unknown for user_time and system_time, which perf does not count in intervals.
 
     Example:
         >>> parse_perf(["     1.000116;2003.19;msec;task-clock;2003192961;100.00;2.000;CPUs utilized"])
@@ -66,7 +66,7 @@ def parse_perf(records: Sequence[str]) -> list[Row | None]:
 
 
 def _timed(row: Row, seconds: float) -> Row:
-    """Return how long an interval took where a row tells of that: its ends are right where perf's count is not."""
+    """Return a row's duration from the interval's ends, if it has one: perf's own count of it may be wrong."""
     told = [name for name in row if name.startswith(_DURATION) and not name.endswith(_COUNTED)]
     return dict.fromkeys(told, f"{seconds / _OF_SECOND[_DURATION]:.0f}")
 
@@ -88,12 +88,12 @@ class PerfStat(CommandProfiler):
     """Counts events of processor and kernel with `perf stat`: on the whole machine, or of one process.
 
     Args:
-        name: tells several instances apart; the class's name if left out.
-        events: what to count, as `perf list` names it, such as `instructions` or `power/energy-pkg/`.
+        name: distinguishes several instances; None for the class's name.
+        events: names from `perf list`, such as `instructions` or `power/energy-pkg/`.
         pid: the process to count for; None for all processors.
         interval_ms: time between two readings, ms.
         program: the program, if it is not on the PATH.
-        paranoia: the file that says what users may count.
+        paranoia: the file with the kernel's limit on what users may count.
 
     Raises:
         PluginError: there are no events, two yield one measure, or the interval is not positive.
@@ -143,14 +143,14 @@ class PerfStat(CommandProfiler):
         self.bytes_per_run = 60_000 * len(self.events)
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no perf, no right to count, no such event; and what cannot be counted here."""
+        """Return errors: no perf, no right to count, no such event; and warnings of events that this machine lacks."""
         findings = list(super().check(circumstances))
         if not findings:
             findings = self._refused_scope() or self._refused_events()
         return [*findings, *simulation_findings(self.name, circumstances.robot)]
 
     def column_doubts(self, measured: Measured) -> Iterator[tuple[str, str]]:
-        """Yield which events were not counted, and which only for a share of the time."""
+        """Yield doubts about events that were not counted, or only for a part of the time."""
         yield from super().column_doubts(measured)
         for event in self.events:
             name = _measure_of(event).name
@@ -172,7 +172,7 @@ class PerfStat(CommandProfiler):
         return [Finding.error(f"plugin {self.name}", problem, fix)]
 
     def _refused_events(self) -> list[Finding]:
-        """Count for a moment, and see what perf makes of the events."""
+        """Count for a moment, and return findings on the events that perf does not support."""
         where = f"plugin {self.name}"
         try:
             trial = subprocess.run(  # noqa: S603 - the user's own program
@@ -192,7 +192,7 @@ class PerfStat(CommandProfiler):
             return [Finding.error(where, f"perf refuses: {said}", "Choose events that `perf list` names.")]
         refused = [event for event in self.events if f"{_NOT_SUPPORTED};;{event};" in trial.stderr]
         problem = "this machine cannot count"
-        # Where it may count no more, perf puts `:u` behind an event by itself, and so writes of another one.
+        # If perf may count user space only, it appends `:u` to an event by itself, and so writes another name.
         partial = [event for event in self.events if f";{event}:u;" in trial.stderr and event not in refused]
         in_part = "may be counted in user space only, without the kernel: no value"
         fix = "Allow it: sudo sysctl kernel.perf_event_paranoid=1. Or ask for that: {!r}."
@@ -211,5 +211,5 @@ def _measure_of(event: str, pid: int | None = None) -> Measure:
 
 
 def _seconds(event: str) -> float | None:
-    """Return what of a second perf counts an event in; None where it counts no time."""
+    """Return perf's unit for an event as a share of a second; None if the event is no time."""
     return _OF_SECOND.get(event.partition(":")[0])

@@ -1,4 +1,4 @@
-"""How smart plugs are asked for their power over HTTP and MQTT: Tasmota, and both lines of Shelly."""
+"""Requests for the power of smart plugs over HTTP and MQTT: Tasmota, and both lines of Shelly."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from robot_runner.meters.electrical_readings import ElectricalReading
 _KILOWATT_HOUR, _WATT_HOUR, _WATT_MINUTE = 3.6e6, 3600.0, 60.0
 
 
-#: What a later Shelly's `errors` begin with where its power is not to be believed, such as `out_of_range:apower`.
+#: A later Shelly's power is wrong if its `errors` begin with one of these, such as `out_of_range:apower`.
 _OF_METER = ("power_meter", "out_of_range")
 
 
 class Exchange(NamedTuple):
-    """What is published to ask a plug, and on which topics it answers."""
+    """A message to a plug, and the topics of its answers."""
 
     topic: str
     payload: str
@@ -27,11 +27,11 @@ class Exchange(NamedTuple):
 
 
 class PlugDialect(Protocol):
-    """One way of asking plugs.
+    """The requests and answers of one kind of plug.
 
     Attributes:
-        counter_step: the smallest step of their energy counters, J.
-        user: whose password a plug takes where none is named.
+        counter_step: the smallest step of its energy counters, J.
+        user: the default user for a plug's password.
     """
 
     counter_step: float
@@ -41,13 +41,13 @@ class PlugDialect(Protocol):
         """Return the path of a GET request."""
 
     def exchange(self, topic: str, channel: int, reply_to: str) -> Exchange:
-        """Return how a plug of this topic is asked over MQTT; answers may be sent to a topic of one's own."""
+        """Return the exchange with a plug over MQTT; some plugs answer to the topic `reply_to`."""
 
     def read(self, answers: Mapping[str, bytes], channel: int) -> ElectricalReading:
-        """Return what the answers say, by topic; that to a GET request has the topic "".
+        """Return a reading from the answers by topic; the answer to a GET request has the topic "".
 
         Raises:
-            ValueError: they do not say what was asked for.
+            ValueError: they do not have the values.
         """
 
 
@@ -71,7 +71,7 @@ def _number(fields: Mapping[str, Any], name: str, *, unit: float = 1.0) -> float
 
 
 def _fields(told: Mapping[str, Any], *names: str) -> Mapping[str, Any]:
-    """Return an object within what was told; an empty one where there is none."""
+    """Return a nested object of an answer; an empty one where there is none."""
     for name in names:
         found = told.get(name)
         told = found if isinstance(found, dict) else {}
@@ -106,11 +106,12 @@ class _Tasmota:
     def read(self, answers: Mapping[str, bytes], channel: int) -> ElectricalReading:
         (body,) = answers.values()
         told = _decoded(body)
-        if "WARNING" in told:  # what it answers to a wrong password
+        if "WARNING" in told:  # the answer to a wrong password
             raise ValueError(f"the plug refuses: {told['WARNING']}")
         fields = _fields(told, "StatusSNS", "ENERGY")
         has_several = isinstance(fields.get("Power"), list)
-        # What is no list is that of the whole plug; of several outlets, so is a single counter (without SetOption129).
+        # A value that is no list is that of the whole plug, also the single counter of several outlets (without
+        # SetOption129).
         single = {name: _of_channel(value, channel) for name, value in fields.items() if has_several or not channel}
         is_own = not has_several or isinstance(fields.get("Total"), list)
         joules = _number(single, "Total", unit=_KILOWATT_HOUR) if is_own else None
@@ -148,7 +149,7 @@ class _ShellyFirst:
         status = _decoded(answers[""])
         meters = status.get("emeters") or status.get("meters") or []
         fields = _fields({"meter": _of_channel(meters, channel)}, "meter")
-        # The counter of an energy meter (EM, 3EM) counts watt-hours, that of a plug watt-minutes.
+        # Energy meters (EM, 3EM) count watt-hours, plugs watt-minutes.
         unit = _WATT_HOUR if status.get("emeters") else _WATT_MINUTE
         joules = _number(fields, "total", unit=unit)
         power, voltage, current = (_number(fields, name) for name in ("power", "voltage", "current"))

@@ -1,4 +1,4 @@
-"""What profilers have in common that read a meter of this machine again and again."""
+"""The common parts of profilers that read a meter of this machine periodically."""
 
 from __future__ import annotations
 
@@ -23,37 +23,37 @@ R_co = TypeVar("R_co", covariant=True)
 
 
 class Meter(Protocol[R_co]):
-    """Something that can be read, until it is closed; where it derives from this, it has nothing to close."""
+    """Something that can be read until it is closed; a meter that needs no closing may derive from this class."""
 
     def read(self) -> R_co:
         """Return one reading."""
 
     def close(self) -> None:
-        """Let go of what is held; here, nothing."""
+        """Release all resources; here, there are none."""
         return
 
 
 class Sampler(Protocol[R]):
-    """What takes readings from its start to its stop, such as a `PeriodicSampler`."""
+    """Takes readings from its start to its stop, as a `PeriodicSampler` does."""
 
     def start(self) -> None:
         """Begin to take readings."""
 
     def take_now(self) -> None:
-        """Take one more reading at an edge of the mission, where that can be done."""
+        """Take one more reading at an edge of the mission, if possible."""
 
     def stop(self) -> Sampling[R]:
-        """End it and return what was read; a second call returns the same."""
+        """Stop, and return the readings; a second call returns the same."""
 
 
 class PolledProfiler(Profiler, Generic[R]):
     """Reads a meter of this machine at a fixed rate from the start of the measurement to its end.
 
-    A subclass says how the meter is opened and what its readings amount to. A reading that fails costs a sample; a
-    meter that cannot be opened fails the run, before the robot moves. `docs/polled-meter.md` shows how to write one.
+    A subclass opens the meter and computes measures from its readings. A reading that fails costs a sample; a meter
+    that cannot be opened fails the run, before the robot moves. `docs/polled-meter.md` shows how to write a subclass.
 
     Args:
-        name: tells several instances apart; the class's name if left out.
+        name: distinguishes several instances; None for the class's name.
         rate_hz: readings a second, Hz.
 
     Raises:
@@ -94,18 +94,18 @@ class PolledProfiler(Profiler, Generic[R]):
         raise NotImplementedError
 
     def columns(self, sampling: Sampling[R]) -> Sequence[Column]:
-        """Return the columns of `samples.csv`, the time left out."""
+        """Return the columns of `samples.csv`, except the time."""
         raise NotImplementedError
 
     def values(self, sampling: Sampling[R]) -> Mapping[str, float | None]:
-        """Return the value of each measure over `sampling.window`; what is left out is missing.
+        """Return the value of each measure over `sampling.window`; omitted measures are missing.
 
-        There are readings on both sides of the window: `cut` interpolates what they tell of its edges.
+        There are also readings before and after the window: `cut` interpolates between them at its edges.
         """
         raise NotImplementedError
 
     def doubts(self, sampling: Sampling[R]) -> Iterable[str]:
-        """Yield what is doubtful about the readings, besides the quality of the samples."""
+        """Yield doubts about the readings, besides the quality of the samples."""
         del sampling
         return ()
 
@@ -114,13 +114,13 @@ class PolledProfiler(Profiler, Generic[R]):
         return {}
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Forget the run before."""
+        """Discard the readings of the run before."""
         del context
         self._sampler = self._sampling = self._measured = None
         self._is_written = False
 
     def sampler(self, context: RobotRunnerContext) -> Sampler[R]:
-        """Return what takes the readings: the opened meter's `read`, called at the rate in a thread of the run."""
+        """Return a sampler, which calls the opened meter's `read` at the rate, in a thread of the run."""
         self._meter = self.open(context)
         sampler = PeriodicSampler(self._meter.read, rate=self.rate_hz, clock=machine_clock(context))
         live = self._live = LiveSamples(context.raw_data_folder / "samples.csv")
@@ -176,7 +176,7 @@ class PolledProfiler(Profiler, Generic[R]):
 
 
 def trial_findings(plugin: PolledProfiler[Any], opened: Callable[[], Meter[Any]]) -> list[Finding]:
-    """Return why a plugin's meter cannot be opened, which it is for a moment; nothing where it can."""
+    """Open a plugin's meter for a moment, and return errors if that fails."""
     try:
         opened().close()
     except (LinkError, PluginError) as error:
@@ -185,7 +185,7 @@ def trial_findings(plugin: PolledProfiler[Any], opened: Callable[[], Meter[Any]]
 
 
 def known_series(sampling: Sampling[R], pick: Callable[[R], float | None]) -> Series:
-    """Return one quantity of the readings, without those that do not tell it (None)."""
+    """Return one quantity of the readings, without those where it is None."""
     pairs = zip(sampling.times, sampling.readings, strict=True)
     told = [(time, value) for time, reading in pairs if (value := pick(reading)) is not None]
     return Series([time for time, _ in told], [value for _, value in told])

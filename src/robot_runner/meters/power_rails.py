@@ -1,4 +1,4 @@
-"""The profiler that measures the supply rails that Linux shows, here or on another computer."""
+"""The profiler of supply rails in Linux' drivers, here or on another computer."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from robot_runner.meters.electrical_readings import Readings
 from robot_runner.meters.polled import Meter, Sampler
 from robot_runner.meters.sysfs_rails import Rail, choose_rails, find_rails
 
-#: What a battery says of itself that feeds the computer. Source: Linux, Documentation/ABI/testing/sysfs-class-power.
+#: The status of a battery that supplies the computer. Source: Linux, Documentation/ABI/testing/sysfs-class-power.
 _DISCHARGING = "Discharging"
-#: Samples whose clock is known to less than this share of the window are doubted, as elsewhere.
+#: Samples are doubted if the uncertainty of their clock exceeds this share of the window, as elsewhere.
 _CLOCK_SHARE = 0.01
 
 
@@ -46,7 +46,7 @@ def _paths(rails: Sequence[Rail]) -> list[str]:
 
 
 def _understood(rails: Sequence[Rail], paths: Sequence[str], lines: Sequence[str | None]) -> Readings:
-    """Return what each rail says.
+    """Return the reading of each rail.
 
     Raises:
         ValueError: a file could not be read, or holds no number.
@@ -58,19 +58,20 @@ def _understood(rails: Sequence[Rail], paths: Sequence[str], lines: Sequence[str
 class PowerRails(ElectricalProfiler):
     """Measures supply rails through Linux' drivers: hwmon and IIO, as a Jetson, a server and most carrier boards have.
 
-    Any driver will do that shows power, energy, or voltage and current: INA219, INA226, INA228, INA237, INA238, INA260
-    and INA3221 among them, PMBus supplies, ACPI's power meter, the supplies of some workstations.
+    Any driver that shows power, energy, or voltage and current works: those of INA219, INA226, INA228, INA237, INA238,
+    INA260 and INA3221, PMBus supplies, ACPI's power meter, the supplies of some workstations.
 
     Args:
-        rails: the names of the rails, such as `["VDD_IN"]`; left out, the only one that tells power.
-        name: tells several instances apart; the class's name if left out.
+        rails: the names of the rails, such as `["VDD_IN"]`; None takes the only one with power.
+        name: distinguishes several instances; None for the class's name.
         host: the computer: `localhost` for this machine, or as ssh takes it (`pi@robot`).
-        ssh_config: a file to take the place of your ssh config.
+        ssh_config: a file that replaces your ssh config.
         rate_hz: readings a second, Hz; each is a transfer or more on the sensor's bus.
-        root: where sysfs is.
+        root: the folder of sysfs.
 
     Raises:
-        PluginError: the rails are no list of names, two would yield measures of one name, or the rate is not positive.
+        PluginError: the rails are no list of names, two would yield measures with the same name, or the rate is not
+            positive.
 
     Example:
         >>> [measure.name for measure in PowerRails(["VDD_IN", "VDD_GPU_SOC"], host="nvidia@jetson").measures][::4]
@@ -115,12 +116,12 @@ class PowerRails(ElectricalProfiler):
         return Computer(self.host, self.ssh_config)
 
     def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: the computer that it measures."""
+        """Return a claim of the measured computer."""
         del robot
         return (f"host:{self.host}",)
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: the computer cannot be reached, or has no such rail."""
+        """Return errors: the computer cannot be reached, or has no such rail."""
         where = f"plugin {self.name}"
         findings = [] if self.host == LOCAL else ssh_findings(where, self.host, config=self.ssh_config)
         if not findings:
@@ -146,18 +147,18 @@ class PowerRails(ElectricalProfiler):
         return _LocalRails(self._connected(context), self._rails)
 
     def sampler(self, context: RobotRunnerContext) -> Sampler[Readings]:
-        """Return what has the computer read the rails: this machine a reading at a time, another one on its own."""
+        """Return a sampler: this machine reads once per call, another computer samples on its own."""
         if self.host == LOCAL:
             return super().sampler(context)
         host, paths, clock = self._connected(context), _paths(self._rails), machine_clock(context)
         return HostSampler(host, paths, partial(_understood, self._rails, paths), rate=self.rate_hz, clock=clock)
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
-        """Fetch what was sampled."""
+        """Fetch the samples."""
         is_first = self._sampling is None
         super().stop_measurement(context)
         if is_first:
-            with suppress(LinkError):  # where the connection is lost, the report tells
+            with suppress(LinkError):  # a lost connection is in the report
                 self._states.update(self._statuses(self._connected(context)))
         if is_first and isinstance(self._sampler, HostSampler):
             self._report = self._sampler.report()
@@ -165,7 +166,7 @@ class PowerRails(ElectricalProfiler):
                 context.note_clock(self._report.clock.facts())
 
     def doubts(self, sampling: Sampling[Readings]) -> Iterator[str]:
-        """Yield what is doubtful about the rails, the connection and the computer's clock."""
+        """Yield doubts about the rails, the connection and the computer's clock."""
         yield from super().doubts(sampling)
         within = sampling.within().readings
         for place, rail in enumerate(self._rails):
@@ -187,7 +188,7 @@ class PowerRails(ElectricalProfiler):
                 yield f"the clock of {self.host} is known to {clock.uncertainty:.3f} s only"
 
     def details(self) -> Mapping[str, Any]:
-        """Return which files were read, and how."""
+        """Return the files that were read, and facts about the sampling."""
         files = {
             rail.name: {"chip": rail.chip, **{quantity: file.path for quantity, file in rail.files.items()}}
             for rail in self._rails
@@ -202,7 +203,7 @@ class PowerRails(ElectricalProfiler):
             yield from ((name, status.strip()) for name, status in told if status is not None)
 
     def _counted(self, sampling: Sampling[Readings], place: int) -> float | None:
-        """Return what the rail's counter counted; None where an INA228 counted as drawn what flowed back.
+        """Return the increase of the rail's counter; None if an INA228 counted energy that flowed back as drawn.
 
         Its registers of energy and power have no sign (data sheet of the INA228, register map).
         """

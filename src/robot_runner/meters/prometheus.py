@@ -1,4 +1,4 @@
-"""The profiler that scrapes a Prometheus exporter: whatever it counts or gauges becomes a measure."""
+"""The profiler that scrapes a Prometheus exporter: its counters and gauges become measures."""
 
 from __future__ import annotations
 
@@ -53,20 +53,20 @@ _COMBINATIONS: Mapping[str, Callable[[Sequence[float]], float]] = {
     "max": max,
     "min": min,
 }
-#: A series is renewed seldom where that takes so many scrapes, and this share of the window: at each edge a counter
-#: may be behind by as much, and a gauge says nothing of what happens in between.
+#: A series is updated rarely if an update takes this many scrapes, and this share of the window: at each edge a counter
+#: may be behind by as much, and a gauge does not show changes in between.
 _SELDOM_SCRAPES, _SELDOM_COUNTED, _SELDOM_GAUGED = 3, 0.05, 0.2
 _TEXT_FORMAT = "text/plain;version=0.0.4"
 
 #: The labels of one series, sorted.
 Labels = tuple[tuple[str, str], ...]
-#: For each metric its series at one moment.
+#: The series of each metric at one moment.
 Scrape = tuple["Mapping[Labels, _Shown]", ...]
 
 
 class _Shown(NamedTuple):
     value: float
-    stamp: float | None  # when that was so, by the exporter's clock; None where it does not say
+    stamp: float | None  # of the value, by the exporter's clock; None without one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,11 +74,12 @@ class ScrapedMetric:
     """A metric of an exporter, and the measure that it yields.
 
     Attributes:
-        selector: its name as the exporter's page shows it, and labels to choose by: `node_load1` or
+        selector: its name on the exporter's page, and labels that series must have: `node_load1` or
             `node_cpu_seconds_total{mode="user"}`.
-        measure: what it yields; left out, named after the selector, with the unit that the name ends with.
-        is_counter: whether its increase counts, not its mean; left out, by the name's ending (`_total`, `_sum`, ...).
-        combine: how several series make one: `sum`, `mean`, `max` or `min`; counters are summed.
+        measure: that it yields; None names it after the selector, with the unit at the name's end.
+        is_counter: whether its increase is measured, not its mean; None decides by the name's ending (`_total`, `_sum`,
+            ...).
+        combine: how several series are combined: `sum`, `mean`, `max` or `min`; counters are summed.
 
     Raises:
         PluginError: the selector is malformed, or there is no such combination.
@@ -153,14 +154,14 @@ class _Exporter(Meter[Scrape]):
         self._page = HttpDevice(plugin.url, timeout=timeout, user=plugin.user, password=password, where=where)
 
     def families(self) -> list[Any]:
-        """Return what the exporter shows.
+        """Return the metrics on the exporter's page.
 
         Raises:
-            LinkError: it does not answer, or shows something else.
+            LinkError: the exporter does not answer, or the page has no metrics.
         """
         text = self._page.get(Accept=_TEXT_FORMAT).decode("utf-8", errors="replace")
         if text and not text.endswith("\n"):
-            # The format demands a line feed behind the last line; without it, half a number would pass for one.
+            # The format requires a line feed after the last line; unchecked, half a number would be taken for one.
             fix = "Look whether the exporter was restarted, and that the address is its page, as a rule /metrics."
             raise LinkError(f"the page of {self._page.url} breaks off within a line", where=self._where, fix=fix)
         try:
@@ -190,7 +191,7 @@ def _chosen(metric: ScrapedMetric, samples: Iterable[Any]) -> Mapping[Labels, _S
 
 
 def _numbers(series: Mapping[Labels, _Shown]) -> list[float]:
-    """Return what the series show that is a number: an exporter shows NaN for what it does not know."""
+    """Return the finite values of the series: an exporter shows NaN for unknown values."""
     return [shown.value for shown in series.values() if math.isfinite(shown.value)]
 
 
@@ -200,22 +201,22 @@ def _number(scrape: Scrape, place: int, labels: Labels) -> float | None:
 
 
 class Prometheus(PolledProfiler[Scrape]):
-    """Measures what a Prometheus exporter shows: counters as their increase over the mission, gauges as their mean.
+    """Measures metrics of a Prometheus exporter: the increase of counters over the mission, the mean of gauges.
 
-    Exporters there are for machines, GPUs, containers, supplies, weather and most else: node_exporter, DCGM, cAdvisor.
+    There are exporters for machines, GPUs, containers, supplies, weather and much more: node_exporter, DCGM, cAdvisor.
 
     Args:
         url: the exporter's page, such as `http://robot:9100/metrics`.
-        metrics: what to take from it: `node_load1`, `node_cpu_seconds_total{mode="user"}`, or `ScrapedMetric(...)`.
-        name: tells several instances apart; the class's name if left out.
-        user: whose password it is, where the page wants one.
+        metrics: from that page: `node_load1`, `node_cpu_seconds_total{mode="user"}`, or `ScrapedMetric(...)`.
+        name: distinguishes several instances; None for the class's name.
+        user: whose password it is, if the page needs one.
         password_env: the environment variable that holds the password.
         password_file: the file whose first line it is.
         rate_hz: scrapes a second, Hz.
         timeout_s: how long to wait for the page, s.
 
     Raises:
-        PluginError: no metric is named, two would yield measures of one name, or the address cannot be.
+        PluginError: no metric is named, two would yield measures with the same name, or the address is invalid.
 
     Example:
         >>> [measure.unit for measure in Prometheus("http://robot:9100/metrics", ["node_hwmon_power_watts"]).measures]
@@ -256,12 +257,12 @@ class Prometheus(PolledProfiler[Scrape]):
         self.timeout_s = timeout_s
 
     def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: what the server tells of."""
+        """Return a claim of the exporter, and so of what it measures."""
         del robot
         return (f"device:{self.url}",)
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no library, no exporter, or a metric that it does not show."""
+        """Return errors: no library, no exporter, or a metric that it does not have."""
         del circumstances
         where = f"plugin {self.name}"
         if importlib.util.find_spec("prometheus_client") is None:
@@ -273,10 +274,10 @@ class Prometheus(PolledProfiler[Scrape]):
         return [finding for metric in self.metrics for finding in _metric_findings(where, metric, families)]
 
     def open(self, context: RobotRunnerContext) -> _Exporter:
-        """Return the exporter, which has shown all metrics once.
+        """Return the exporter, after one scrape that had all metrics.
 
         Raises:
-            LinkError: it does not answer, or does not show one of them.
+            LinkError: the exporter does not answer, or lacks a metric.
             PluginError: the library is not installed.
         """
         del context
@@ -288,7 +289,7 @@ class Prometheus(PolledProfiler[Scrape]):
         return exporter
 
     def columns(self, sampling: Sampling[Scrape]) -> Sequence[Column]:
-        """Return each series as it was scraped; where a metric has several, they are numbered as in `quality.json`."""
+        """Return each series as it was scraped; several series of a metric are numbered as in `quality.json`."""
         columns = []
         for place, measure in enumerate(self.measures):
             labels = _all_labels(sampling, place)
@@ -306,7 +307,7 @@ class Prometheus(PolledProfiler[Scrape]):
         }
 
     def doubts(self, sampling: Sampling[Scrape]) -> Iterator[str]:
-        """Yield that a counter was set back, and that a series came or went."""
+        """Yield doubts if a counter was reset, or a series was rarely updated or missing for a time."""
         sampling = sampling.within()
         for place, metric in enumerate(self.metrics):
             labels = _all_labels(sampling, place)
@@ -326,7 +327,7 @@ class Prometheus(PolledProfiler[Scrape]):
                 yield f"{silent} of {len(labels)} series of {metric.selector} showed no number, but NaN or infinity"
 
     def details(self) -> Mapping[str, Any]:
-        """Return what was scraped, and the labels of the series."""
+        """Return the scraped metrics, and the labels of their series."""
         sampling = self._sampling
         series = [_all_labels(sampling, place) if sampling else [] for place in range(len(self.metrics))]
         shown = {metric.selector: list(map(dict, labels)) for metric, labels in zip(self.metrics, series, strict=True)}
@@ -335,7 +336,7 @@ class Prometheus(PolledProfiler[Scrape]):
     def _increase(self, sampling: Sampling[Scrape], place: int) -> float | None:
         rises = []
         for labels in _all_labels(sampling, place):
-            last = 0.0  # one that comes late counts from 0, as one that was set back; one that is gone counts no more
+            last = 0.0  # a series that appears later counts from 0, like a reset one; one that is gone counts no more
             numbers = (_number(scrape, place, labels) for scrape in sampling.readings)
             counts = [last := last if number is None else number for number in numbers]
             rises.append(growth(Series(sampling.times, unwrapped(counts)), sampling.window))
@@ -357,9 +358,9 @@ def _series(sampling: Sampling[Scrape], place: int, labels: Labels) -> Series:
 
 
 def _renewed_every(sampling: Sampling[Scrape], place: int, labels: Labels) -> float | None:
-    """Return how often an exporter renews a series, s, where it does so seldom; None for what counts events one by one.
+    """Return the time between updates of a series, s, if these are rare; None for a counter of single events.
 
-    Exporters such as DCGM's show what they collected last, by default up to 30 s ago; cAdvisor's says when that was.
+    Exporters such as DCGM's show values that were collected up to 30 s before by default; cAdvisor's adds their time.
     """
     shown = [each for scrape in sampling.readings if (each := scrape[place].get(labels))]
     if stamps := sorted({each.stamp for each in shown if each.stamp is not None}):
@@ -370,7 +371,7 @@ def _renewed_every(sampling: Sampling[Scrape], place: int, labels: Labels) -> fl
 
 
 def _metric_findings(where: str, metric: ScrapedMetric, families: Sequence[Any]) -> Iterator[Finding]:
-    """Yield why a metric cannot be measured: it is not shown, has other labels, several series, or another type."""
+    """Yield errors for a metric that cannot be measured: missing, with other labels, several series, another type."""
     samples = [sample for family in families for sample in family.samples]
     names = sorted({sample.name for sample in samples})
     if metric.name not in names:

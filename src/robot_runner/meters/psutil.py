@@ -36,8 +36,8 @@ from robot_runner.measuring.utilisation import Selection, Utilisation, means_ove
 from robot_runner.meters.parameter_checks import check_list, check_positive
 
 _REMEDY = "Look at the load of the computer, at the network and at samples.csv before you use this run."
-#: For the estimate of raw data: bytes of a sample, of each core's share of it, and of each process's; a mission's
-#: duration, s; the cores of a robot's computer.
+#: For the estimated size of raw data: bytes of a sample, of each core in it, and of each process; a mission's duration,
+#: s; the cores of a robot's computer.
 _SAMPLE_BYTES, _CORE_BYTES, _PROCESS_BYTES = 45, 8, 20
 _MISSION, _CORES = 95.0, 4
 
@@ -45,27 +45,26 @@ _MISSION, _CORES = 95.0, 4
 class PsUtil(Profiler):
     """Measures CPU and memory utilisation, as the paper's PsUtil does, at 10 Hz.
 
-    Here it samples with psutil in a thread of the run. On another computer a small loop samples until the mission
-    is over, and its samples are fetched afterwards, so that the network is quiet meanwhile. CPU utilisation is
-    that of the moment (what was busy since the sample before), not that of a process's lifetime, which `ps` prints as
-    `%cpu`.
+    On this machine psutil samples in a thread of the run. On another computer a small program samples until the
+    mission is over, and its samples are fetched afterwards, so that they cause no traffic during the mission. CPU
+    utilisation is that since the sample before, not that over a process's lifetime, which `ps` prints as `%cpu`.
 
     Args:
-        name: tells several instances apart; the class's name if left out.
+        name: distinguishes several instances; None for the class's name.
         host: the computer: `localhost` for this machine, or as ssh takes it (`pi@robot`); None for the on-board
             computer of a simulated robot.
         rate_hz: samples a second, Hz.
         processes: what to measure besides the whole computer: names (`"talker"`), process ids (`4711`), or ROS nodes
-            (`"node:/talker"`, found by the name that they were given on their command line), or software under test
-            with all that it has started (`"subject:Nav"`, the name of a `Program` or `RosNode`).
-        cores: the numbers of cores to measure each by itself.
-        is_streamed: whether another computer sends its samples while it takes them.
-        ssh_config: a file to take the place of your ssh config.
-        form: how another computer is sampled: `python3`, `sh` or `ps`; left out, the best that it can do.
-        namespace: which simulated robot carries the computer, where there are several.
+            (`"node:/talker"`, found by the name on their command line), or software under test with all that it has
+            started (`"subject:Nav"`, the name of a `Program` or `RosNode`).
+        cores: the numbers of cores to measure, each by itself.
+        is_streamed: whether another computer sends each sample at once.
+        ssh_config: a file that replaces your ssh config.
+        form: the program that samples another computer: `python3`, `sh` or `ps`; None takes the best that works.
+        namespace: of the simulated robot with the computer, if there are several.
 
     Raises:
-        PluginError: the rate is not positive, a process, a core or a form cannot be, or a parameter would do nothing.
+        PluginError: the rate is not positive, a process, a core or a form is invalid, or a parameter would do nothing.
 
     Example:
         >>> [measure.name for measure in PsUtil(host="pi@robot", processes=["move_base"]).measures]
@@ -111,7 +110,7 @@ class PsUtil(Profiler):
         self.namespace = namespace
         self.selection = _selection(self.name, processes, cores)
         self.measures = (*type(self).measures, *self.selection.measures())
-        started = tuple(one for one in self.selection.processes if not one.startswith("pid:"))  # by a run, it may be
+        started = tuple(one for one in self.selection.processes if not one.startswith("pid:"))  # perhaps by a run
         self.not_probed = [measure.name for measure in Selection(started).measures()]
         line = _SAMPLE_BYTES + _CORES * _CORE_BYTES + len(self.selection.processes) * _PROCESS_BYTES
         self.bytes_per_run = round(line * rate_hz * _MISSION)
@@ -131,12 +130,12 @@ class PsUtil(Profiler):
         return Computer(self.host, self.ssh_config, self.form, self.selection.processes)
 
     def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: the computer that it measures; a simulated one belongs to the run."""
+        """Return a claim of the measured computer; a simulated one belongs to the run anyway."""
         del robot
         return () if self.host is None else (f"host:{self.host}",)
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no computer is named, or it cannot be reached."""
+        """Return errors: no computer is named, or it cannot be reached."""
         names = circumstances.listed or [each.name for each in circumstances.plugins]
         for kind, _, name in (each.partition(":") for each in self.selection.processes):
             if kind == "subject" and name not in names:
@@ -158,7 +157,7 @@ class PsUtil(Profiler):
             link.connect()
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
-        """Begin to sample."""
+        """Start sampling."""
         self._forget()
         self._clock = context.clock if self.host is None else machine_clock(context)
         self._link = self._connected(context)
@@ -171,7 +170,7 @@ class PsUtil(Profiler):
             self._sampler.tell(lambda sample: live.show(lambda: _shown(sample())))
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
-        """End sampling; other profilers need not wait for samples that come over a network."""
+        """End sampling; the samples are fetched later, so that other profilers need not wait for them."""
         if self._sampler is None or self._clock is None or self._sampled is not None:
             return
         self._sampled = Window(self._begun_at, self._clock.now())
@@ -181,7 +180,7 @@ class PsUtil(Profiler):
             self._collect(context)
 
     def stop_run(self, context: RobotRunnerContext) -> None:
-        """Fetch the samples if they are still elsewhere, and write them."""
+        """Fetch the samples if they are still on another computer, and write them."""
         self._collect(context)
         if self._utilisation is not None:
             self._utilisation.write(context.raw_data_folder, context.times.window(self._clock))
@@ -203,7 +202,7 @@ class PsUtil(Profiler):
         self._utilisation = Utilisation(samples, self._sampled, self.selection, report, self._link.is_simulated)
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
-        """Publish the mean utilisations; no value where too little was seen."""
+        """Publish the mean utilisations; no value where samples cover too little."""
         sampled, mission = self._utilisation, context.times.window(self._clock)
         if sampled is None or mission is None:
             context.doubt("nothing was measured: the measurement was never started", fix=_REMEDY)

@@ -1,4 +1,4 @@
-"""The profiler that reads the energy counters of Intel and AMD processors."""
+"""The profiler of the energy counters of Intel and AMD processors."""
 
 from __future__ import annotations
 
@@ -27,30 +27,30 @@ POWERCAP = Path("/sys/class/powercap")
 #: `intel-rapl:0` is a package, `intel-rapl:0:1` a domain within it; AMD processors have the same names. The same
 #: package may appear once more as `intel-rapl-mmio:0`, which would count it twice.
 _FOLDER = re.compile(r"intel-rapl:\d+(:\d+)?")
-#: What may be measured besides the packages.
+#: The domains that can be measured besides the packages.
 _KINDS = {"core": "the cores", "uncore": "the graphics unit", "dram": "the memory", "psys": "the whole platform"}
 _MAY_REST = "uncore"
-#: Whose core counters (MSR_AMD_CORE_ENERGY_STATUS) are one for each core. Linux' powercap shows a single one for a
-#: package, as on Intel's processors: that of the core on which it happens to read (drivers/powercap/intel_rapl_msr.c).
+#: The vendors with an energy counter for each core (MSR_AMD_CORE_ENERGY_STATUS). Linux' powercap shows a single one for
+#: a package, as on Intel's processors: that of any core, on which it reads (drivers/powercap/intel_rapl_msr.c).
 _OF_ONE_CORE = ("AuthenticAMD", "HygonGenuine")
 _LEAVE_OUT = "Leave 'core' out."
 _ONE_CORE = "the counter `core` of an AMD processor is that of one of its cores: no value"
 _MICRO = 1e-6
-#: A counter is doubted that stood still for so long, s, and for this share of the window: the processor brings it up to
-#: date every millisecond or so (Intel, Software Developer's Manual, volume 3B, RAPL domains).
+#: A counter is doubted if it stood still for this long, s, and for this share of the window: the processor updates it
+#: about every millisecond (Intel, Software Developer's Manual, volume 3B, RAPL domains).
 _STILL, _STILL_SHARE = 0.5, 0.05
-_FIRST_LINES = 10  # of /proc/cpuinfo: the vendor stands in the second
+_FIRST_LINES = 10  # of /proc/cpuinfo: the vendor is in the second
 
 
 @dataclass(frozen=True, slots=True)
 class Domain:
-    """A part of the machine that has an energy counter of its own.
+    """A part of the machine with its own energy counter.
 
     Attributes:
         label: such as `package-0` or `package-0/dram`.
         kind: `package`, `core`, `uncore`, `dram` or `psys`.
-        counter: the file that holds the counter, in microjoules.
-        wraps_at: the value from which the counter begins at 0 again, in microjoules.
+        counter: the file with the counter, in microjoules.
+        wraps_at: the value after which the counter wraps to 0, in microjoules.
     """
 
     label: str
@@ -60,7 +60,7 @@ class Domain:
 
 
 def find_domains(root: Path = POWERCAP) -> list[Domain]:
-    """Return the domains that a machine has, in the order of their folders.
+    """Return the domains of a machine, in the order of their folders.
 
     Raises:
         PluginError: a file of a domain cannot be read.
@@ -84,7 +84,7 @@ def _domain(folder: Path) -> Domain:
 
 
 def permission_findings(name: str, root: Path, kinds: Sequence[str]) -> list[Finding]:
-    """Return what stands in the way of reading these kinds of domain: none is there, or it may not be read."""
+    """Return errors if domains of these kinds are missing, or may not be read."""
     where = f"plugin {name}"
     try:
         domains = find_domains(root)
@@ -115,14 +115,14 @@ def _unreadable(where: str, root: Path, domains: Sequence[Domain]) -> list[Findi
 class Rapl(PolledProfiler[Counters]):
     """Measures the energy of the processor of this machine with its own counters (RAPL, running average power limit).
 
-    It reads the machine on which Robot Runner is executed, through Linux' powercap.
+    It measures the machine on which Robot Runner is executed, through Linux' powercap.
 
     Args:
-        name: tells several instances apart; the class's name if left out.
-        domains: what to measure besides the packages: `core`, `uncore`, `dram`, `psys`, as far as the machine has them.
-        rate_hz: readings a second, Hz; often enough to notice that a counter began at 0 again.
-        root: where the counters are.
-        cpuinfo: the file that tells who made the processor.
+        name: distinguishes several instances; None for the class's name.
+        domains: to measure besides the packages: `core`, `uncore`, `dram`, `psys`, as far as the machine has them.
+        rate_hz: readings a second, Hz; often enough to notice each wrap-around of a counter.
+        root: the folder of the counters.
+        cpuinfo: the file with the processor's vendor.
 
     Raises:
         PluginError: there is no such domain, or the rate is not positive.
@@ -166,7 +166,7 @@ class Rapl(PolledProfiler[Counters]):
         self._domains: list[Domain] = []
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no counters, not this domain, or no right to read them."""
+        """Return errors: no counters, no such domain, or no right to read them."""
         findings = permission_findings(self.name, self.root, ("package", *self.domains))
         if self._tells_of_one_core():
             findings.append(Finding.warning(f"plugin {self.name}", _ONE_CORE, _LEAVE_OUT))
@@ -192,7 +192,7 @@ class Rapl(PolledProfiler[Counters]):
         ]
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
-        """Publish the measures, and say where one has no value whatever is read."""
+        """Publish the measures, with a doubt about one that can never have a value."""
         if self._tells_of_one_core():
             context.doubt(_ONE_CORE, fix=_LEAVE_OUT, measures=[_measure_of("core").name])
         super().populate_run_data(context)
@@ -205,7 +205,7 @@ class Rapl(PolledProfiler[Counters]):
             if counted is None:
                 return {}
             by_kind[domain.kind].append(counted * _MICRO)
-        # A counter that stood still is dead, but for the graphics unit's, which may have had nothing to do.
+        # A counter that stood still is dead, except that of the graphics unit, which may have been idle.
         joules = {kind: sum(each) for kind, each in by_kind.items() if all(each) or kind == _MAY_REST}
         if self._tells_of_one_core():
             joules.pop("core", None)
@@ -214,7 +214,7 @@ class Rapl(PolledProfiler[Counters]):
         return {"Energy": energy, "MeanPower": energy and energy / sampling.window.duration, **told}
 
     def doubts(self, sampling: Sampling[Counters]) -> Iterator[str]:
-        """Yield that a counter stood still, or was set to 0, as by a computer that was suspended."""
+        """Yield doubts if a counter stood still, or was reset, as when the computer is suspended."""
         within = sampling.within()
         for place, domain in enumerate(self._domains):
             counts = [reading[place] for reading in within.readings]
@@ -230,12 +230,12 @@ class Rapl(PolledProfiler[Counters]):
             return any(vendor in line for line in islice(file, _FIRST_LINES) for vendor in _OF_ONE_CORE)
 
     def details(self) -> Mapping[str, Any]:
-        """Return which domains were read, and where their counters begin at 0 again."""
+        """Return the domains that were read, and the values at which their counters wrap."""
         return {"domains": [{"label": each.label, "wraps_at_uJ": each.wraps_at} for each in self._domains]}
 
 
 def _standstill(label: str, times: Sequence[float], counts: Sequence[int], duration: float) -> Iterator[str]:
-    """Yield that a counter stood still, throughout or for so long that its energy may lack some of the window's."""
+    """Yield a doubt if a counter stood still, throughout or for so long that some of the energy may be missing."""
     still = longest_standstill(times, counts)
     if 1 < len(still) == len(counts):
         yield f"the counter of {label} stood still at {counts[0]} uJ: no value"

@@ -1,4 +1,4 @@
-"""The profiler that asks a smart plug, over its local HTTP interface or over MQTT."""
+"""The profiler of smart plugs, over their local HTTP interface or over MQTT."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from robot_runner.core.plugin import Circumstances
     from robot_runner.measuring.periodic import Sampling
 
-#: Power of which a whole watt is this share or more is told too coarsely, and noticed after so many readings.
+#: Power in whole watts is too coarse if a watt is this share of it or more, which takes this many readings to notice.
 _COARSE_SHARE, _COARSE_READINGS = 0.01, 10
 
 
@@ -56,25 +56,26 @@ class _MqttPlug:
 
 
 class SmartPlug(ElectricalProfiler):
-    """Measures with a smart plug: the charger of a robot, a base station, a workstation, as cheaply as can be.
+    """Measures with a smart plug: a cheap meter for the charger of a robot, a base station or a workstation.
 
-    Energy is the integral of its power: the counters of plugs are too coarse for a mission, and only checked against.
+    Energy is the integral of its power: the counters of plugs are too coarse for a mission, and serve as a check only.
 
     Args:
         kind: `tasmota`, `shelly1` (first generation), `shelly2` (later ones) or `shelly2-pm` (those without a switch).
-        name: tells several plugs apart; the class's name if left out.
+        name: distinguishes several plugs; None for the class's name.
         url: of its local HTTP interface, such as `http://192.168.0.20`.
-        broker: the MQTT broker instead, such as `mqtt://192.168.0.2`, or `mqtts://...` for TLS.
+        broker: instead of `url` the MQTT broker, such as `mqtt://192.168.0.2`, or `mqtts://...` for TLS.
         topic: the plug's topic at the broker, such as `tasmota_1A2B3C` or `shellyplusplugs-a8032abe54dc`.
-        channel: which outlet, counted from 0.
-        user: whose password it is; left out, the one that the plug itself has.
+        channel: the number of the outlet, from 0.
+        user: whose password it is; None takes the plug's default user.
         password_env: the environment variable that holds the password of the plug or of the broker.
         password_file: the file whose first line it is.
-        rate_hz: readings a second, Hz; plugs renew what they say about once a second.
+        rate_hz: readings a second, Hz; plugs update their values about once a second.
         timeout_s: how long to wait for an answer, s.
 
     Raises:
-        PluginError: there is no such kind, an address is malformed or holds a password, or both ways or none are named.
+        PluginError: there is no such kind, an address is malformed or contains a password, or not exactly one of `url`
+            and `broker` is given.
 
     Example:
         >>> SmartPlug("shelly2", url="http://192.168.0.20").measures[0].unit
@@ -83,7 +84,7 @@ class SmartPlug(ElectricalProfiler):
 
     needs: ClassVar[str] = "A Tasmota or Shelly plug in the local network; over MQTT a broker and robot-runner[mqtt]."
     bytes_per_run: int = 5_000  # a row a second of 50 bytes for a mission of 95 s
-    # Shelly tells of energy by the minute ("by_minute"), and none of the makers says how often a counter is renewed.
+    # Shelly reports energy by the minute ("by_minute"), and no maker documents how often a counter is updated.
     counter_period = 60.0
 
     def __init__(  # noqa: PLR0913 - two ways to one plug
@@ -131,16 +132,16 @@ class SmartPlug(ElectricalProfiler):
 
     @property
     def dialect(self) -> PlugDialect:
-        """How plugs of this kind are asked."""
+        """The requests and answers of this kind of plug."""
         return DIALECTS[self.kind]
 
     def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: the plug."""
+        """Return a claim of the plug."""
         del robot
         return (f"device:{self.url or self.broker} {self.topic or self.channel}",)
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no library, a simulated robot, or a plug that does not tell its power."""
+        """Return errors: no library, or a plug without power in its answers; and a warning for a simulated robot."""
         where = f"plugin {self.name}"
         if is_simulated(circumstances.robot):
             problem = f"robot is {SIMULATED!r}, and draws nothing from a plug"
@@ -150,16 +151,16 @@ class SmartPlug(ElectricalProfiler):
         return trial_findings(self, self._opened)
 
     def open(self, context: RobotRunnerContext) -> _HttpPlug | _MqttPlug:
-        """Return the plug, which has told its power once.
+        """Return the plug, after one answer with its power.
 
         Raises:
-            LinkError: it does not answer, or does not tell its power.
+            LinkError: the plug does not answer, or its answer has no power.
         """
         del context
         return self._opened()
 
     def doubts(self, sampling: Sampling[Readings]) -> Iterator[str]:
-        """Yield what is doubtful, power in whole watts among it."""
+        """Yield doubts, also about power in whole watts."""
         yield from super().doubts(sampling)
         watts = [power for (reading,) in sampling.readings if (power := reading.power)]
         is_whole = len(watts) >= _COARSE_READINGS and all(power == round(power) for power in watts)
@@ -168,7 +169,7 @@ class SmartPlug(ElectricalProfiler):
             yield f"the plug tells its power in whole watts, at {sum(watts) / len(watts):.0f} W{remedy}"
 
     def details(self) -> Mapping[str, Any]:
-        """Return which plug was asked."""
+        """Return the kind and address of the plug."""
         way = {"url": self.url} if self.url is not None else {"broker": self.broker, "topic": self.topic}
         return {**super().details(), "kind": self.kind, **way, "channel": self.channel}
 

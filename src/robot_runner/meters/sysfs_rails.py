@@ -16,8 +16,8 @@ from robot_runner.meters.ina219.sysfs import SHUNT_RANGES
 if TYPE_CHECKING:
     from robot_runner.measuring.host import FileHost
 
-#: The quantities of a rail, by the word that each of the two interfaces has for them, and what one step of a file is
-#: in SI units. Sources: Linux, Documentation/hwmon/sysfs-interface.rst and Documentation/ABI/testing/sysfs-bus-iio.
+#: The quantities of a rail, by their names in each of the two interfaces, and one step of a file in SI units. Sources:
+#: Linux, Documentation/hwmon/sysfs-interface.rst and Documentation/ABI/testing/sysfs-bus-iio.
 _HWMON = {"power": ("power", 1e-6), "energy": ("joules", 1e-6), "curr": ("current", 1e-3), "in": ("voltage", 1e-3)}
 _IIO = {"power": ("power", 1e-3), "energy": ("joules", 1.0), "current": ("current", 1e-3), "voltage": ("voltage", 1e-3)}
 _HWMON_FILE = re.compile(r"(power|energy|curr|in)(\d+)_(input|average|label)")
@@ -26,20 +26,20 @@ _IIO_FILE = re.compile(r"in_(power|energy|current|voltage)(\d*)_(input|raw|scale
 #: The channels of the INA2xx's IIO driver are its registers, not rails: shunt and bus voltage, power, current.
 #: Source: Linux, drivers/iio/adc/ina2xx-adc.c.
 _INA2XX_IIO = {("voltage", 1), ("power", 2), ("current", 3)}
-#: Of an INA3221, in4 to in6 are the voltages of its shunts, and in7 their sum; of its siblings, in0 is. Source: Linux,
-#: Documentation/hwmon/ina3221.rst and ina2xx.rst.
+#: An INA3221's in4 to in6 are the voltages of its shunts, and in7 is their sum; other chips have their shunt's voltage
+#: in in0. Source: Linux, Documentation/hwmon/ina3221.rst and ina2xx.rst.
 _INA3221_CHANNELS = (1, 2, 3)
-#: The largest voltage at the shunt, V: of an INA3221 its register's last step, 4095 x 40 uV (SBOS576, register maps).
+#: The largest voltage at the shunt, V: an INA3221's is its register's last step, 4095 x 40 uV (SBOS576, register maps).
 _SHUNT_RANGES = {**SHUNT_RANGES, "ina3221": 0.1638}
-#: Half a step of hwmon's, A.
+#: Half a step of hwmon's currents, A.
 _HALF_STEP = 0.0005
-#: PMBus drivers call what belongs to one rail vin, iin, pin, or vout1, iout1, pout1.
+#: PMBus drivers name the quantities of one rail vin, iin, pin, or vout1, iout1, pout1.
 _PMBUS = re.compile(r"[vip](in|out\d*)")
 
 
 @dataclass(frozen=True, slots=True)
 class RailFile:
-    """A file of a driver, and how its number becomes one in SI units: `(number + offset) * scale`."""
+    """A file of a driver, and the conversion of its number to SI units: `(number + offset) * scale`."""
 
     path: str
     scale: float
@@ -48,14 +48,14 @@ class RailFile:
 
 @dataclass(frozen=True, slots=True)
 class Rail:
-    """A supply of which a driver shows power, energy, current or voltage.
+    """A supply rail whose power, energy, current or voltage a driver shows.
 
     Attributes:
         name: the driver's label such as `VDD_IN`, else the chip's name; unique on its computer.
         chip: the driver's name for the chip, such as `ina3221`.
-        files: a file for each quantity that is shown: `power`, `voltage`, `current`, `joules`.
-        status: of the supply of a battery, the file that says whether it is discharged; None for any other.
-        largest: the largest current that the sensor can tell, A; None where that is not known.
+        files: a file for each available quantity: `power`, `voltage`, `current`, `joules`.
+        status: for a battery, the file with its status, such as discharging; None for any other rail.
+        largest: the largest current that the sensor can measure, A; None where that is unknown.
 
     Example:
         >>> rail = Rail("VDD_IN", "ina3221", {"voltage": RailFile("in1", 1e-3), "current": RailFile("curr1", 1e-3)})
@@ -70,22 +70,22 @@ class Rail:
     largest: float | None = None
 
     def is_clipped(self, reading: ElectricalReading) -> bool:
-        """Whether a reading stands at the end of the sensor's range, so that the true current lies beyond."""
+        """Whether a reading is at the end of the sensor's range, so that the true current is larger."""
         return self.largest is not None and abs(reading.current or 0.0) + _HALF_STEP >= self.largest
 
     @property
     def tells_power(self) -> bool:
-        """Whether its energy can be told."""
+        """Whether its energy can be measured."""
         return bool({"power", "joules"} & self.files.keys() or {"voltage", "current"} <= self.files.keys())
 
     def read(self, lines: Mapping[str, str | None]) -> ElectricalReading:
-        """Return what the lines of the files say, by path; power is voltage times current where no file tells it.
+        """Return a reading from the lines of the files, by path; power is voltage times current if no file has it.
 
-        The same where a chip of the INA family tells of a current backwards: its power register has no sign (Linux,
-        drivers/hwmon/ina2xx.c).
+        It is also computed if a chip of the INA family measures a negative current: its power register has no sign
+        (Linux, drivers/hwmon/ina2xx.c).
 
         Raises:
-            ValueError: a file could not be read, or holds no number.
+            ValueError: a file could not be read, or contains no number.
         """
         told = {quantity: _number(file, lines.get(file.path)) for quantity, file in self.files.items()}
         is_backwards = self.chip.startswith("ina") and told.get("current", 0.0) < 0
@@ -104,11 +104,11 @@ def _number(file: RailFile, line: str | None) -> float:
 
 
 def find_rails(host: FileHost, root: str = "/sys") -> list[Rail]:
-    """Return the rails that a computer shows, those of hwmon first.
+    """Return the rails of a computer, those of hwmon first.
 
     Args:
         host: the computer.
-        root: where its sysfs is.
+        root: the folder of its sysfs.
 
     Raises:
         LinkError: the computer cannot be reached, or the scale of a channel is no number.
@@ -135,7 +135,7 @@ def find_rails(host: FileHost, root: str = "/sys") -> list[Rail]:
 
 
 def _largest_current(chip: str, files: Mapping[str, RailFile], lines: Mapping[str, str]) -> float | None:
-    """Return what a sensor of the INA family can tell at most with its shunt, A; None where one is not known."""
+    """Return the largest current of a sensor of the INA family with its shunt, A; None if one is unknown."""
     if chip not in _SHUNT_RANGES or "current" not in files:
         return None
     number = re.sub(r"\D", "", files["current"].path.rpartition("/")[2])
@@ -146,15 +146,15 @@ def _largest_current(chip: str, files: Mapping[str, RailFile], lines: Mapping[st
 
 
 def _first_unique(names: Sequence[str], taken: Sequence[str]) -> str:
-    """Return the shortest of a rail's names that no other rail has."""
+    """Return the first of a rail's names that no other rail has."""
     return next((name for name in names if taken.count(name) == 1), names[-1])
 
 
 def choose_rails(rails: Sequence[Rail], names: Sequence[str] | None, *, where: str) -> list[Rail]:
-    """Return the rails of these names, or the only one that tells power.
+    """Return the rails with these names, or the only one with power.
 
     Raises:
-        LinkError: there is no such rail, or none is named and there are several; all that are there are listed.
+        LinkError: there is no such rail, or none is named and there are several; the message lists all rails.
     """
     there = [rail.name for rail in rails]
     if names is None:
@@ -193,16 +193,16 @@ def _natural(text: str) -> list[tuple[int, str]]:
 
 
 def _addresses(host: FileHost, root: str) -> dict[str, str]:
-    """Return the address of each device on an I2C bus, such as `1-0040`: it stays where numbers of devices change."""
+    """Return the address of each device on an I2C bus, such as `1-0040`, which stays when device numbers change."""
     bus = f"{root}/bus/i2c/devices"
     paths = [*host.list_files(f"{bus}/*/hwmon/hwmon*/name"), *host.list_files(f"{bus}/*/iio:device*/name")]
     return {path.split("/")[-2]: path.removeprefix(f"{bus}/").partition("/")[0] for path in paths}
 
 
 def _batteries(host: FileHost, root: str) -> dict[str, str]:
-    """Return the file that tells the status of each battery, by its folder of hwmon.
+    """Return the status file of each battery, by its folder of hwmon.
 
-    Their power is a magnitude in most drivers: what goes in looks as what goes out. Source: Linux,
+    Most drivers show power without a sign: charging looks the same as discharging. Source: Linux,
     Documentation/ABI/testing/sysfs-class-power.
     """
     types = host.list_files(f"{root}/class/hwmon/hwmon*/device/type")
@@ -211,7 +211,7 @@ def _batteries(host: FileHost, root: str) -> dict[str, str]:
     return {device.removesuffix("/device"): f"{device}/status" for device in devices}
 
 
-#: A rail before it has a name that is its own: what to call it where it has no label, its label, and its files.
+#: A rail before it has a unique name: its name if it has no label, its label, and its files.
 _Found = tuple[str, str, dict[str, RailFile]]
 
 
@@ -225,7 +225,7 @@ def _hwmon_rails(folder: str, chip: str, lines: Mapping[str, str]) -> list[_Foun
         place = match[1], int(match[2])
         if match[3] == "label":
             labels[place] = lines[name]
-        elif match[3] == "input" or place not in files:  # an average stands for what has no reading of the moment
+        elif match[3] == "input" or place not in files:  # an average is used if there is no instantaneous value
             files[place] = RailFile(f"{folder}/{name}", _HWMON[match[1]][1])
     rails: dict[str, _Found] = {}
     for kind in _HWMON:
@@ -247,7 +247,7 @@ def _is_shunt(chip: str, kind: str, number: int) -> bool:
 
 
 def _rail_key(chip: str, label: str, number: int) -> str:
-    """Return what is the same for all quantities of one rail."""
+    """Return a key that all quantities of one rail share."""
     if not label or chip.startswith("ina"):
         return f"#{number}"
     match = _PMBUS.fullmatch(label)
@@ -274,7 +274,7 @@ def _iio_rails(folder: str, chip: str, lines: Mapping[str, str]) -> list[_Found]
 
 
 def _iio_file(path: str, kind: str, match: re.Match[str], unit: float, lines: Mapping[str, str]) -> RailFile:
-    """Return a channel's file: what is processed is in the interface's unit; what is raw has a scale and an offset."""
+    """Return a channel's file: a processed value has the interface's unit, a raw one a scale and an offset."""
     if match[3] == "input":
         return RailFile(path, unit)
 

@@ -1,4 +1,4 @@
-"""Videos through ffmpeg: recorded with the wall clock's time of each frame, read back, and looked at in stills."""
+"""Videos through ffmpeg: record them with the wall clock's time of each frame, read these times, take stills."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from pathlib import Path
 from robot_runner.core.errors import PluginError
 
 FFMPEG, FFPROBE = "ffmpeg", "ffprobe"
-#: An encoder that is none: what the camera encoded is kept.
+#: Instead of an encoder: keeps the camera's encoding.
 COPY = "copy"
 _TEST_PICTURE = "lavfi:"
-#: A cluster of Matroska is complete, and can be played, this often, ms: what a kill costs at most.
+#: The length of a cluster of Matroska, ms: a kill costs at most the last one, as complete clusters can be played.
 _CLUSTER = 500
 _WIDTH = 480
 _PATIENCE = 60.0
@@ -24,14 +24,14 @@ _PATIENCE = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """How a video is recorded.
+    """The settings of a video recording.
 
     Attributes:
-        device: a device file of Video4Linux, an address such as `rtsp://camera/stream`, a file, or `lavfi:` and a
-            source of ffmpeg's own.
+        device: a device file of Video4Linux, an address such as `rtsp://camera/stream`, a file, or `lavfi:` and one of
+            ffmpeg's sources.
         encoder: ffmpeg's name of an encoder, or `copy`.
-        size: width x height that a device is asked for; None for its own.
-        rate: frames a second that a device is asked for; None for its own.
+        size: width x height to request from a device; None for its default.
+        rate: frames a second to request from a device; None for its default.
     """
 
     device: str
@@ -42,12 +42,12 @@ class Recording:
     def command(self, video: Path, epoch: int) -> list[str]:
         """Return the command that records until it gets SIGINT.
 
-        Frames get the wall clock's time of their arrival less `epoch`, and that is where they are in the file: so the
-        file alone tells when a frame was, also one that was cut off by a kill.
+        The timestamp of a frame in the file is the wall clock's time of its arrival less `epoch`: so the file alone
+        has the times of all frames, even if a kill has cut it off.
 
         Args:
             video: the file to write, Matroska.
-            epoch: the second since 1970 at which the video begins.
+            epoch: the beginning of the video, s since 1970.
         """
         return [
             *(FFMPEG, "-nostdin", "-hide_banner", "-loglevel", "warning", "-y"),
@@ -61,7 +61,7 @@ class Recording:
     def _input(self) -> list[str]:
         stamped = ["-use_wallclock_as_timestamps", "1"]
         if self.device.startswith(_TEST_PICTURE):
-            # As slow as a camera, and with a finer clock than one tick a frame, to which times would be rounded.
+            # In real time like a camera, with a finer time base than one tick a frame, to which times would be rounded.
             source = f"{self.device.removeprefix(_TEST_PICTURE)},realtime,settb=1/1000000"
             return [*stamped, "-f", "lavfi", "-i", source]
         if self.device.startswith("rtsp"):
@@ -83,19 +83,19 @@ class Recording:
 
 @cache
 def _version() -> tuple[int, int]:
-    """Return the first two numbers of ffmpeg's version; one built from its repository counts as the newest."""
+    """Return the first two numbers of ffmpeg's version; a build from its repository counts as the newest."""
     done = _execute([FFMPEG, "-hide_banner", "-version"])
     found = re.search(r"ffmpeg version n?(\d+)\.(\d+)", done)
     return (int(found[1]), int(found[2])) if found else (99, 0)
 
 
 def missing_programs() -> list[str]:
-    """Return which of ffmpeg's programs are not there."""
+    """Return the missing ones of ffmpeg's programs."""
     return [program for program in (FFMPEG, FFPROBE) if shutil.which(program) is None]
 
 
 def without_secrets(text: str) -> str:
-    """Return a text without the users and passwords of the addresses in it.
+    """Return a text without the users and passwords in its addresses.
 
     Example:
         >>> without_secrets("rtsp://lab:secret@camera/stream: refused")
@@ -105,7 +105,7 @@ def without_secrets(text: str) -> str:
 
 
 def frame_times(video: Path) -> list[float]:
-    """Return where each frame is in a video, s, in the order in which they are shown.
+    """Return the time of each frame in a video, s, in the order in which they are shown.
 
     Raises:
         PluginError: the file is no video.
@@ -117,17 +117,17 @@ def frame_times(video: Path) -> list[float]:
 
 
 def take_still(video: Path, at: float, still: Path) -> None:
-    """Write the frame that is shown at a time of a video, as JPEG, 480 pixels wide.
+    """Write the frame at a time of a video as JPEG, 480 pixels wide.
 
     Args:
-        video: what to look at.
-        at: where, s; no earlier than the first frame.
+        video: the video.
+        at: the time in the video, s; no earlier than the first frame.
         still: the file to write.
 
     Raises:
         PluginError: there is no such frame.
     """
-    # Seeking is relative to the first frame, unless it is said otherwise.
+    # By default seeking is relative to the first frame.
     seek = ("-seek_timestamp", "1", "-ss", f"{at:.3f}")
     scaled = ("-frames:v", "1", "-vf", f"scale={_WIDTH}:-2", "-q:v", "4", "-update", "1")
     _execute(

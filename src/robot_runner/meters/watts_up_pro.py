@@ -1,4 +1,4 @@
-"""The profiler that reads a Watts up? PRO between the wall socket and what it feeds."""
+"""The profiler of a Watts up? PRO between the wall socket and a load."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from robot_runner.measuring.serial_line import SerialLine, port_problem
 from robot_runner.measuring.series import Series, mean_of_intervals
 from robot_runner.meters.electrical_readings import ElectricalReading, Readings, doubts_about_readings
 
-#: Source of what is said and answered: Electronic Educational Devices, Watts up? PRO communications protocol (2009):
+#: Source of commands and answers: Electronic Educational Devices, Watts up? PRO communications protocol (2009):
 #: `#L,W,3,E,<reserved>,<interval in s>;` begins to log to the line, `#L,R,0;` ends it. A record is
 #: `#d,-,18,<W x 10>,<V x 10>,<A x 1000>,<Wh x 10>,...;`, once an interval.
 _BEGIN = b"#L,W,3,E,1,1;"
 _END = b"#L,R,0;"
 _RECORD = "#d"
 _RATE = 1.0
-#: How long to wait for the first record, s: the meter needs a moment to change its mode.
+#: How long to wait for the first record, s: the meter takes some time to change its mode.
 _PATIENCE = 4.0
-#: How long to wait for the record that tells of the window's last moments, s.
+#: How long to wait for the record that covers the window's end, s.
 _AFTERMATH = 1.5
 _POLL = 0.02
 _FIX = "Look at the meter, its cable and samples.csv before you use this run."
@@ -40,7 +40,7 @@ class WattsUpSample:
     """One record of the meter: means of about a second.
 
     Attributes:
-        time: when it arrived, s on the run's clock.
+        time: of its arrival, s on the run's clock.
         watts: active power, W.
         volts: effective voltage, V.
         amperes: effective current, A.
@@ -53,14 +53,14 @@ class WattsUpSample:
 
 
 def parse_record(record: str, time: float) -> WattsUpSample | None:
-    """Return what a record says, without its `;`; None for what is no record of data.
+    """Return the sample of a record without its `;`; None if it is no data record.
 
     Example:
         >>> parse_record("#d,-,18,1053,2301,502,0,0,0,0", time=1.0)
         WattsUpSample(time=1.0, watts=105.3, volts=230.1, amperes=0.502)
 
     Raises:
-        ValueError: it is a record of data, and damaged.
+        ValueError: the data record is damaged.
     """
     fields = record.strip().split(",")
     if fields[0] != _RECORD:
@@ -70,7 +70,7 @@ def parse_record(record: str, time: float) -> WattsUpSample | None:
 
 
 class Recording:
-    """The records that have come over a line so far."""
+    """The records that have arrived on a line so far."""
 
     def __init__(self, line: SerialLine) -> None:
         self.line = line
@@ -79,7 +79,7 @@ class Recording:
         self._rest = ""
 
     def take(self) -> None:
-        """Read what has arrived.
+        """Read the bytes that have arrived.
 
         Raises:
             LinkError: the line was lost.
@@ -95,7 +95,7 @@ class Recording:
                     self.samples += [] if sample is None else [sample]
 
     def wait(self, is_enough: Callable[[], bool], clock: Clock, seconds: float) -> None:
-        """Read until it is enough, for so many seconds at most.
+        """Read until `is_enough()`, at most for this many seconds.
 
         Raises:
             LinkError: the line was lost.
@@ -116,7 +116,7 @@ class Recording:
         return Sampling([each.time for each in self.samples], readings, window, _RATE)
 
     def quality(self, window: Window) -> SampleQuality:
-        """Return how good the samples are over a window."""
+        """Return the quality of the samples in a window."""
         corrupt = sum(window.start <= time <= window.end for time in self.corrupt_at)
         return quality_of(self.series("watts").times, window, _RATE, corrupt=corrupt)
 
@@ -124,11 +124,11 @@ class Recording:
 class WattsUpPro(Profiler):
     """Measures power at the wall socket with a Watts up? PRO on a serial line, once a second.
 
-    For the charger of a robot, a base station or a workstation; the meter's power is that of the second before.
+    It is for the charger of a robot, a base station or a workstation; the meter's power is that of the second before.
 
     Args:
         port: its serial port, such as `/dev/ttyUSB0`.
-        name: tells several meters apart; the class's name if left out.
+        name: distinguishes several meters; None for the class's name.
 
     Raises:
         PluginError: no port is given.
@@ -163,12 +163,12 @@ class WattsUpPro(Profiler):
         self._is_over = False
 
     def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: its serial port."""
+        """Return a claim of the serial port."""
         del robot
         return (f"serial:{self.port}",)
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no such port, no right to open it, no pyserial, or a simulated robot."""
+        """Return errors: no such port, no right to open it, no pyserial, or a simulated robot."""
         where = f"plugin {self.name}"
         if is_simulated(circumstances.robot):
             problem = "the robot is simulated, and draws nothing from a wall"
@@ -177,25 +177,25 @@ class WattsUpPro(Profiler):
         return [] if fault is None else [Finding.error(where, fault.problem, fault.fix)]
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Forget the run before."""
+        """Discard the samples of the run before."""
         del context
         self._recording = self._begun_at = self._sampled = None
         self._is_over = False
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
-        """Have the meter log to the line, and wait for a first record."""
+        """Make the meter log to the line, and wait for a first record."""
         recording, begun_at = Recording(open_serial_line(context, self.port)), context.clock.now()
         recording.line.write(_BEGIN)
         recording.wait(lambda: bool(recording.samples), context.clock, _PATIENCE)
         self._recording, self._begun_at = recording, begun_at
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
-        """Note when it was; the meter goes on until `stop_run`, so that no other profiler waits for it."""
+        """Note the time; the meter goes on until `stop_run`, so that no other profiler waits for it."""
         if self._begun_at is not None and self._sampled is None:
             self._sampled = Window(self._begun_at, context.clock.now())
 
     def stop_run(self, context: RobotRunnerContext) -> None:
-        """Wait for the record of the last second, have the meter stop, and write the samples."""
+        """Wait for the record of the last second, stop the meter, and write the samples."""
         recording, sampled = self._recording, self._sampled
         if recording is None or sampled is None or self._is_over:
             return
@@ -215,7 +215,7 @@ class WattsUpPro(Profiler):
         write_samples(context.raw_data_folder / "samples.csv", columns)
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
-        """Publish energy and mean power; no value where too little was heard."""
+        """Publish energy and mean power; no value if too few records came."""
         recording, window = self._recording, context.window
         if recording is None or window is None:
             context.doubt("nothing was measured: the measurement was never started", fix=_FIX)

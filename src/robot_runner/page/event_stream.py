@@ -1,4 +1,4 @@
-"""What happens in followed experiments, sent to those who look: computed once for all of them, held back for nobody."""
+"""Server-sent events of followed experiments: computed once for all viewers, and never blocked by a slow one."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
 #: How often a followed experiment is looked at, s: what is recorded is seen within a second.
 _EVERY = 0.25
-#: The same where there is more to read: time for others.
+#: The same where there is more to read, s: time for other tasks.
 _AT_ONCE = 0.01
-#: After nobody has looked for this long, an experiment is no longer followed, s; its rows are forgotten later.
+#: Without viewers for this long, an experiment is no longer followed, s; its rows are dropped later.
 _PATIENCE = 20.0
-#: Messages that a viewer may be behind; beyond that they are told to begin anew.
+#: How many messages a viewer may be behind before it has to begin anew.
 _MOST_BEHIND = 32
-#: A comment keeps the connection alive, s; a viewer who takes nothing for so long is left.
+#: How often a comment keeps the connection alive, s; how long a viewer may take nothing, s.
 _KEEP_ALIVE, _DEAD = 15.0, 30.0
 _MOST_FOLLOWED = 24
 
@@ -33,7 +33,7 @@ _encode = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), allow_nan=
 
 
 def as_json(value: object) -> bytes:
-    """Return a value as compact JSON in UTF-8; numbers that JSON does not have, such as the limit `inf`, as text."""
+    """Return a value as compact JSON in UTF-8; numbers that JSON does not have, such as infinity, as text."""
     try:
         text = _encode(value)
     except ValueError:
@@ -42,18 +42,18 @@ def as_json(value: object) -> bytes:
 
 
 def _event(name: str, data: object) -> bytes:
-    # JSON has no line ends of its own, so an event is one line.
+    # Compact JSON has no line ends, so that an event is one line.
     return b"event: " + name.encode() + b"\ndata: " + as_json(data) + b"\n\n"
 
 
 class Viewer:
-    """Somebody who looks: the messages that they have not got yet."""
+    """A viewer's queue of messages."""
 
     def __init__(self) -> None:
         self._messages: asyncio.Queue[bytes] = asyncio.Queue()
 
     def put(self, message: bytes) -> None:
-        """Add a message; a viewer who is too far behind is told to begin anew instead."""
+        """Add a message; a viewer who is too far behind gets a request to begin anew instead."""
         if self._messages.qsize() >= _MOST_BEHIND:
             while not self._messages.empty():
                 self._messages.get_nowait()
@@ -61,7 +61,7 @@ class Viewer:
         self._messages.put_nowait(message)
 
     async def get(self) -> bytes:
-        """Return what came since, all of it; a comment where nothing did for a while."""
+        """Return all waiting messages, or a comment if none came for a while."""
         try:
             first = await asyncio.wait_for(self._messages.get(), _KEEP_ALIVE)
         except TimeoutError:
@@ -71,21 +71,21 @@ class Viewer:
 
 
 class Followed(Protocol):
-    """What is looked at: its parts by name, those that changed, and all of them."""
+    """Something that can be followed, with its parts by name."""
 
     @property
     def is_behind(self) -> bool:
         """Whether there is more to read at once."""
 
     def look(self) -> Mapping[str, Any]:
-        """Read what is new; returns what it may have changed."""
+        """Read what is new; return the parts that may have changed."""
 
     def snapshot(self) -> Mapping[str, Any]:
-        """Return everything."""
+        """Return all parts."""
 
 
 class Channel:
-    """One followed thing, its viewers, and the task that looks at it while there are any."""
+    """Something followed, its viewers, and the task that looks at it while there are any."""
 
     def __init__(self, followed: Followed, every: float) -> None:
         self._look, self._snapshot, self._every = followed.look, followed.snapshot, every
@@ -100,14 +100,14 @@ class Channel:
         return len(self._viewers)
 
     def wake(self) -> None:
-        """Begin to look, where nobody did; go on for a while."""
+        """Start the task, if it does not run; without viewers it ends after a while."""
         self.used_at = time.monotonic()
         if self._task is None or self._task.done():
             self.has_looked.clear()
             self._task = asyncio.create_task(self._follow())
 
     async def join(self) -> Viewer:
-        """Return a new viewer, who has got everything that there is to know."""
+        """Return a new viewer, with the snapshot as its first message."""
         self.wake()
         await self.has_looked.wait()
         viewer = Viewer()
@@ -117,7 +117,7 @@ class Channel:
         return viewer
 
     def leave(self, viewer: Viewer) -> None:
-        """Forget a viewer."""
+        """Remove a viewer."""
         self._viewers.discard(viewer)
         self.used_at = time.monotonic()
 
@@ -132,7 +132,7 @@ class Channel:
             self.has_looked.set()
             for name, data in parts.items():
                 message = _event(name, data)
-                # Rows are changes; all other parts are whole, and sent where they differ.
+                # Rows are changes; all other parts are complete, and sent only if they differ.
                 if name == "rows" or self._last.get(name) != message:
                     if name != "rows":
                         self._last[name] = message
@@ -143,18 +143,18 @@ class Channel:
 
 
 class Followers:
-    """The experiments that somebody looks at, each followed once however many do."""
+    """The experiments with viewers, each followed once."""
 
     def __init__(self) -> None:
         self._followed: dict[Path, tuple[FollowedExperiment, Channel]] = {}
 
     @property
     def viewers(self) -> int:
-        """How many look at present."""
+        """The number of viewers."""
         return sum(len(channel) for _, channel in self._followed.values())
 
     def channel(self, folder: Path) -> tuple[FollowedExperiment, Channel]:
-        """Return a followed experiment and its channel, which is made where nobody has looked yet."""
+        """Return a followed experiment and its channel, which is made at first use."""
         if folder not in self._followed:
             self._make_room()
             experiment = FollowedExperiment(folder)
@@ -162,7 +162,7 @@ class Followers:
         return self._followed[folder]
 
     async def looked_at(self, folder: Path) -> FollowedExperiment:
-        """Return an experiment as it is at this moment, for a request that no viewer makes."""
+        """Return an experiment after a look at it, for a single request."""
         experiment, channel = self.channel(folder)
         channel.wake()
         await channel.has_looked.wait()
@@ -183,12 +183,12 @@ class Followers:
 
 
 class EventStream:
-    """A response that goes on: server-sent events, until the viewer leaves.
+    """A response of server-sent events, until the viewer leaves.
 
     https://html.spec.whatwg.org/multipage/server-sent-events.html
 
     Args:
-        channel: what is looked at.
+        channel: the followed experiment or list.
         headers: of the response.
     """
 
@@ -197,7 +197,7 @@ class EventStream:
         self._headers = headers
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send what there is, and then what comes."""
+        """Send the snapshot, and then all messages."""
         del scope
         head = {
             **self._headers,

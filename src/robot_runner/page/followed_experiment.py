@@ -1,4 +1,4 @@
-"""One experiment, followed from its folder: what a page shows of it, as plain data, brought up to date at each look."""
+"""One experiment, followed from its folder: the content of its page as plain data, updated at each look."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from robot_runner.page.sampled_curves import RunCurves
 
 _log = logging.getLogger(__name__)
 
-#: Rows of which the cells are sent as they change; where more change at once, pages fetch those that they show.
+#: Up to so many changed rows are sent; where more change at once, pages fetch those that they show.
 _MOST_ROWS = 50
 _MOST_FINDINGS, _LONGEST_TEXT = 200, 1000
-#: Of the log of a run, so much of its end is shown, bytes.
+#: How much of the end of a run's log is shown, bytes.
 _LOG_BYTES = 16_000
-#: Of so many runs in flight logs and samples are told; a page shows those of one, which its viewer chooses.
+#: Logs and samples are sent of so many runs in flight; a page shows those of one, which its viewer chooses.
 _MOST_FOLLOWED = 8
-#: Runs that change the table as a whole: it is read again.
+#: Kinds of records after which the run table is read again.
 _NEW_TABLES = frozenset({"experiment_started", "extended", "repeated", "decided", "deviation"})
 
 
 class FollowedExperiment:
-    """What is known of an experiment, brought up to date by `look`; safe to be asked from several threads.
+    """The state of an experiment, updated by `look`; thread-safe.
 
     Args:
         folder: the experiment's; it need not exist yet.
@@ -74,7 +74,7 @@ class FollowedExperiment:
         return self._tail.is_behind
 
     def look(self) -> dict[str, Any]:
-        """Read what is new on disk; returns the parts of the page that it may have changed, by name."""
+        """Read what is new on disk; return the parts of the page that may have changed, by name."""
         with self._lock:
             try:
                 return self._look()
@@ -86,7 +86,7 @@ class FollowedExperiment:
             return {"state": self._state()}
 
     def rows(self, start: int, count: int, *, status: str = "", text: str = "") -> dict[str, Any]:
-        """Return some rows of the table: all that there are where nothing is looked for, or those that were found."""
+        """Return some rows of the table, of all or of those that match `status` and `text`, and how many match."""
         with self._lock:
             if status or text:
                 found = list(self.table.found(status, text))
@@ -98,7 +98,7 @@ class FollowedExperiment:
             return {"start": start, "total": total, "rows": [self.table.row(place) for place in places]}
 
     def status(self) -> ExperimentStatus | None:
-        """Return how far it was at the last look; None where nothing is known."""
+        """Return its status at the last look; None before the first one."""
         return self._status
 
     def _look(self) -> dict[str, Any]:
@@ -107,7 +107,7 @@ class FollowedExperiment:
             self._begin_anew()
             records = self._tail.read()
         if self._status is not None and not self.folder.exists():
-            self._signs = ()  # once it is back, that is told
+            self._signs = ()  # so that its return is noticed
             raise StorageError("the experiment's folder is no longer there", fix="Was it moved, renamed or removed?")
         parts: dict[str, Any] = {}
         if self._table_is_due:
@@ -135,7 +135,7 @@ class FollowedExperiment:
         sign = self._files.run_table.stat() if self._files.run_table.is_file() else None
         if sign is None or (sign.st_size, sign.st_mtime_ns) == self._refused_table:
             return {}
-        self._refused_table = (sign.st_size, sign.st_mtime_ns)  # one that cannot be read is not read again and again
+        self._refused_table = (sign.st_size, sign.st_mtime_ns)  # an unreadable table is read again only if it changes
         rows = self.table.read(self._files)
         if rows is None:
             return {"table": self._columns()}
@@ -167,7 +167,7 @@ class FollowedExperiment:
         self._table_is_due |= kind in _NEW_TABLES
 
     def _take_doing(self, kind: str, record: Mapping[str, Any]) -> None:
-        """Take down what a run in flight is doing, which the status does not tell."""
+        """Keep what a run in flight is doing, which the status does not have."""
         run = record.get("run")
         if kind == "experiment_started":
             self._doing.clear()
@@ -186,7 +186,7 @@ class FollowedExperiment:
             self._doing[run] |= {name: each for name, each in told.items() if isinstance(each, str | int)}
 
     def _tell(self, parts: dict[str, Any]) -> None:
-        """Add the parts that the journal changes."""
+        """Add the parts that depend on the journal."""
         self._error = None
         if self._has_caught_up and self._files.manifest.exists():
             self._status = status_of(self._files, self._history)
@@ -206,7 +206,7 @@ class FollowedExperiment:
             parts["means"] = self._means.told(self._left_out)
 
     def _mark_in_flight(self) -> None:
-        """Have the rows of runs in flight say so; where nobody executes them any longer, they are to do again."""
+        """Update the rows of runs in flight; without a process that executes them, they are to do again."""
         if self._status is None:
             return
         for each in self._status.in_flight:
@@ -230,10 +230,10 @@ class FollowedExperiment:
         return {"total": len(self.table), "factors": list(self.table.factors), "measures": measures, "note": note}
 
     def snapshot(self) -> dict[str, Any]:
-        """Return all parts of the page, for a viewer who comes."""
+        """Return all parts of the page, for a new viewer."""
         with self._lock:
             parts: dict[str, Any] = {"state": self._state(), "table": self._columns(), "findings": self._findings()}
-            # Who comes again may have seen a run in flight that has ended meanwhile.
+            # A viewer who comes again may have seen a run in flight that has ended meanwhile.
             parts |= {"means": self._means.told(self._excluded()), "samples": {"runs": {}}}
             return parts | self._of_runs_in_flight()
 
@@ -273,7 +273,7 @@ class FollowedExperiment:
 
     @property
     def seconds_left(self) -> float | None:
-        """How long it takes from this moment: the status is as old as the last record."""
+        """How long it takes from now, s; that of the status is of the time of the last record."""
         if self._status is None:
             return None
         left = self._history.left if self._status.holder is not None else None
@@ -286,7 +286,7 @@ class FollowedExperiment:
         return {"problem": first.problem, "fix": first.fix}
 
     def _word(self) -> str:
-        """Return one word for how the experiment stands."""
+        """Return the state of the experiment in one word."""
         status = self._status
         if status is None:
             return "reading" if self._tail.is_behind or self._files.journal.exists() else "not begun"
@@ -333,13 +333,13 @@ class FollowedExperiment:
         return {"total": len(self._status.findings), "last": told, "failures": failures}
 
     def _of_runs_in_flight(self) -> dict[str, Any]:
-        """Return the ends of the logs of the runs in flight, and how often each had new samples."""
+        """Return the ends of the logs of the runs in flight, and the version of each one's samples."""
         runs = [each.run for each in self._status.in_flight][:_MOST_FOLLOWED] if self._status else []
         was_followed = bool(self._curves)
         self._curves = {run: self._curves.get(run) or RunCurves(self._files, run) for run in runs}
         for curves in self._curves.values():
             curves.look()
-        if not runs:  # the last one's samples are whole now
+        if not runs:  # the samples of the last one are complete now
             return {"samples": {"runs": {}}} if was_followed else {}
         return {
             "samples": {"runs": {run: each.version for run, each in self._curves.items()}},
@@ -347,7 +347,7 @@ class FollowedExperiment:
         }
 
     def curves(self, run_id: str) -> list[dict[str, Any]]:
-        """Return the curves of a run: those of the one in flight as they are, another's read now."""
+        """Return the curves of a run; those of a run that is not in flight are read now."""
         with self._lock:
             if run_id in self._curves:
                 return self._curves[run_id].told()
@@ -360,11 +360,11 @@ class FollowedExperiment:
 
     @property
     def robot(self) -> str | None:
-        """How the robot is reached, where that is a way of which pictures can be made; None elsewhere."""
+        """How the robot is reached, if pictures of it can be made; None otherwise."""
         return self._robot
 
     def pose(self, run_id: str) -> tuple[float, float, float] | None:
-        """Return where the robot was seen last in a run (m, m, rad); None where nothing tells."""
+        """Return the last known pose of the robot in a run (m, m, rad), or None."""
         poses = (each.get("pose") for each in self.curves(run_id))
         return next((pose for pose in poses if pose is not None), None)
 
@@ -377,10 +377,10 @@ class FollowedExperiment:
         except (StorageError, OSError):
             return ""
         lines = text.splitlines()[1 if size > _LOG_BYTES else 0 :]
-        # What a program printed by itself is hidden only when its run has ended.
+        # The output of programs is masked only when the run has ended.
         return harmless(without_environment_secrets("\n".join(lines)))
 
 
 def _pictured(robot: object) -> str | None:
-    """Return how the robot is reached, if there is anything that makes pictures of it."""
+    """Return how the robot is reached, if pictures of it can be made."""
     return robot if isinstance(robot, str) and named_entry_point("pictures", robot) is not None else None

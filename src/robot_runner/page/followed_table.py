@@ -1,4 +1,4 @@
-"""The journal read on as it grows, and the run table as a page shows it: on disk, told since, and its means so far."""
+"""The journal followed as it grows, the run table updated by it, and its means so far."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from robot_runner.core.words import shown_treatment
 
 #: How much is read at once: some 4,000 records, which take 50 ms.
 _AT_ONCE = 1_000_000
-#: In the place of a file that was removed: the next one is another, though the system may give it the same number.
+#: The identity of a removed file: a new one may get the same inode number.
 _GONE = (-1, -1)
 
 
 class JournalTail:
-    """Reads what was appended since it was read last.
+    """Reads what was appended to the journal since the last call.
 
     A journal that is another file than before, or shorter, is read from its beginning. A line that is no record is
-    counted and passed over: who looks at an experiment sees what is left of it; `robot-runner status` refuses it.
+    counted and skipped, so that the page shows the rest; `robot-runner status` refuses it.
 
     Args:
-        path: the journal; one that does not exist yet has no records.
+        path: the journal, which need not exist yet.
 
     Attributes:
-        damaged: how many lines were passed over.
+        damaged: how many lines were skipped.
         is_behind: whether there is more to read at once.
-        has_begun_anew: whether the last look began from the beginning, so that all that was known is void.
+        has_begun_anew: whether the last call began from the beginning, so that earlier records are void.
     """
 
     def __init__(self, path: Path) -> None:
@@ -61,7 +61,7 @@ class JournalTail:
         self.has_begun_anew = False
         try:
             found = self._path.lstat()
-        except OSError:  # missing, or where nobody may look: opening says so
+        except OSError:  # missing, or not accessible, which opening reports
             if self._file is not None:
                 self._file = _GONE
             return []
@@ -75,7 +75,7 @@ class JournalTail:
 
     @property
     def share(self) -> float:
-        """How much of the journal was read, 0 to 1."""
+        """How much of the journal was read, as a share, 0 to 1."""
         return self._offset / self._size if self._size else 0.0
 
     def _lines(self) -> list[bytes]:
@@ -88,7 +88,7 @@ class JournalTail:
         except MissingFileError:
             return []
         end = block.rfind(b"\n") + 1
-        if not end and len(block) > LINE_LIMIT:  # nothing that we wrote: go on behind it
+        if not end and len(block) > LINE_LIMIT:  # no line of ours: skip it
             end = len(block)
         self._offset += end
         self.is_behind = bool(end) and self._offset < self._size
@@ -107,23 +107,23 @@ class JournalTail:
         return record
 
 
-#: How the page names what the run table has a sign for.
+#: The words for statuses on the page.
 _WORDS = {RunStatus.TODO: "to do", RunStatus.RUNNING: "running", RunStatus.DONE: "done", RunStatus.FAILED: "failed"}
-#: A larger file (more than some 300,000 runs) is not held by a page that only shows it, bytes.
+#: A larger table (more than some 300,000 runs) is not shown, bytes.
 _MOST_BYTES = 64_000_000
-#: Of a text in a cell, so many characters are shown.
+#: How many characters of a text in a cell are shown.
 _LONGEST = 200
 
 
 class FollowedTable:
-    """The rows of a run table, brought up to date by the journal's records.
+    """The rows of a run table, updated by the journal's records. Places count its runs from 0.
 
     Attributes:
         run_ids: in the order of the table.
         statuses: of each run, by place.
-        treatments: the factors' treatments of each run in words, by place.
-        values: the measures of each run, by place; None for one that is missing.
-        doubtful: the names of measures whose values are doubted, by place.
+        treatments: of each run in words, by place.
+        values: the measures of each run, by place; None for a missing one.
+        doubtful: the names of measures with doubtful values, by place.
         factors, measures, units: of the table's columns; units by measure.
         warm_ups: the places of runs that only warm up.
         changed: the places of rows that changed since it was emptied last.
@@ -146,16 +146,16 @@ class FollowedTable:
         return len(self.run_ids)
 
     def place(self, run_id: str) -> int | None:
-        """Return where a run stands, counted from 0; None for one that the table does not have."""
+        """Return the place of a run; None for one that the table does not have."""
         return self._places.get(run_id)
 
     def combination(self, run_id: str) -> dict[str, str]:
-        """Return the treatments of a run in words, by factor; nothing of one that the table does not have."""
+        """Return the treatments of a run in words, by factor; empty for one that the table does not have."""
         place = self.place(run_id)
         return {} if place is None else dict(zip(self.factors, self.treatments[place], strict=True))
 
     def read(self, files: ExperimentFolder) -> RunTableRows | None:
-        """Read the table from the disk anew; None where there is none yet, or it is too large to be shown.
+        """Read the table from the disk; None where there is none yet, or it is too large to be shown.
 
         Raises:
             StorageError: it cannot be read.
@@ -185,25 +185,25 @@ class FollowedTable:
 
     @staticmethod
     def is_too_large(files: ExperimentFolder) -> bool:
-        """Return whether the table on disk is larger than what is shown."""
+        """Return whether the table on disk is too large to be shown."""
         return files.run_table.is_file() and files.run_table.stat().st_size > _MOST_BYTES
 
     def begin(self, run_id: str) -> None:
-        """Take down that an attempt at a run has begun."""
+        """Note that an attempt at a run has begun."""
         place = self._places.get(run_id)
         if place is not None:
             self.statuses[place] = RunStatus.RUNNING
             self.changed.add(place)
 
     def leave(self, run_id: str) -> None:
-        """Take down that nobody executes a run any longer that had begun."""
+        """Note that a run that had begun is not executed any more."""
         place = self._places.get(run_id)
         if place is not None and self.statuses[place] is RunStatus.RUNNING:
             self.statuses[place] = RunStatus.TODO
             self.changed.add(place)
 
     def end(self, record: Mapping[str, Any]) -> None:
-        """Take down how an attempt ended, and what it measured."""
+        """Note how an attempt ended, and its measures."""
         place = self._places.get(record["run"])
         if place is None:
             return
@@ -214,7 +214,7 @@ class FollowedTable:
         self.changed.add(place)
 
     def doubt(self, record: Mapping[str, Any]) -> None:
-        """Take down which values of an attempt that ended are doubtful."""
+        """Note which values of an attempt that ended are doubtful."""
         place = self._places.get(record["run"])
         doubted = tuple(name for name in self.measures if record["measures"].get(name, {}).get("doubts"))
         if place is not None and (doubted or place in self.doubtful):
@@ -232,7 +232,7 @@ class FollowedTable:
         ]
 
     def found(self, status: str = "", text: str = "") -> Iterator[int]:
-        """Yield the places of rows that have a status and a text in their id or treatments; nothing given means all."""
+        """Yield the places of rows with this status, and this text in id or treatments; empty arguments match all."""
         wanted = text.casefold()
         for place, run_id in enumerate(self.run_ids):
             if status and _WORDS[self.statuses[place]] != status:
@@ -242,28 +242,27 @@ class FollowedTable:
 
 
 def _shown(value: Any) -> Any:
-    """Return a value as the page takes it: a number that is not finite is missing, a long text is cut."""
+    """Return a value for the page: a number that is not finite is missing, a long text is cut."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value[:_LONGEST] if isinstance(value, str) else value
 
 
-#: More treatments than a reader compares; the repetitions of a long experiment are told by nobody.
+#: Factors with more treatments have no means on the page.
 _MOST_TREATMENTS = 40
-#: More measures than a page has room for.
+#: The largest number of measures with means on the page.
 _MOST_MEASURES = 24
 _COMBINATION = "Combination"
 
 
 class MeansSoFar:
-    """Means and intervals, computed anew only for treatments of which a run has changed.
+    """Means and intervals, computed again only for treatments with a changed run.
 
-    The intervals are those that one look at the end would give. Who looks after each run and stops when it pleases
-    has less than 95 %, so the page says so.
+    The intervals hold for a single look at the end: with a look after each run, and stopping at will, they cover in
+    less than 95 % of cases, as the page says.
 
     Args:
-        table: whose runs are counted: those that are done, not left out, and no warm-up; of a doubtful value what the
-            plan of the analysis says.
+        table: its runs count that are done, not excluded, and no warm-up; doubtful values by the analysis plan.
     """
 
     def __init__(self, table: FollowedTable) -> None:
@@ -274,7 +273,7 @@ class MeansSoFar:
         self._leaves_out_doubtful = False
 
     def begin_anew(self, files: ExperimentFolder) -> None:
-        """Group the runs anew: the table was read again."""
+        """Group the runs again, after the table was read again."""
         self._cells.clear()
         plan = read_manifest(files.manifest).get("analysis") if files.manifest.exists() else None
         self._leaves_out_doubtful = isinstance(plan, dict) and plan.get("doubtful") == Doubtful.LEAVE_OUT.value
@@ -289,7 +288,7 @@ class MeansSoFar:
         self._groupings = [each for each in groupings if 1 < len(self._known[each[1]]) <= _MOST_TREATMENTS]
 
     def forget(self, places: Iterable[int]) -> None:
-        """Have the means of the treatments that these runs have be computed anew."""
+        """Drop the means of the treatments of these runs, so that they are computed again."""
         for run in places:
             for _, grouping in self._groupings:
                 self._cells.pop((grouping, self._key(run, grouping)), None)
@@ -297,10 +296,10 @@ class MeansSoFar:
     def told(self, excluded: Collection[int]) -> list[dict[str, Any]]:
         """Return the means as plain data, a mapping for each factor, and for all of them together.
 
-        A measure of which no run has a number is left out: what is yes or no, or text, has no mean.
+        Measures without numbers, such as booleans and texts, are left out.
 
         Args:
-            excluded: the places of runs that are left out.
+            excluded: the places of excluded runs.
         """
         table = self._table
         numeric = [place for place, name in enumerate(table.measures) if not name.endswith(".quality")]
@@ -325,7 +324,7 @@ class MeansSoFar:
         return tuple(treatments[place] for place in places)
 
     def _cell(self, runs: list[int], measure: int, excluded: Collection[int]) -> list[Any]:
-        """Return how many values there are, their mean, and half the width of its interval."""
+        """Return the number of values, their mean, and half the width of its interval."""
         table, name = self._table, self._table.measures[measure]
         values = [
             value
@@ -338,6 +337,6 @@ class MeansSoFar:
         try:
             mean = math.fsum(values) / len(values)
             width = half_width_of(values, CONFIDENCE) if len(values) > 1 else None
-        except (ArithmeticError, ValueError):  # no values, or of a size that no measure has
+        except (ArithmeticError, ValueError):  # no values, or absurdly large ones
             return [len(values), None, None]
         return [len(values), *(each if each is not None and math.isfinite(each) else None for each in (mean, width))]

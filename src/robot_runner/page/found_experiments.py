@@ -1,4 +1,4 @@
-"""The experiments below a folder, and how each stands: for people, and for Prometheus."""
+"""The experiments below a folder, and the state of each: for the index page, and for Prometheus."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of, is_requested
 from robot_runner.page.followed_experiment import FollowedExperiment
 
-#: How deep experiments are looked for, and how many folders are looked into.
+#: How deep experiments are searched for, and in how many folders.
 _DEEPEST, _MOST_FOLDERS = 4, 3_000
 _MOST_EXPERIMENTS = 300
-#: How long one look reads on in one of them, s; the rest of a long journal is read at the next ones.
+#: How long one look reads one of them, s; the rest of a long journal is read at the next ones.
 _PATIENCE = 0.5
 
 
 def is_experiment(folder: Path) -> bool:
-    """Return whether a folder is one of an experiment: of ours, or with a run table of another tool."""
+    """Return whether a folder is that of an experiment, ours or with a run table of another tool."""
     files = ExperimentFolder(folder)
     return files.manifest.is_file() or files.journal.is_file() or files.run_table.is_file()
 
 
 def id_of(folder: Path) -> str:
-    """Return what an experiment is called in addresses: names of folders do not appear there."""
+    """Return the id of an experiment in URLs, which does not reveal names of folders."""
     return hashlib.sha256(os.fsencode(folder)).hexdigest()[:16]
 
 
 class FoundExperiments:
-    """The experiments below a folder, looked for anew at each look; links are not followed.
+    """The experiments below a folder, searched for at each look; links are not followed.
 
     Args:
-        folder: an experiment's own folder, or one that has experiments somewhere below it.
-        is_one: whether it is an experiment's own, though nothing may be there yet.
+        folder: an experiment's own folder, or one with experiments below it.
+        is_one: whether it is an experiment's own folder, which may not exist yet.
     """
 
     def __init__(self, folder: Path, *, is_one: bool = False) -> None:
@@ -56,7 +56,7 @@ class FoundExperiments:
         return id_of(self._folder) if self._is_one or is_experiment(self._folder) else None
 
     def folder(self, experiment_id: str) -> Path | None:
-        """Return the folder of an experiment; None for an id that nobody was told."""
+        """Return the folder of an experiment; None for an unknown id."""
         if experiment_id == self.only:
             return self._folder
         if experiment_id not in self._known:
@@ -65,11 +65,11 @@ class FoundExperiments:
 
     @property
     def is_behind(self) -> bool:
-        """Whether there is more to read at once: in a moment will do."""
+        """Return False: the next look is soon enough."""
         return False
 
     def look(self) -> dict[str, Any]:
-        """Return all experiments with how each stands, those first that want somebody's attention."""
+        """Return all experiments with their states, those first that need attention."""
         with self._lock:
             self._find()
             self._told = [self._summary(experiment_id, folder) for experiment_id, folder in self._known.items()]
@@ -78,7 +78,7 @@ class FoundExperiments:
             return self.snapshot()
 
     def snapshot(self) -> dict[str, Any]:
-        """Return what the last look found."""
+        """Return the result of the last look."""
         return {"experiments": self._told}
 
     def _find(self) -> None:
@@ -86,7 +86,7 @@ class FoundExperiments:
         self._known = {id_of(folder): folder for folder in found[:_MOST_EXPERIMENTS]}
 
     def _summary(self, experiment_id: str, folder: Path) -> dict[str, Any]:
-        """Return how one stands; what has not changed since it was read is not read again."""
+        """Return the state of one; it is read again only if it has changed."""
         files = ExperimentFolder.found_at(folder)
         holder = holder_of(files.lock)
         sign = (holder, is_requested(files.pause), *_sizes(files))
@@ -107,7 +107,7 @@ class FoundExperiments:
         return summary
 
     def _as_of_now(self, experiment_id: str, summary: dict[str, Any]) -> dict[str, Any]:
-        """Return a summary with what is left of a long run by now: in steps, so that it is not sent at each look."""
+        """Return a summary with the time left from now, in steps, so that it is not sent at each look."""
         followed = self._followed.get(experiment_id)
         left = followed.seconds_left if followed is not None else None
         return summary if left is None else {**summary, "left": round(left, -1)}
@@ -156,7 +156,7 @@ _WORDS = ("running", "waiting", "paused", "stopped", "failed", "done")
 
 
 def metrics_text(experiments: Sequence[Mapping[str, Any]], viewers: int) -> str:
-    """Return the figures of experiments, as the index has them, and how many look at pages, as Prometheus reads them.
+    """Return the numbers of runs and states of experiments, and of viewers, in the format of Prometheus.
 
     Source: https://prometheus.io/docs/instrumenting/exposition_formats/.
     """

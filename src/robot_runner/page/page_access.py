@@ -1,4 +1,4 @@
-"""Who may look at a page, and who may act: keys in links, logins in cookies, and requests that come from elsewhere."""
+"""Access to a page, for looking or acting: keys in links, logins in cookies, and where requests come from."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from robot_runner.core.storage.system_refusals import storage_errors
 
 
 class Role(IntEnum):
-    """What somebody may do; who may act may look as well."""
+    """What a viewer may do; acting includes looking."""
 
     NOBODY = 0
     LOOKS = 1
@@ -52,7 +52,7 @@ class Keys:
 
     @classmethod
     def of_user(cls, *, anew: bool = False) -> Keys:
-        """Return the keys of who starts the page.
+        """Return the keys of this user.
 
         Args:
             anew: make a new secret, so that all earlier links and logins are void.
@@ -76,20 +76,20 @@ class Keys:
         return cls(found)
 
     def key(self, role: Role) -> str:
-        """Return the key that stands in a link."""
+        """Return the key for a link."""
         return self._signed(f"key {role.name}")[:32]
 
     def role_of_key(self, key: str) -> Role:
-        """Return what the bearer of a key may do."""
+        """Return the role of a key."""
         return next((role for role in (Role.ACTS, Role.LOOKS) if _is_same(key, self.key(role))), Role.NOBODY)
 
     def login(self, role: Role) -> str:
-        """Return what the cookie of somebody who has shown a key holds."""
+        """Return the content of the cookie for a role."""
         until = int(time.time()) + _LOGIN_LASTS
         return f"{role.name}.{until}.{self._signed(f'login {role.name} {until}')}"
 
     def role_of_login(self, login: str) -> Role:
-        """Return what somebody with this cookie may do."""
+        """Return the role of a cookie."""
         name, _, rest = login.partition(".")
         until, _, signature = rest.partition(".")
         if name not in Role.__members__ or not (until.isascii() and until.isdecimal() and len(until) < 12):  # noqa: PLR2004 - until the year 33658
@@ -109,7 +109,7 @@ def _is_same(one: str, other: str) -> bool:
 
 
 def known_names(more: Iterable[str] = ()) -> frozenset[str]:
-    """Return the names by which this machine is called, as browsers may write them."""
+    """Return the host names of this machine, in lower case."""
     name = socket.gethostname().casefold()
     return frozenset({"localhost", name, f"{name.partition('.')[0]}.local", *(each.casefold() for each in more)})
 
@@ -117,8 +117,8 @@ def known_names(more: Iterable[str] = ()) -> frozenset[str]:
 def is_known_host(header: str, names: frozenset[str]) -> bool:
     """Return whether a request was addressed to this machine.
 
-    A page elsewhere whose name was rebound to this address sends its own name; an address in figures cannot be rebound.
-    The port may be any: proxies and tunnels have their own.
+    That prevents DNS rebinding: a page elsewhere sends its own name. Numeric addresses cannot be rebound. The port may
+    be any, as proxies and tunnels have their own.
 
     Example:
         >>> is_known_host("127.0.0.1:8642", frozenset()), is_known_host("evil.example:8642", frozenset())
@@ -137,7 +137,7 @@ def is_of_same_origin(headers: Mapping[str, str], *, is_action: bool) -> bool:
 
     Args:
         headers: of the request, in lower case.
-        is_action: whether it changes anything: then something must say where it comes from.
+        is_action: whether it changes anything: then a header must say where it comes from.
     """
     site, origin = headers.get("sec-fetch-site"), headers.get("origin")
     if site is not None and site not in {"same-origin", "none"}:
@@ -148,7 +148,7 @@ def is_of_same_origin(headers: Mapping[str, str], *, is_action: bool) -> bool:
 
 
 class RateLimit:
-    """Lets each address do something so often, and no more; forgets who has not come for long.
+    """Limits how often each address may do something (token bucket).
 
     Args:
         burst: how often at once.
@@ -160,7 +160,7 @@ class RateLimit:
         [True, True, False]
     """
 
-    #: As many addresses are remembered.
+    #: How many addresses are remembered.
     _MOST = 2_000
 
     def __init__(self, *, burst: float, rate: float) -> None:
@@ -168,7 +168,7 @@ class RateLimit:
         self._left: OrderedDict[str, tuple[float, float]] = OrderedDict()
 
     def lets_pass(self, address: str) -> bool:
-        """Take one from what an address has left; returns whether there was any."""
+        """Take one token of an address; return whether there was one."""
         now = time.monotonic()
         left, at = self._left.pop(address, (self._burst, now))
         left = min(self._burst, left + (now - at) * self._rate)

@@ -1,4 +1,4 @@
-"""The web server of the live page: a few addresses, each of which says who may ask for it."""
+"""The web server of the live page: its routes, each with the role that it needs."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _KINDS = {
     ".svg": "image/svg+xml",
     ".txt": "text/plain",
 }
-#: The files of the page, by the package whose they are.
+#: The files of the page, by package.
 _ASSETS = {
     **{each.name: "robot_runner.page" for each in files("robot_runner.page").joinpath("assets").iterdir()},
     **dict.fromkeys(
@@ -59,13 +59,13 @@ _HEADERS = {
     "x-frame-options": "DENY",
     "cache-control": "no-store",
 }
-#: A report is a page of its own with scripts in it, from a folder that anybody may have filled: it has no origin, so
-#: it can ask this server for nothing.
+#: A report has scripts and comes from a folder that an attacker may have prepared: it gets an opaque origin, so that it
+#: cannot send requests to this server with the viewer's cookie.
 _REPORT_POLICY = (
     "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
     "img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-#: What a page sends with each action, which no form and no other site can.
+#: A header that a page sends with each action, and that no form and no other site can send.
 _OWN_HEADER = "x-robot-runner"
 _MOST_BODY = 64_000
 _MOST_ROWS = 500
@@ -80,10 +80,10 @@ class PageSettings:
     Attributes:
         folder: the experiment's, or one with experiments below it.
         port: where it listens.
-        names: by which browsers may address it, beside addresses in figures.
-        keys: of who may look and who may act.
+        names: host names by which browsers may address it, beside numeric addresses.
+        keys: for looking and acting.
         is_read_only: whether nobody may act.
-        is_one: whether the folder is an experiment's own, though nothing may be there yet.
+        is_one: whether the folder is an experiment's own, which may not exist yet.
     """
 
     folder: Path
@@ -135,11 +135,11 @@ class LivePage:
 
     @property
     def app(self) -> ASGIApp:
-        """What a server serves: each request is looked at before anything else is done with it."""
+        """The application, which checks each request before it is routed."""
         return self._guarded
 
     def role(self, request: Request) -> Role:
-        """Return what who sent a request may do."""
+        """Return the role of the sender of a request."""
         keys = self._settings.keys
         word, _, bearer = request.headers.get("authorization", "").partition(" ")
         role = keys.role_of_login(request.cookies.get(self._cookie, ""))
@@ -149,7 +149,7 @@ class LivePage:
 
     @property
     def _cookie(self) -> str:
-        # Browsers send cookies of a host to all its ports.
+        # With the port, as browsers send cookies of a host to all its ports.
         return f"robot_runner_{self._settings.port}"
 
     @asynccontextmanager
@@ -185,7 +185,7 @@ class LivePage:
             return _plain(429, "Too many requests: wait a moment.")
         return _refused_action(headers) if is_action else None
 
-    # What anybody may ask for: files that hold nothing of an experiment.
+    # Without a key: files that have nothing of an experiment.
 
     async def _page(self, request: Request) -> Response:
         del request
@@ -198,7 +198,7 @@ class LivePage:
         return Response(self._assets[name], media_type=_KINDS[name[name.rindex(".") :]])
 
     async def _login(self, request: Request) -> Response:
-        """Give a cookie for the key of a link."""
+        """Set the cookie for the key of a link."""
         address = request.client.host if request.client else ""
         if not self._settings.attempts.lets_pass(address):
             raise HTTPException(429, "Too many keys were tried: wait a minute.")
@@ -217,7 +217,7 @@ class LivePage:
         response.delete_cookie(self._cookie, httponly=True, samesite="strict", path="/")
         return response
 
-    # What needs a key.
+    # With a key.
 
     async def _about(self, request: Request) -> Response:
         only = await asyncio.to_thread(lambda: self._found.only)
@@ -252,7 +252,7 @@ class LivePage:
         if experiment.robot is None or pose is None:
             raise HTTPException(404, "Nothing tells where the robot is.")
         pictures = self._pictures.setdefault(experiment.robot, RobotPictures(experiment.robot))
-        async with self._rendering:  # who waits takes no thread
+        async with self._rendering:  # so that waiting requests take no thread
             await asyncio.sleep(pictures.wait_s(pose))
             image = await asyncio.to_thread(pictures.picture, pose)
         return Response(image, media_type="image/png")
@@ -273,7 +273,7 @@ class LivePage:
         del request
         told = (await asyncio.to_thread(self._found.look))["experiments"]
         viewers = self._followers.viewers + len(self._index)
-        text = metrics_text(told, viewers).encode("utf-8", "replace")  # the name of a folder need not be text
+        text = metrics_text(told, viewers).encode("utf-8", "replace")  # names of folders may have invalid bytes
         return Response(text, media_type="text/plain; version=0.0.4; charset=utf-8")
 
     async def _folder(self, request: Request) -> Path:
@@ -290,7 +290,7 @@ class LivePage:
 
 
 def _refused_action(headers: dict[str, str]) -> Response | None:
-    """Return why a request that changes something is refused, by its headers; None where it is not."""
+    """Return the refusal of a request that changes something, by its headers, or None."""
     if headers.get(_OWN_HEADER) != "1":
         return _plain(403, "This request does not come from the live page.")
     if not headers.get("content-length", "").isdecimal():
@@ -301,7 +301,7 @@ def _refused_action(headers: dict[str, str]) -> Response | None:
 
 
 def _for(least: Role, endpoint: Callable[[Request], Awaitable[Any]]) -> Callable[[Request], Awaitable[Any]]:
-    """Return an endpoint that only those reach who may do so much."""
+    """Return an endpoint that requires a role."""
 
     async def guarded(request: Request) -> Any:
         page: LivePage = request.app.state.page
@@ -336,7 +336,7 @@ async def _refusal(request: Request, error: HTTPException) -> Response:
 
 
 async def _error(request: Request, error: RobotRunnerError) -> Response:
-    """Return what an error of ours says; answers that are not taken go to their questions."""
+    """Return the response for an error of ours; refused answers have the names of their questions."""
     del request
     found = [{"where": each.where, "problem": each.problem, "fix": each.fix} for each in error.findings]
     status = 422 if isinstance(error, RefusedAnswersError) else 409

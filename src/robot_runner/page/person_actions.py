@@ -1,4 +1,4 @@
-"""What a person does from a page: answer and go on, pause, take it back, stop. Nothing else of a page ever writes."""
+"""The actions of a page, the only part of it that writes: answer and continue, pause, end a pause, stop."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _LONGEST_ANSWER = 2_000
 
 
 class RefusedAnswersError(ExecutionError):
-    """Answers that are not taken; the findings' `where` are the names of the questions."""
+    """Answers were refused; the findings' `where` are the names of the questions."""
 
 
 def _go_on(experiment: FollowedExperiment, said: Mapping[str, Any]) -> str:
     """Tell an experiment that waits to go on with these answers.
 
     Raises:
-        RefusedAnswersError: an answer is not taken.
+        RefusedAnswersError: an answer is refused.
         ExecutionError: it does not wait, or for something else than the person saw.
     """
     status = _status(experiment)
@@ -48,7 +48,7 @@ def _go_on(experiment: FollowedExperiment, said: Mapping[str, Any]) -> str:
 
 
 def _for_a_page(finding: Finding) -> Finding:
-    """Return a finding without the command line's way to mend it."""
+    """Return a finding without its fix, which is for the command line."""
     is_missing = finding.fix.startswith("Add --answer")
     return type(finding).error(finding.where, finding.problem, "Enter an answer." if is_missing else finding.fix)
 
@@ -89,7 +89,7 @@ def _status(experiment: FollowedExperiment) -> ExperimentStatus:
     return status
 
 
-#: What can be done, by its name in addresses: takes the experiment and what was sent, returns what to say.
+#: The actions by their names in URLs: functions of the experiment and the request's JSON, which return a message.
 ACTIONS: dict[str, Callable[[FollowedExperiment, Mapping[str, Any]], str]] = {
     "continue": _go_on,
     "pause": _pause,

@@ -1,6 +1,6 @@
-"""The process that renders pictures of a robot: places come on standard input, pictures go to standard output.
+"""The process that renders pictures of a robot: poses on standard input, pictures on standard output.
 
-It is apart from the server, as a graphics library may block, leak or crash.
+It is separate from the server, as a graphics library may block, leak or crash.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from robot_runner.core.entry_points import named_entry_point
 
 #: Width and height, pixels: enough for a phone, rendered in 20 ms without a graphics card.
 SIZE = (480, 360)
-#: Before each answer: its length, and whether it is a picture (1) or says why there is none (0).
+#: The header of each answer: its length, and whether it is a picture (1) or the reason why there is none (0).
 HEAD = struct.Struct(">IB")
 
 
@@ -22,7 +22,7 @@ def main(kind: str) -> int:
     """Render until standard input ends."""
     os.nice(10)
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what graphics libraries print is no picture
+    os.dup2(2, 1)  # graphics libraries may print to standard output
 
     def answer(data: bytes, *, is_picture: bool) -> None:
         answers.write(HEAD.pack(len(data), is_picture) + data)

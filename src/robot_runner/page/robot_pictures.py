@@ -1,4 +1,4 @@
-"""Pictures of simulated robots, asked for from a process that renders them off screen."""
+"""Pictures of simulated robots, rendered by another process off screen."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ _FIRST, _NEXT = 30.0, 5.0
 #: The shortest time between two rendered pictures, for all viewers together, s: an experiment may need the processor.
 _EVERY = 0.5
 _LARGEST = 4_000_000
-#: How MuJoCo may render without a screen, tried in this order: https://mujoco.readthedocs.io/en/stable/programming/
+#: MuJoCo's backends without a screen, tried in this order: https://mujoco.readthedocs.io/en/stable/programming/
 _WAYS = ("egl", "osmesa")
 
 Pose = tuple[float, float, float]
 
 
 class RobotPictures:
-    """Renders on request, one picture at a time; who asks waits for `wait_s` before, so that it is a few a second.
+    """Renders on request, one picture at a time; the caller waits for `wait_s` first, to limit the rate.
 
     Args:
-        kind: of the robot: how it is reached, as the manifest has it.
+        kind: how the robot is reached, as in the manifest.
     """
 
     def __init__(self, kind: str) -> None:
@@ -40,16 +40,16 @@ class RobotPictures:
         self._problem = ""
 
     def wait_s(self, pose: Pose) -> float:
-        """Return how long to wait before a picture of a place is asked for, s; 0 where it is there already."""
+        """Return how long to wait before the picture of a pose is asked for, s; 0 where it exists."""
         if self._last is None or self._last[0] == pose:
             return 0.0
         return max(0.0, self._last[1] + _EVERY - time.monotonic())
 
     def picture(self, pose: Pose) -> bytes:
-        """Return a picture of the robot at a place, as PNG.
+        """Return a picture of the robot at a pose, as PNG.
 
         Raises:
-            ExecutionError: this machine cannot render; says why. It is not tried again.
+            ExecutionError: this machine cannot render, which is not tried again.
         """
         with self._lock:
             if self._last is not None and self._last[0] == pose:
@@ -72,7 +72,7 @@ class RobotPictures:
 
     def _rendered(self, pose: Pose) -> bytes:
         if self._process is not None:
-            with suppress(OSError, ValueError):  # one that has crashed is started anew
+            with suppress(OSError, ValueError):  # a crashed process is started again
                 return _asked(self._process, pose, _NEXT)
             self.close()
         given, problem = os.environ.get("MUJOCO_GL"), ""
@@ -104,11 +104,11 @@ class RobotPictures:
 
 
 def _asked(process: subprocess.Popen[bytes], pose: Pose, patience: float) -> bytes:
-    """Return the picture that the process answers.
+    """Return the picture from the process.
 
     Raises:
-        ValueError: it answers why there is none, or nothing in time.
-        OSError: it has ended.
+        ValueError: there is none, with the reason; or it did not answer in time.
+        OSError: the process has ended.
     """
     if process.stdin is None or process.stdout is None:
         raise ValueError("the process that renders cannot be reached")

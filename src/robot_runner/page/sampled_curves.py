@@ -1,4 +1,4 @@
-"""Curves of the raw samples of one run, also while they are taken: few points, however many samples there are."""
+"""Curves of the raw samples of one run, also while they are taken, with a limited number of points."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.measuring.live_samples import LIVE
 
-#: Points of a curve: more than a phone is wide; each has the least and the largest value of its samples.
+#: Points of a curve, more than a phone has pixels; each has the smallest and the largest value of its samples.
 _POINTS = 400
 #: What is read of one file at a time, and in all, bytes: a million samples.
 _AT_ONCE, _MOST_BYTES = 4_000_000, 48_000_000
@@ -27,13 +27,13 @@ _WAY, _HEADING = ("x_m", "y_m"), "heading_rad"
 
 
 class ThinnedSamples:
-    """Samples of several columns in at most 400 points; when there are more, each two become one.
+    """Samples of several columns in at most 400 points; when there are more, each two are merged.
 
     Args:
         columns: how many values a sample has.
 
     Attributes:
-        times, low, high: of the points: when each begins, and the least and the largest value of each column.
+        times, low, high: when each point begins, and the smallest and the largest value of each column in it.
         last: the last value of each column.
 
     Example:
@@ -53,7 +53,7 @@ class ThinnedSamples:
         self._in_last = 0
 
     def add(self, time: float, values: Sequence[float | None]) -> None:
-        """Take a sample; times may not fall."""
+        """Add a sample; times must not decrease."""
         self.last = [before if value is None else value for before, value in zip(self.last, values, strict=True)]
         if self._in_last in {0, self._each}:
             if len(self.times) == _POINTS:
@@ -86,7 +86,7 @@ def _paired(choose: Any, values: list[float | None]) -> list[float | None]:
 
 
 class _SampleFile:
-    """One file of samples, read on as it grows."""
+    """One file of samples, followed as it grows."""
 
     def __init__(self, path: Path, root: Path, plugin: str) -> None:
         self.plugin = plugin[:_LONGEST_NAME]
@@ -106,7 +106,7 @@ class _SampleFile:
         self._last = -math.inf
 
     def read_on(self) -> bool:
-        """Read what was appended; returns whether there was anything.
+        """Read what was appended; return whether there was anything.
 
         Raises:
             StorageError: it is no regular file, or cannot be read.
@@ -153,7 +153,7 @@ class _SampleFile:
             self._go(*(_number(row[place]) for place in self._way_places))
 
     def _go(self, x: float | None, y: float | None, heading: float | None = 0.0) -> None:
-        """Take a place of the robot: one in two, four, ... of them, as there are more."""
+        """Add a position of the robot; the more there are, the fewer are kept: one in two, four, ..."""
         if self.way is None or x is None or y is None:
             return
         self._pose = (x, y, heading or 0.0)
@@ -166,7 +166,7 @@ class _SampleFile:
             self._way_due = self._way_each
 
     def told(self) -> dict[str, Any] | None:
-        """Return the curves as plain data: those that have any number."""
+        """Return the curves with numbers as plain data, or None."""
         if self.samples is None or not self.samples.times:
             return None
         low, high, last = self.samples.low, self.samples.high, self.samples.last
@@ -195,12 +195,12 @@ def _number(text: str) -> float | None:
 
 
 class RunCurves:
-    """The curves of one run, of the files in its folder.
+    """The curves of one run, from the files in its folder.
 
     Args:
         files: the experiment's folder.
         run_id: the run.
-        version: grows whenever there is anything new.
+        version: incremented whenever there is anything new.
     """
 
     def __init__(self, files: ExperimentFolder, run_id: str, version: int = 0) -> None:
@@ -211,9 +211,9 @@ class RunCurves:
         self.version = version
 
     def look(self) -> bool:
-        """Read what was appended since; returns whether there is more to read at once."""
+        """Read what was appended since; return whether there is more to read at once."""
         paths = dict(self._paths())
-        for path in self._known.keys() - paths.keys():  # a live file goes when its samples are written
+        for path in self._known.keys() - paths.keys():  # a live file is removed when its samples are written
             del self._known[path]
             self.version += 1
         is_behind = False
@@ -229,7 +229,7 @@ class RunCurves:
         return [told for each in self._known.values() if (told := each.told()) is not None]
 
     def _paths(self) -> Iterator[tuple[Path, str]]:
-        """Yield the files that may hold samples, with the plugin whose they are, a limited number of them."""
+        """Yield a limited number of files that may have samples, each with its plugin."""
         count = 0
         for folder, plugin in self._folders():
             paths = _regular(folder)

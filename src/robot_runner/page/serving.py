@@ -1,4 +1,4 @@
-"""A live page on a port of this machine: where it listens, its links, and its life."""
+"""Serving a live page on a port of this machine: where it listens, its links, its end."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _EXTRA = "Install it with: pip install 'robot-runner[page]'"
 _LARGEST_PORT = 65_535
-#: An address of a network that nobody has (RFC 5737): asked for a way there, the system names our own address.
+#: An address for documentation (RFC 5737): by the route to it, the system tells our own address.
 _ELSEWHERE = ("192.0.2.1", 9)
 #: Connections at once: those of 100 viewers, and what they ask for.
 _MOST_CONNECTIONS = 400
@@ -28,15 +28,15 @@ _MOST_CONNECTIONS = 400
 
 @dataclass(frozen=True, slots=True)
 class Serving:
-    """A page that listens already, so that nothing is told that does not hold.
+    """A page that already listens, so that its printed links are valid.
 
     Attributes:
-        listener: takes the connections.
+        listener: the listening socket.
         folder: what is shown.
-        keys: of who may look and act.
-        names: by which it may be addressed.
+        keys: for looking and acting.
+        names: host names by which it may be addressed.
         is_read_only: whether nobody may act.
-        is_one: whether the folder is that of an experiment which may only begin.
+        is_one: whether the folder is an experiment's own, which may not exist yet.
     """
 
     listener: socket.socket
@@ -62,7 +62,7 @@ class Serving:
 
         Raises:
             ExecutionError: the extra is missing, or the port is in use.
-            ConfigError: the address or the port is none.
+            ConfigError: the address or the port is invalid.
             StorageError: the keys cannot be kept.
         """
         _require_extra()
@@ -72,7 +72,7 @@ class Serving:
 
     @property
     def port(self) -> int:
-        """The port, also where any was asked for."""
+        """The port, also if 0 was asked for."""
         return int(self.listener.getsockname()[1])
 
     @property
@@ -81,14 +81,14 @@ class Serving:
         return not ipaddress.ip_address(self.listener.getsockname()[0]).is_loopback
 
     def link(self, role: Role, *, from_elsewhere: bool = False) -> str:
-        """Return the address for a browser, with the key for what its bearer may do.
+        """Return the URL for a browser, with the key for a role.
 
-        The key stands behind `#`, which browsers send to nobody: the page itself shows it once.
+        The key is in the fragment, which browsers do not send: the page itself posts it once.
         """
         return f"http://{self._host(from_elsewhere=from_elsewhere)}:{self.port}/#key={self.keys.key(role)}"
 
     def code(self, link: str) -> str:
-        """Return a link as a QR code of characters, for a terminal."""
+        """Return a link as a QR code for a terminal."""
         import segno  # noqa: PLC0415 - of the extra
 
         drawn = io.StringIO()
@@ -107,7 +107,7 @@ class Serving:
         config = uvicorn.Config(
             LivePage(settings).app,
             log_config=None,
-            access_log=False,  # addresses of requests hold no key, and yet nobody needs them
+            access_log=False,
             proxy_headers=False,
             server_header=False,
             ws="none",
@@ -138,7 +138,7 @@ def _end_with(stream: RawIOBase, server: Any) -> None:
 
 
 def _own_address() -> str:
-    """Return the address of this machine in its network; no packet is sent to find it."""
+    """Return the address of this machine in its network, without sending a packet."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(_ELSEWHERE)

@@ -1,4 +1,4 @@
-"""The pages of a package: who made the experiment and under which terms, how to replicate and to cite it."""
+"""The documents of a package: authors, licence, README, citation."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from robot_runner.replication.contents import CRATE, DESCRIBED, LICENCE, SUMS, L
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """What others have to know before they use a package.
+    """Facts that others need before they use a package.
 
     Attributes:
         name: the experiment's.
         authors: each a mapping with `name`, `orcid`, `affiliation`, `affiliation_url`.
         licence: an SPDX identifier or a URL.
-        date: when the experiment ended last, or began where it did not end, or was imported (UTC).
+        date: the end of the last execution, or its beginning if it did not end, or the time of the import (UTC).
 
     Example:
         >>> about = About("naps", ({"name": "Ada Lovelace"},), "CC-BY-4.0", None, "2026-01-31T12:00:00Z")
@@ -47,7 +47,7 @@ class About:
         licence: str | None = None,
         citation: str | None = None,
     ) -> Self:
-        """Return what the manifest says, which took it from the config; what is given here counts instead."""
+        """Return the facts of the manifest, which has them from the config; arguments override them."""
         last, imported = last_execution(manifest), imported_facts(manifest) or {}
         return cls(
             str(manifest.get("experiment_name", "experiment")),
@@ -73,13 +73,13 @@ class About:
         )
 
     def described(self, manifest: Mapping[str, Any]) -> str:
-        """Return what the package is, in one sentence."""
+        """Return a description of the package in one sentence."""
         is_executed = imported_facts(manifest) is None
         holds = "config, run table, raw data, circumstances" if is_executed else "run table, raw data"
         return f"Replication package of the experiment {self.name}, {_came_about(manifest)}: {holds}."
 
     def findings(self) -> Iterator[Finding]:
-        """Yield what others will miss, each with what to write into the config or to pass to the command."""
+        """Yield a warning for each missing fact, with the attribute of the config or the option that gives it."""
         if not self.authors:
             fix = "Give authors=[Author(...)] in the config, or --author."
             yield Finding.warning("authors", "nobody is named", fix)
@@ -143,7 +143,7 @@ _NOT_IN_IT = """
 
 
 def imported_facts(manifest: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return when results were imported, and from what; None where Robot Runner executed the runs."""
+    """Return when and from where results were imported; None if Robot Runner executed the runs."""
     if manifest.get("origin") != "imported":
         return None
     facts = manifest.get("imported")
@@ -159,10 +159,10 @@ def readme(about: About, manifest: Mapping[str, Any], names: Sequence[str], left
     """Return the README, in Markdown.
 
     Args:
-        about: who made the experiment, and under which terms.
+        about: authors, licence and citation.
         manifest: the experiment's.
         names: the files of the package.
-        left_out: what is not in it.
+        left_out: the files that were left out.
     """
     imported = imported_facts(manifest)
     facts = {
@@ -187,7 +187,7 @@ def readme(about: About, manifest: Mapping[str, Any], names: Sequence[str], left
     return text + (_NOT_IN_IT.format(items=items) if items else "")
 
 
-#: Said wherever a licence would stand.
+#: Stands in the place of a licence.
 NO_LICENCE = (
     "No licence was given: all rights are reserved by the authors. Ask them before you use or share the package."
 )
@@ -195,7 +195,7 @@ NO_LICENCE = (
 _FORMAT = "1.2.0"
 _KEYWORDS = ("robotics", "experiment", "replication")
 _DOI = re.compile(r"10\.\d{4,9}/[^\s\"<>]+")
-#: How the texts of SPDX mark what a user may change: `original` is what stands there otherwise.
+#: Variables in the templates of SPDX: `original` is the default text.
 _VARIABLE = re.compile(r"<<var;[^>]*?original=((?:<[^>]*>|[^;>])*);.*?>>")
 _OPTIONAL = re.compile(r"<<(?:begin|end)Optional[^>]*>>")
 _YEAR = re.compile(r"<year>|\[yyyy\]")
@@ -203,9 +203,9 @@ _OWNER = re.compile(r"<(?:copyright holders?|owner|organization)>|\[name of copy
 
 
 def licence_text(about: About) -> str | None:
-    """Return the text of the licence, from the licence list of SPDX; None where the list does not have it.
+    """Return the text of the licence from the licence list of SPDX; None if the list does not have it.
 
-    Year and owner are filled in where the text has a place for them.
+    Year and owner are filled in if the text has placeholders for them.
     """
     if about.licence is None:
         return f"{NO_LICENCE}\n"
@@ -214,7 +214,7 @@ def licence_text(about: About) -> str | None:
     import spdx  # noqa: PLC0415 - an extra
 
     owners = "; ".join(str(each["name"]) for each in about.authors) or "the authors"
-    # A function each: a backslash in a name is no escape.
+    # Functions, since in a replacement text a backslash of a name would be an escape.
     text = _VARIABLE.sub(lambda found: found[1].strip(), _OPTIONAL.sub("", str(spdx.License(record).template)))
     text = _OWNER.sub(lambda _: owners, _YEAR.sub(about.date[:4], text))
     return "\n".join(line.rstrip() for line in text.strip().splitlines()) + "\n"
@@ -249,7 +249,7 @@ def citation_text(about: About, description: str) -> str:
 
 
 def zenodo_text(about: About, description: str) -> str:
-    """Return `.zenodo.json`, which Zenodo takes the description of an upload from: one sentence."""
+    """Return `.zenodo.json`, Zenodo's metadata of an upload; `description` is one sentence."""
     creators = [
         {
             "name": _family_first(str(each["name"])),
@@ -265,7 +265,7 @@ def zenodo_text(about: About, description: str) -> str:
         "creators": creators or [{"name": f"The authors of {about.name}"}],
         "publication_date": about.date[:10],
         "keywords": list(_KEYWORDS),
-        # Without a licence, what an upload shows to everyone is still the authors' choice: it is left to the form.
+        # Without a licence, the authors choose the access rights in the form of the upload.
         **({"access_right": "open", "license": about.licence} if about.licence in _known_licences() else {}),
         **({"notes": f"Cite this, too: {about.citation}"} if about.citation else {}),
     }
@@ -280,7 +280,7 @@ def _known_licences() -> dict[str, dict[str, Any]]:
     import spdx  # noqa: PLC0415 - an extra
 
     known = {str(each["id"]): each for each in spdx.licenses()}
-    # The list is of a time before GNU's licences had these names.
+    # The list is older than these names of GNU's licences.
     gnu = {f"{name}-{kind}": known[name] for name in known if "GPL-" in name for kind in ("only", "or-later")}
     return {**gnu, **known}
 
@@ -292,7 +292,7 @@ def _title(about: About) -> str:
 def _cff_licence(about: About) -> dict[str, str]:
     if about.licence is None:
         return {}
-    if about.licence in _known_licences():  # the format has a list of its own, which has these
+    if about.licence in _known_licences():  # the format has its own list of licences, which includes these
         return {"license": about.licence}
     return {"license-url": str(about.licence_url)}
 
@@ -310,7 +310,7 @@ def _cff_author(author: Mapping[str, str | None]) -> dict[str, str]:
 
 
 def _family_first(name: str) -> str:
-    """Return a name with the family name in front: what stands before a comma, otherwise the last word.
+    """Return a name with the family name first: the part before a comma, otherwise the last word.
 
     Example:
         >>> _family_first("Josiah S. Carberry"), _family_first("van Beethoven, Ludwig"), _family_first("Plato")

@@ -1,8 +1,8 @@
-"""What a package has of what ACM's artifact badges ask for, as a checklist that says of each line why.
+"""A checklist of ACM's artifact badges for a package, with a fact for each line.
 
 Artifact Review and Badging, version 1.1 (24 August 2020):
-https://www.acm.org/publications/policies/artifact-review-and-badging-current. What nobody but a person can know is left
-to the author or to the reviewers; it is never met by itself.
+https://www.acm.org/publications/policies/artifact-review-and-badging-current. Criteria that only a person can judge
+are left to the author or to the reviewers; they are never marked as met.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _PACK_IT = "robot-runner pack makes it"
 
 
 class State(Enum):
-    """How a line of the checklist stands."""
+    """The state of a line of the checklist."""
 
     MET = "met"
     NOT_MET = "not met"
@@ -61,7 +61,7 @@ class State(Enum):
 
 @dataclass(frozen=True, slots=True)
 class BadgeLine:
-    """One line of the checklist: what a badge asks for, how it stands, and the fact behind it."""
+    """One line of the checklist: a badge's criterion, its state, and the fact behind it."""
 
     badge: str
     what: str
@@ -71,14 +71,14 @@ class BadgeLine:
 
 @dataclass(frozen=True, slots=True)
 class BadgeFacts:
-    """What is known of an experiment or of its package.
+    """Facts of an experiment or of its package.
 
     Attributes:
         columns, rows: the run table's.
-        names: the files that are there.
-        left_out: what is not in the package.
-        packages: how many Python packages the experiment needs; None where it is not packed.
-        without_hash: of how many of them no file's hash is known.
+        names: the existing files.
+        left_out: the files that are not in the package.
+        packages: the number of Python packages that the experiment needs; None if it is not packed.
+        without_hash: the number of these packages without a known hash.
     """
 
     about: About
@@ -167,7 +167,7 @@ def _exercisable(facts: BadgeFacts) -> Iterator[BadgeLine]:
 
 def _reusable(facts: BadgeFacts) -> Iterator[BadgeLine]:
     measures = [each for each in facts.columns if each.role is ColumnRole.MEASURE]
-    # What is text, or yes and no, has no unit.
+    # Texts and booleans have no unit.
     lacking = [
         each.name for each in measures if not each.description or not (each.unit or each.type in {"string", "boolean"})
     ]
@@ -200,8 +200,8 @@ def badges_of(path: Path) -> tuple[str, tuple[BadgeLine, ...]]:
     """Return the name and the checklist of an experiment's folder, or of a package, zipped or unpacked.
 
     Raises:
-        PackageError: it is a package that has no checklist, or one that is damaged.
-        StorageError: something cannot be read.
+        PackageError: the package is damaged, or has no checklist.
+        StorageError: a file cannot be read.
     """
     if path.is_file() or (path / DESCRIPTION).is_file():
         with open_package(path) as package:
@@ -216,7 +216,7 @@ def badges_of(path: Path) -> tuple[str, tuple[BadgeLine, ...]]:
 
 
 def _of_text(text: str) -> tuple[str, tuple[BadgeLine, ...]]:
-    """Read a checklist as `badges_text` writes it; what is no line of it is passed over."""
+    """Read a checklist in the form of `badges_text`; other lines are skipped."""
     name, badge, states = "", "", {state.value: state for state in State}
     found = []
     for line in text.splitlines():

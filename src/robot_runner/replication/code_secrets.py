@@ -1,4 +1,4 @@
-"""Secrets in Python code: what it gives to names such as `password`, and what its comments tell."""
+"""Find secrets in Python code: values of names such as `password`, and secrets in comments."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from robot_runner.replication.named_secrets import Grammar, named_secrets
 from robot_runner.replication.secret_kinds import Found
 
 _SHORTEST = 5
-#: Logins of half of the robots, and words of a default: where they stand elsewhere in the folder, they are no secret.
+#: Common logins of robots, and default values: elsewhere in the folder, these words are not secrets.
 _COMMON_TEXT = (
     "admin change changeme default guest password postgres public raspberry robot secret simulated student "
     "test token turtlebot turtlebot3 ubuntu video"
@@ -25,9 +25,9 @@ _Pair = tuple[ast.AST | None, ast.AST | None]
 
 
 def secrets_in_code(text: str) -> set[str]:
-    """Return the values that Python code gives to names such as `password`; nothing where it does not parse.
+    """Return the values of names such as `password` in Python code; none if it does not parse.
 
-    Values by which too much would be found elsewhere are left out: short ones, and common words.
+    Short values and common words are left out, since they would match too much in other files.
 
     Example:
         >>> sorted(secrets_in_code('wifi_password = "swordfish"; connect(token="open-sesame", user="ada")'))
@@ -38,7 +38,7 @@ def secrets_in_code(text: str) -> set[str]:
 
 
 def found_in_code(code: bytes) -> Iterator[Found]:
-    """Yield the secrets in the text of a Python file, and those in its comments; the code is code without them, too."""
+    """Yield the secrets in the code and the comments of a Python file; replacing them keeps the code valid."""
     try:
         text = code.decode("utf-8")
     except UnicodeDecodeError:
@@ -59,7 +59,7 @@ def _instead_of(node: ast.expr, source: bytes) -> bytes:
 
 
 def _secret_values(text: str) -> Iterator[ast.expr]:
-    """Yield the nodes of values under a secret's name; of an f-string only where it has a text of its own."""
+    """Yield the nodes of values with a secret's name; f-strings only if their constant parts are long enough."""
     try:
         tree = parsed(text)
     except (SyntaxError, ValueError, RecursionError, MemoryError):
@@ -88,7 +88,7 @@ def _text_of(value: ast.expr) -> str:
 
 
 def _pairs(node: ast.AST) -> Iterable[_Pair]:
-    """Return what a node names, with what it gives to each name."""
+    """Return the names that a node assigns or passes, with their values."""
     pairs: Iterable[_Pair] = ()
     match node:
         case ast.Assign(targets=targets, value=value):
@@ -116,7 +116,7 @@ def _called(function: ast.Attribute | ast.Name) -> str:
 
 
 def _assigned(target: ast.expr, value: ast.expr) -> Iterator[_Pair]:
-    """Yield names with values; `user, password = "ada", "X"` names two."""
+    """Yield names with their values; `user, password = "ada", "X"` has two."""
     if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple) and len(target.elts) == len(value.elts):
         yield from zip(target.elts, value.elts, strict=True)
     else:
@@ -125,7 +125,7 @@ def _assigned(target: ast.expr, value: ast.expr) -> Iterator[_Pair]:
 
 
 def _last_of_pair(name: str, value: ast.expr) -> list[ast.expr]:
-    """Return a value; of `auth = ("ada", "X")` the second one."""
+    """Return the value; for `auth = ("ada", "X")` the second one."""
     if name.casefold().endswith("auth") and isinstance(value, ast.Tuple) and len(value.elts) == 2:  # noqa: PLR2004 - a pair
         return [value.elts[1]]
     return [value]

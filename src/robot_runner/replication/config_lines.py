@@ -1,4 +1,4 @@
-"""The line of a config on which a factor, a plugin, a measure or a method stands, found without executing it."""
+"""Find the line of a factor, a plugin, a measure or a method in a config, without executing it."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import Any
 from robot_runner.core.config.source import parsed
 from robot_runner.core.storage.guarded_files import read_text
 
-#: Where measures are named that others yield.
+#: Methods that name measures, but do not yield them.
 _DECLARING = frozenset({"__init__", "create_run_table"})
-#: What makes a factor: called itself, or one of its methods, as in `Factor.revisions(...)`.
+#: Classes of factors: called directly or by a method, such as `Factor.revisions(...)`.
 _FACTORS = frozenset({"Factor", "FactorModel"})
 
 
@@ -34,10 +34,10 @@ class _Source:
 
 
 class ConfigLines:
-    """The config file of an experiment and its local modules, read and not executed.
+    """The config file of an experiment and its local modules, read but not executed.
 
-    A line is told as its place, which is the file below the experiment's folder and the line's number, two blanks, and
-    its text; one that is not found is empty.
+    A line is returned as its file, relative to the experiment's folder, its number, two blanks, and its text; it is
+    empty if it is not found.
 
     Example:
         >>> from pathlib import Path
@@ -46,11 +46,11 @@ class ConfigLines:
     """
 
     def __init__(self, root: Path, config: Mapping[str, Any]) -> None:
-        """Read what is in the folder `config` of an experiment's folder; what does not parse is left out.
+        """Read the folder `config` of an experiment's folder; files that do not parse are skipped.
 
         Args:
             root: the experiment's folder.
-            config: what the manifest says of it: the name of its file and of its class, where they are known.
+            config: the manifest's entry: the names of the config's file and class, if known.
 
         Raises:
             OSError: a file cannot be read.
@@ -71,13 +71,13 @@ class ConfigLines:
             name: the plugin's.
             kind: the name of its class.
         """
-        # A call without a name that can be read may make this one; a call with another name does not.
+        # A call without a constant name may make this plugin; a call with another name does not.
         named = self._first(lambda node: _called(node) == kind and _keyword(node, "name") == name)
         made = named or self._first(lambda node: _called(node) == kind and _keyword(node, "name") is None)
         return made or self._first(lambda node: _imports(node, kind))
 
     def of_measure(self, name: str) -> str:
-        """Return the line on which a config yields a measure, or the method that does."""
+        """Return the line that yields a measure, or that of the method that does."""
         usual = self._methods.get("populate_run_data")
         others = (method for called, method in self._methods.items() if called not in _DECLARING)
         within = (method for method in (usual, *others) if method is not None and _mentions(method[1], name))
@@ -86,7 +86,7 @@ class ConfigLines:
         return found[0].line(found[1]) if found else self._first(lambda node: _is_constant(node, name), -1)
 
     def of_method(self, name: str) -> str:
-        """Return the line on which a method of the config's class begins: its own, or that of a local base class."""
+        """Return the first line of a method of the config's class, its own or that of a local base class."""
         found = self._methods.get(name)
         return found[0].line(found[1]) if found else ""
 
@@ -99,13 +99,13 @@ def _sources(root: Path) -> Iterator[_Source]:
         text = read_text(path, root, errors="replace")
         try:
             tree = parsed(text)
-        except (SyntaxError, ValueError, RecursionError, MemoryError):  # the last two: nested as no config is
+        except (SyntaxError, ValueError, RecursionError, MemoryError):  # the last two: nested too deeply
             continue
         yield _Source(path.relative_to(root).as_posix(), tuple(text.split("\n")), tree)
 
 
 def _methods_of(name: str, sources: tuple[_Source, ...]) -> dict[str, tuple[_Source, ast.FunctionDef]]:
-    """Return the methods of a class, inherited ones too, as far as the classes stand in these files."""
+    """Return the methods of a class, also those inherited from classes in these files."""
     classes: dict[str, tuple[_Source, ast.ClassDef]] = {}
     for source in sources:
         for node in ast.walk(source.tree):
@@ -114,7 +114,7 @@ def _methods_of(name: str, sources: tuple[_Source, ...]) -> dict[str, tuple[_Sou
     methods: dict[str, tuple[_Source, ast.FunctionDef]] = {}
     pending = [name]
     while pending:
-        if found := classes.pop(pending.pop(0), None):  # each once: a stranger's may be its own base
+        if found := classes.pop(pending.pop(0), None):  # each once: bases may form a cycle
             source, made = found
             pending[:0] = map(_name_of, made.bases)
             own = {node.name: (source, node) for node in made.body if isinstance(node, ast.FunctionDef)}

@@ -1,4 +1,4 @@
-"""The recipe of a container image that replicates an experiment, and the commands that use it."""
+"""The Containerfile of an image that replicates an experiment, and the commands that use it."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any
 
 from robot_runner.core.errors import PackageError
 
-#: An image by its name, with a tag or a digest or both, as the Open Container Initiative's distribution names them.
+#: The name of an image with a tag, a digest or both, in the form of the Open Container Initiative's distribution.
 _IMAGE = re.compile(r"[\w][\w.\-/:]{0,254}(@sha256:[0-9a-f]{64})?", re.ASCII)
-#: The distributions of ROS whose Python is older than ours (REP 3, REP 2000), so that they get another one.
+#: The distributions of ROS whose Python is too old for Robot Runner (REP 3, REP 2000): another Python is installed.
 _ROS_WITH_OLD_PYTHON = frozenset({"kinetic", "melodic", "noetic", "dashing", "eloquent", "foxy", "galactic", "humble"})
 
 _CONTAINERFILE = """\
@@ -31,7 +31,7 @@ VOLUME /results
 ENTRYPOINT ["{program}"]
 CMD ["replicate", "original", "--to", "/results/replication", "--environment", "{environment}", "--yes"]
 """
-#: Apart from what executes the experiment, so that no version of that changes.
+#: Separate from the environment of the experiment, so that no version there changes.
 _COMPARISON = """\
 # What compares the results stands apart, so that it changes no version of what executes the experiment.
 RUN python3 -m venv /opt/comparison \\
@@ -61,10 +61,10 @@ RUN python3 -m pip install uv && uv python install {python} \\
 
 
 def as_base(text: str) -> str:
-    """Return the name of a base image, as it was given.
+    """Return the name of a base image unchanged.
 
     Raises:
-        PackageError: it is no name of an image.
+        PackageError: the text is not the name of an image.
 
     Example:
         >>> as_base("docker.io/library/python:3.12-slim")
@@ -77,7 +77,7 @@ def as_base(text: str) -> str:
 
 
 def is_pinned(image: str) -> bool:
-    """Return whether an image is named by its digest, so that it stays the same."""
+    """Return whether an image's name has a digest, so that the image cannot change."""
     return "@sha256:" in image
 
 
@@ -93,9 +93,10 @@ def containerfile(
 
     Args:
         manifest: the experiment's.
-        has_wheels: whether the package brings wheels.
-        demands_hashes: whether the list of packages has the hash of each: then it is installed as it is.
-        has_comparison: whether what the experiment needs holds what compares results, so that one environment does.
+        has_wheels: whether the package has wheels.
+        demands_hashes: whether the requirements have hashes of all packages: then no dependencies are added.
+        has_comparison: whether the experiment's packages include those for the comparison, so that one environment is
+            enough.
         image: the base image; None for the official one of the experiment's Python or ROS.
     """
     ros, software = manifest.get("ros") or {}, manifest.get("software") or {}
@@ -134,9 +135,9 @@ def image_name(experiment: str) -> str:
 
 
 def container_commands(experiment: str, folder: str) -> tuple[str, ...]:
-    """Return the commands that build the image from an unpacked package and replicate in it."""
+    """Return the commands that build the image from an unpacked package, and replicate in it."""
     image = image_name(experiment)
-    results = f'"$HOME/{image}"'  # not in the package's folder, which has to stay as it is
+    results = f'"$HOME/{image}"'  # not in the package's folder, which must not change
     return (
         f"podman build -t {image} {folder}",
         f"mkdir -p {results} && podman run --rm -v {results}:/results {image}",

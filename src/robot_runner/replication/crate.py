@@ -47,13 +47,13 @@ _EXPERIMENT = "#experiment"
 
 
 def require_rocrate() -> Any:
-    """Return the library that knows RO-Crates.
+    """Return the library for RO-Crates.
 
     Raises:
-        PackageError: it is not installed.
+        PackageError: the library is not installed.
     """
     try:
-        import spdx  # noqa: F401, PLC0415 - an extra; what packs needs it, too
+        import spdx  # noqa: F401, PLC0415 - an extra; packing needs it, too
         from rocrate import rocrate  # noqa: PLC0415 - slow, and an extra
     except ImportError as error:
         fix = "Install it: pip install 'robot-runner[replication]'"
@@ -73,12 +73,12 @@ def crate_text(
     """Return the text of `ro-crate-metadata.json`.
 
     Args:
-        about: who made the experiment, and under which terms.
+        about: authors, licence and citation.
         manifest: the experiment's.
-        files: everything else in the package, in order.
+        files: all other files of the package, in order.
         columns: the run table's.
-        runs: those that were executed.
-        run_folders: the run of each folder in the package that is a run's, by the folder's name, which ends with `/`.
+        runs: the executed runs.
+        run_folders: the run of each run folder in the package, by the folder's name, which ends with `/`.
     """
     crate = _Crate(about, manifest, runs, run_folders)
     return crate.text(files, [each for each in columns if each.role is ColumnRole.MEASURE])
@@ -102,10 +102,10 @@ class _Crate:
     def text(self, files: Sequence[StoredFile], measures: Sequence[ColumnDescription]) -> str:
         root = self._crate.root_dataset
         parts = {file.name: self._file(file) for file in files}
-        # The checksums are written last, as they cover this text, too: their own size and checksum are not known yet.
+        # The checksums are written last, as they cover this text, too: their size and SHA-256 are still unknown.
         parts[SUMS] = self._entity(SUMS, "File", **self._format(SUMS), name=SUMS, description=_described(SUMS))
         folders = self._folders(parts)
-        # Set at once: appending one by one takes a time that grows with the square of their number.
+        # Set at once: appending one by one takes quadratic time.
         root["hasPart"] = [part for name, part in parts.items() if "/" not in name] + list(folders.values())
         authors = [self._author(each, place) for place, each in enumerate(self._about.authors)]
         self._describe_root(parts, authors, measures)
@@ -159,7 +159,7 @@ class _Crate:
         return {"encodingFormat": [kind.name, self._pages[kind.page]]}
 
     def _folders(self, parts: Mapping[str, Any]) -> dict[str, Any]:
-        """Describe each folder at the top, and in it the folder of each run."""
+        """Describe each top-level folder, and the run folders in it."""
         below: dict[str, list[Any]] = {}
         for name, part in parts.items():
             if "/" in name:
@@ -248,7 +248,7 @@ class _Crate:
             name=f"{'Execution' if imported is None else 'Import'} of {name}",
             description=f"Robot Runner {'executed' if imported is None else 'imported'} the runs of {name}.",
             startTime=iso_stamp(executions[0].get("started_at")),
-            endTime=iso_stamp(ended or last),  # where it was killed, as far as it had come
+            endTime=iso_stamp(ended or last),  # if it was killed, the end of its last run
             agent=list(authors),
             instrument=self._robot_runner(),
             object=[*(parts[name] for name in inputs), *self._sources()],
@@ -304,7 +304,7 @@ def _described(name: str) -> str:
 
 
 def _page_of(package: str | None) -> str:
-    """Return the page that a plugin's package names as its own; the paper's where it names none."""
+    """Return the page of a plugin's package; the paper's if the package names none."""
     try:
         pages = metadata(package).get_all("Project-URL") if package else None
     except PackageNotFoundError:
@@ -314,10 +314,10 @@ def _page_of(package: str | None) -> str:
 
 
 def _compact(entity: dict[str, Any]) -> dict[str, Any]:
-    """Return an entity whose lists of one are that one, as RO-Crate recommends."""
+    """Return an entity with lists of one replaced by their element, as RO-Crate recommends."""
     return {name: value[0] if isinstance(value, list) and len(value) == 1 else value for name, value in entity.items()}
 
 
 def _fragment(text: str) -> str:
-    """Return a text as it can stand in an identifier, in which no two texts are the same."""
+    """Return a text quoted for an identifier; different texts stay different."""
     return quote(text, safe="") or "unnamed"

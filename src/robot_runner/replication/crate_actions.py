@@ -1,4 +1,4 @@
-"""What was executed, for the crate: the config as a workflow with its parameters, and one action for each run.
+"""Describe the execution for the crate: the config as a workflow with its parameters, and one action for each run.
 
 https://www.researchobject.org/workflow-run-crate/profiles/workflow_run_crate/ (0.5).
 """
@@ -19,13 +19,13 @@ _FORMAL_PARAMETER = "https://bioschemas.org/profiles/FormalParameter/1.0-RELEASE
 
 @dataclass(frozen=True, slots=True)
 class ExecutedRun:
-    """A run that was executed, to its end or not.
+    """A run that is done or failed.
 
     Attributes:
         has_failed: whether its last attempt failed.
-        started_at, ended_at: its first and its last time stamp (UTC), where the table has one.
-        treatments: of each factor, by name.
-        excluded: why it is left out of the analysis; None where it is not.
+        started_at, ended_at: its first and its last time stamp in the table (UTC), if any.
+        treatments: the treatment of each factor, by name.
+        excluded: why it is excluded from the analysis; None if it is not.
     """
 
     run_id: str
@@ -59,12 +59,12 @@ def executed_runs(rows: RunTableRows, columns: Sequence[ColumnDescription]) -> t
 
 
 def iso_stamp(stamp: str | None) -> str | None:
-    """Return a time stamp in the form that every reader of ISO 8601 knows."""
+    """Return a time stamp in a form that every parser of ISO 8601 reads: `+00:00` instead of `Z`."""
     return stamp.replace("Z", "+00:00") if stamp else None
 
 
 def action_outcome(error: str | None) -> dict[str, str | None]:
-    """Return the properties that say how an action ended: None where it came to its end."""
+    """Return the properties for the outcome of an action; `error` is None if it was completed."""
     status = "FailedActionStatus" if error else "CompletedActionStatus"
     return {"actionStatus": f"http://schema.org/{status}", "error": error}
 
@@ -73,9 +73,9 @@ class RunActions:
     """The actions of the runs, and the parameters of the workflow that they executed.
 
     Args:
-        entity: adds an entity to the crate, given its identifier, its type and its properties.
+        entity: adds an entity with an identifier, a type and properties to the crate.
         workflow: the main workflow: the config.
-        table: the run table, where the package has it.
+        table: the run table, or None if the package does not have it.
     """
 
     def __init__(self, entity: Callable[..., Any], workflow: Any, table: Any) -> None:
@@ -85,12 +85,12 @@ class RunActions:
         self._treatments: dict[tuple[str, str], Any] = {}
 
     def describe(self, runs: Sequence[ExecutedRun], folders: Mapping[str, Any], authors: Sequence[Any]) -> list[Any]:
-        """Add everything, and return the actions.
+        """Add the actions and the parameters to the crate, and return the actions.
 
         Args:
-            runs: those that were executed.
-            folders: the folder of each run in the package, by the run's id, where it has one.
-            authors: who executed them.
+            runs: the executed runs.
+            folders: the run folders in the package, by the run's id.
+            authors: the agents of the actions.
         """
         for run in runs:
             for name, value in run.treatments.items():
@@ -148,7 +148,7 @@ def _plain(value: Any) -> Any:
 
 
 def _data_type(values: Sequence[Any]) -> str:
-    """Return the data type of schema.org that all treatments of a factor have."""
+    """Return the common data type (schema.org) of a factor's treatments."""
     kinds = {type(each) for each in values}
     for kind, name in ((bool, "Boolean"), (int, "Integer"), (float, "Float")):
         if kinds == {kind}:

@@ -1,4 +1,4 @@
-"""What of an experiment's environment differs from this machine's or is missing here, found without executing it."""
+"""Compare an experiment's environment with this machine, without executing any of its code."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from robot_runner.replication.distributions import InstalledDistribution, distri
 from robot_runner.replication.environment import imported_names, importers
 
 _GIBIBYTE = 1 << 30
-_SAME_MEMORY = 0.02  # what the kernel keeps for itself differs from boot to boot
+_SAME_MEMORY = 0.02  # the memory that the kernel reserves varies between boots
 _HOST_FACTS = {
     "processor": "Processor",
     "machine": "Architecture",
@@ -33,14 +33,14 @@ _HOST_FACTS = {
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A fact or a package that differs here from what the experiment was executed with.
+    """A fact or a package that differs between the experiment's environment and this machine.
 
     Attributes:
         what: the name of the fact or the package.
-        original: its value or version then; `-` where there was none.
-        here: its value or version now; `-` where there is none.
+        original: its original value or version; `-` if there was none.
+        here: its value or version here; `-` if there is none.
         is_package: whether it is a Python package.
-        imported_by: of a package, the parts of the experiment that import it: the robot's link, plugins, the config.
+        imported_by: the parts of the experiment that import the package: the robot's link, plugins, the config.
     """
 
     what: str
@@ -56,9 +56,9 @@ def differing_environment(
     """Compare an environment with this machine.
 
     Args:
-        environment: as the package has it.
-        robot: how the robot is to be reached.
-        manifest: the experiment's: tells of an environment that does not say it, who imports which package.
+        environment: the package's.
+        robot: the robot's connection.
+        manifest: the experiment's: the source of `imported_by` if the environment does not have it.
     """
     facts = [
         ("Robot", environment.get("robot"), robot),
@@ -73,10 +73,10 @@ def differing_environment(
 
 
 def ranked(differing: Iterable[Difference]) -> tuple[list[Difference], list[Difference]]:
-    """Return the differences that can matter, those that matter most first, and the packages that nobody imports.
+    """Return the differences that can matter, the most important first, and the packages that are not imported.
 
-    First come robot and Python, then what the robot's link imports (the simulator), what plugins and config import, and
-    the machine.
+    The order: robot and Python, packages that the robot's link imports (the simulator), packages that plugins and
+    config import, the machine.
     """
     telling = [each for each in differing if not each.is_package or each.imported_by]
     rest = [each for each in differing if each.is_package and not each.imported_by]
@@ -85,7 +85,7 @@ def ranked(differing: Iterable[Difference]) -> tuple[list[Difference], list[Diff
 
 def _rank(difference: Difference) -> tuple[int, int, int, str]:
     if not difference.is_package:
-        # Sorting keeps the order of the facts about the machine.
+        # Sorting is stable, so that the facts of the machine keep their order.
         return (0 if difference.what in {"Robot", "Python"} else 2, 0, 0, "")
     is_of_robot = any(name.startswith("robot ") for name in difference.imported_by)
     return 1, int(not is_of_robot), -len(difference.imported_by), difference.what
@@ -98,10 +98,10 @@ def differing_packages(
 ) -> list[Difference]:
     """Compare the packages that an experiment needs with those that are installed.
 
-    Where the version is the same, the fingerprints of the installed files are compared, if both are known.
+    If the versions are equal, the fingerprints of the installed files are compared, if both are known.
     """
     differing = []
-    known_importers = cache(lambda: importers(manifest or {}))  # reads much code; mostly nobody has to ask
+    known_importers = cache(lambda: importers(manifest or {}))  # slow, and rarely needed
     needed = {name: each for name, each in (environment.get("packages") or {}).items() if each.get("is_needed")}
     for name, recorded in needed.items():
         here, version, known = installed.get(name), str(recorded["version"]), recorded.get("fingerprint")
@@ -115,12 +115,12 @@ def differing_packages(
 
 
 def _names(recorded: object) -> tuple[str, ...]:
-    """Return what a stranger's package says of who imports something, where it is names."""
+    """Return recorded names if they are a list: a package from elsewhere may hold any value."""
     return tuple(map(str, recorded)) if isinstance(recorded, list) else ()
 
 
 def remaining_differences(folder: Path, environment: Mapping[str, Any]) -> list[Difference]:
-    """Return how the packages in a virtual environment differ from those of the package that it was made for."""
+    """Return the differences between the packages in a virtual environment and those that it was made from."""
     places = [str(path) for path in folder.glob("lib/python*/site-packages")]
     return differing_packages(environment, distributions_in(places))
 
@@ -136,7 +136,7 @@ def _host_facts(host: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
 
 
 def _release(there: object) -> Iterator[tuple[str, Any, Any]]:
-    """Yield the release of the system, where it is known of both machines."""
+    """Yield the release of the system, if it is known for both machines."""
     named = there.get("name") if isinstance(there, dict) else None
     ours = describe_system().get("name")
     if named and ours:
@@ -144,9 +144,9 @@ def _release(there: object) -> Iterator[tuple[str, Any, Any]]:
 
 
 def _programs(there: object) -> Iterator[tuple[str, Any, Any]]:
-    """Yield the programs that were called, each in its version there and here.
+    """Yield the called programs with their versions there and here.
 
-    Where they lay there is a stranger's word: looked at is what has the same name here.
+    The recorded paths are not trusted: a program here is found by its name.
     """
     recorded = {
         Path(str(path)).name: each
@@ -182,15 +182,15 @@ def _shown(value: object) -> str:
 
 
 def missing_modules(root: Path, manifest: Mapping[str, Any]) -> list[Finding]:
-    """Return the plugins and modules that the experiment in an unpacked package needs and that are not installed.
+    """Return errors for the plugins and modules that an unpacked experiment needs and that are not installed.
 
     Raises:
         OSError: a file of the config cannot be read.
     """
     config = root / "config"
-    # In folders, too, which the config may add to the path: what is missing all the same is told when it is imported.
+    # Also modules in folders, which the config may add to the path; if it does not, importing them fails later.
     local = {part.removesuffix(".py") for path in config.rglob("*.py") for part in path.relative_to(config).parts}
-    # `plugins` is what the paper's configs import, and is there while a config is loaded.
+    # The paper's configs import `plugins`, which exists while a config is loaded.
     findings, seen = [], {*local, *stand_in_modules(), "plugins", *sys.stdlib_module_names, "robot_runner"}
     for plugin in manifest.get("plugins", ()):
         module, _, kind = str(plugin.get("class", "")).partition(":")
@@ -210,5 +210,5 @@ def missing_modules(root: Path, manifest: Mapping[str, Any]) -> list[Finding]:
 def _is_installed(module: str) -> bool:
     try:
         return find_spec(module) is not None
-    except (ImportError, ValueError):  # a package above it is not there
+    except (ImportError, ValueError):  # a parent package is missing
         return False

@@ -1,7 +1,8 @@
-"""The installed Python distributions: where each came from, what it needs, and the wheels of those from a folder.
+"""The installed Python distributions: their sources, their dependencies, and wheels of those from local folders.
 
-Whatever was installed from a folder of this machine, nobody else could get. Its wheel is made of what is installed, not
-built from its source: that may have changed since, and building executes it, with tools that may be on the network.
+Nobody else can get a distribution that was installed from a folder of this machine. Its wheel is made from the
+installed files, not built from its source: the source may have changed since, and building executes its code, with
+tools that may have to be downloaded.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 #: Extras for the developers of a package, not for its users.
 _NOT_FOR_USERS = frozenset({"dev", "develop", "doc", "docs", "lint", "test", "testing", "tests", "typing"})
-#: Written by installers, so that they differ from machine to machine.
+#: Files that installers write, so that they differ between machines.
 _WRITTEN_BY_INSTALLERS = frozenset(
     {"INSTALLER", "RECORD", "REQUESTED", "direct_url.json", "uv_build.json", "uv_cache.json"}
 )
@@ -35,7 +36,7 @@ _TAG = re.compile(r"^Tag: (\S+)$", re.MULTILINE)
 
 
 def canonical(name: str) -> str:
-    """Return a distribution's name in the form in which names are compared (PEP 503).
+    """Return a distribution's normalised name (PEP 503), by which names are compared.
 
     Example:
         >>> canonical("Annotated_Types")
@@ -54,7 +55,7 @@ class InstalledDistribution:
 
     @property
     def direct_url(self) -> dict[str, Any]:
-        """Where it was installed from, where that was no index (PEP 610); empty otherwise."""
+        """Its source, unless that is an index (PEP 610); empty then."""
         try:
             found = json.loads(self.distribution.read_text("direct_url.json") or "{}")
         except ValueError:
@@ -63,27 +64,27 @@ class InstalledDistribution:
 
     @property
     def is_local(self) -> bool:
-        """Whether it was installed from a file or folder of this machine, so that nobody else can get it."""
+        """Whether its source is a file or folder of this machine, so that nobody else can get it."""
         return urlsplit(str(self.direct_url.get("url", ""))).scheme == "file"
 
     @property
     def is_editable(self) -> bool:
-        """Whether its code is still in the folder that it was installed from."""
+        """Whether its code is still in the folder from which it was installed."""
         return bool(self.direct_url.get("dir_info", {}).get("editable"))
 
     @property
     def archive_sha256(self) -> str | None:
-        """The hash of the file that it was installed from, where the installer kept it: not for those of an index."""
+        """The SHA-256 of the file from which it was installed, if the installer kept it: not for files of an index."""
         info = self.direct_url.get("archive_info", {})
-        algorithm, _, digest = str(info.get("hash", "")).partition("=")  # as it was before there was `hashes`
+        algorithm, _, digest = str(info.get("hash", "")).partition("=")  # the older form, before `hashes`
         return info.get("hashes", {}).get("sha256") or (digest if algorithm == "sha256" else "") or None
 
     @property
     def fingerprint(self) -> str | None:
-        """A hash of the hashes of its installed files, as its RECORD has them; None where it has none.
+        """A hash of the hashes of its installed files in its RECORD; None if there are none.
 
-        What an installer writes (byte code, scripts, its own notes) does not count, so that the same wheel has the same
-        fingerprint wherever it is installed.
+        Files that an installer writes (byte code, scripts, its own notes) do not count, so that the same wheel has the
+        same fingerprint wherever it is installed.
         """
         record = csv.reader((self.distribution.read_text("RECORD") or "").splitlines())
         lines = sorted(f"{name} {digest}" for name, digest, *_ in record if digest and _is_of_wheel(name))
@@ -96,10 +97,10 @@ def _is_of_wheel(name: str) -> bool:
 
 
 def distributions_in(folders: list[str]) -> dict[str, InstalledDistribution]:
-    """Return what is installed in these folders, by canonical name; the first of one name counts."""
+    """Return the distributions in these folders, by canonical name; the first of each name counts."""
     found: dict[str, InstalledDistribution] = {}
     for each in metadata.distributions(path=folders):
-        facts = each.metadata  # read and parsed each time that it is asked for
+        facts = each.metadata  # read and parsed at each access
         if name := facts["Name"]:
             found.setdefault(canonical(name), InstalledDistribution(name, facts["Version"], each))
     return found
@@ -107,15 +108,15 @@ def distributions_in(folders: list[str]) -> dict[str, InstalledDistribution]:
 
 @cache
 def installed_distributions() -> dict[str, InstalledDistribution]:
-    """Return what is installed here, by canonical name."""
+    """Return the distributions that are installed here, by canonical name."""
     return distributions_in(sys.path)
 
 
 def closure(roots: Iterable[str]) -> set[str]:
-    """Return the canonical names of these distributions and of everything that they need.
+    """Return the canonical names of these distributions and of all their dependencies.
 
-    What one needs that is not installed is not known. Extras of the roots count where all that they ask for is
-    installed: with which one they were installed is not kept.
+    The dependencies of a distribution that is not installed are unknown. Extras of the roots count if all their
+    requirements are installed, since installers do not record with which extras a distribution was installed.
     """
     pending = [(name, {"", *_extras(name)}) for name in map(canonical, roots)]
     seen: dict[str, set[str]] = {}
@@ -139,7 +140,7 @@ def _extras(name: str) -> set[str]:
 
 
 def packages_of_extra(name: str, extra: str) -> set[str]:
-    """Return the canonical names of what an extra of a distribution asks for in addition; nothing if not installed."""
+    """Return the canonical names of an extra's additional requirements; none if the distribution is not installed."""
     optional = [each for each in _requirements(name) if not _is_asked_by({""}, each)]
     return {canonical(each.name) for each in optional if _is_asked_by({extra}, each)}
 
@@ -149,7 +150,7 @@ def _requirements(name: str) -> list[Requirement]:
     return [_requirement(text) for text in (known.distribution.requires if known else None) or ()]
 
 
-@cache  # those of one distribution are looked at for each of its extras
+@cache  # those of one distribution are needed for each of its extras
 def _requirement(text: str) -> Requirement:
     from packaging.requirements import Requirement  # noqa: PLC0415 - an extra
 
@@ -162,7 +163,7 @@ def _is_asked_by(extras: set[str], requirement: Requirement) -> bool:
 
 
 def wheel_of(distribution: InstalledDistribution) -> dict[str, Path]:
-    """Return the files of its wheel by their names in it; nothing where its code cannot be found.
+    """Return the files of a distribution's wheel by their names in it; none if its code cannot be found.
 
     Raises:
         OSError: a folder cannot be read.
@@ -180,7 +181,7 @@ def wheel_of(distribution: InstalledDistribution) -> dict[str, Path]:
 
 
 def wheel_name(distribution: InstalledDistribution) -> str:
-    """Return what the file of its wheel is called (PEP 427)."""
+    """Return the file name of a distribution's wheel (PEP 427)."""
     tags = _TAG.findall(distribution.distribution.read_text("WHEEL") or "") or ["py3-none-any"]
     name = re.sub(r"[-_.]+", "_", distribution.name)
     joined = "-".join(".".join(dict.fromkeys(part)) for part in zip(*(tag.split("-") for tag in tags), strict=True))
@@ -207,7 +208,7 @@ def _urlsafe(sha256: str) -> str:
 
 
 def _editable_code(distribution: InstalledDistribution) -> Iterator[tuple[str, Path]]:
-    """Yield the code in the folder that the installed `.pth` file names: what the installed package imports."""
+    """Yield the package's code in the folders that the installed `.pth` file names."""
     listed = (distribution.distribution.read_text("top_level.txt") or "").split()
     announced = {point.module.partition(".")[0] for point in distribution.distribution.entry_points}
     tops = sorted({*listed, *announced, re.sub(r"[-.]+", "_", distribution.name)})

@@ -1,9 +1,9 @@
-"""The environment that an experiment was executed in, recorded.
+"""The recorded environment of an experiment.
 
-What was installed when the experiment was executed is in its manifest: names and versions. Where the same versions
-are installed while it is packed, more is known: where each came from, a fingerprint of its files, and for what was
-installed from a local folder, its wheel. Nothing is looked up on a network here, so the hash of a file that came from
-an index is not known, because installers do not keep it; `index_hashes` asks for it.
+The manifest has the names and versions of the packages that were installed when the experiment was executed. If the
+same version is installed while packing, more is known: its source, a fingerprint of its files and, for a package from
+a local folder, its wheel. This module uses no network. It does not know the hashes of files from an index, since
+installers do not keep them; `index_hashes` asks for them.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from robot_runner.replication.distributions import InstalledDistribution, canoni
 
 _OUR_NAME = "robot-runner"
 _GLIBC = ("manylinux2014", *(f"manylinux_2_{minor}" for minor in (17, 24, 26, 27, 28, 31, 34, 35, 36)))
-#: Where else an experiment is replicated, as pip calls it: the oldest first, whose files fit most machines.
+#: Usual platforms of replications, by pip's tags: the oldest first, since its files fit most machines.
 PLATFORMS: Mapping[str, tuple[str, ...]] = {
     "Linux on x86-64": tuple(f"{each}_x86_64" for each in _GLIBC),
     "Linux on aarch64": tuple(f"{each}_aarch64" for each in _GLIBC),
@@ -40,12 +40,12 @@ class PackageRecord:
     """One installed package.
 
     Attributes:
-        is_needed: whether the experiment needs it, itself or by way of others.
-        source: `index` (or an installer that left no note), `local`, `url` or `version control`; None where the package
-            is not installed in this version while packing, so that nothing but its version is known.
-        requirement: the line for an installer.
-        sha256: of the file that it is installed from, where that is known.
-        fingerprint: of its installed files; None where that is not known.
+        is_needed: whether the experiment needs it, directly or through other packages.
+        source: `index` (also if the installer left no note), `local`, `url` or `version control`; None if this version
+            is not installed while packing, so that only its version is known.
+        requirement: its line in a requirements file.
+        sha256: of the file from which it was installed; None if unknown.
+        fingerprint: of its installed files; None if unknown.
         imported_by: the parts of the experiment that import it: `config`, plugins, the robot.
     """
 
@@ -61,13 +61,13 @@ class PackageRecord:
 
 @dataclass(frozen=True, slots=True)
 class RecordedEnvironment:
-    """What an experiment was executed in.
+    """The environment in which an experiment was executed.
 
     Attributes:
-        packages: what was installed, by canonical name, sorted.
-        local: the distributions among those needed that only this machine has.
-        findings: what is not known of it.
-        index_hashes: of the files that a package index has, by canonical name; empty where none was asked.
+        packages: the installed packages, by canonical name, sorted.
+        local: the needed distributions that exist only on this machine.
+        findings: on facts that are unknown.
+        index_hashes: hashes of the files in a package index, by canonical name; empty if no index was asked.
     """
 
     manifest: Mapping[str, Any]
@@ -87,7 +87,7 @@ class RecordedEnvironment:
         return tuple(each for each in self.packages.values() if each.is_needed)
 
     def without_hash(self, wheels: Mapping[str, str]) -> tuple[PackageRecord, ...]:
-        """Return the packages of whose files no hash is known, by name."""
+        """Return the packages without a known hash, by name."""
         return tuple(each for each in self.needed if not self._hashes(each, wheels))
 
     def _hashes(self, record: PackageRecord, wheels: Mapping[str, str]) -> tuple[str, ...]:
@@ -99,12 +99,12 @@ class RecordedEnvironment:
         """Return the text of a requirements file.
 
         Args:
-            wheels: the hash of each wheel that the package holds, by the canonical name of its distribution.
+            wheels: the hash of each wheel in the package, by the canonical name of its distribution.
         """
         return "".join(f"{line}\n" for line in self._lines(wheels))
 
     def _lines(self, wheels: Mapping[str, str]) -> Iterator[str]:
-        # One hash makes pip demand a hash of every package.
+        # With one hash in the file, pip demands hashes of all packages.
         is_complete = bool(self.needed) and not self.without_hash(wheels)
         yield f"# The packages that the experiment needs, as they were installed (Python {self.python})."
         if not is_complete:
@@ -146,7 +146,7 @@ class RecordedEnvironment:
 
 
 def record_environment(manifest: Mapping[str, Any], config: Path) -> RecordedEnvironment:
-    """Return the environment of an experiment, from its manifest and from what is installed here.
+    """Return the environment of an experiment, from its manifest and from the packages installed here.
 
     Args:
         manifest: the experiment's.
@@ -161,7 +161,7 @@ def record_environment(manifest: Mapping[str, Any], config: Path) -> RecordedEnv
     same = {
         name: installed[name] for name in recorded if name in installed and installed[name].version == recorded[name]
     }
-    # Packed elsewhere, nothing tells which package needs which.
+    # If it is packed in another environment, the dependencies between packages are unknown.
     needed = closure(_roots(manifest, config)) & set(recorded) if _OUR_NAME in same else set(recorded)
     imported = importers(manifest, config)
     records = {
@@ -216,18 +216,18 @@ def _findings(
 
 
 _LINKS = "links"
-#: What the program is made of whatever is measured: which robot and plugins there are, says nothing of it.
+#: Packages that every experiment imports, whatever its robot and plugins are.
 _FRAME = ("robot_runner.core", "robot_runner.cli", "robot_runner.plugins", "robot_runner.testing")
-#: Which distributions bring each top-level module.
+#: The distributions of each top-level module.
 _owners = cache(packages_distributions)
 
 
 def importers(manifest: Mapping[str, Any], config: Path | None = None) -> dict[str, tuple[str, ...]]:
-    """Return who of an experiment imports each package, by its canonical name; only what is installed here is known.
+    """Return the parts of an experiment that import each package, by canonical name; only of packages installed here.
 
     Args:
-        manifest: the experiment's; its plugins and its robot are looked at.
-        config: the folder of the config file and its local modules, where that is at hand.
+        manifest: the experiment's; its plugins and its robot are examined.
+        config: the folder of the config file and its local modules, if available.
 
     Raises:
         OSError: a file of the config cannot be read.
@@ -252,14 +252,14 @@ def _parts(manifest: Mapping[str, Any], config: Path | None) -> Iterator[tuple[s
 
 
 def owners_of(module: str) -> list[str]:
-    """Return the distributions that bring a top-level module; its own name, where it is imported from a folder."""
+    """Return the distributions of a top-level module; the module's own name if it is imported from a folder."""
     return _owners().get(module) or [module]
 
 
 def imported_names(folder: Path) -> set[str]:
     """Return the top-level modules that the Python files in a folder of configs import, found without executing them.
 
-    What lies there as the experiment reads it, such as a script under test, may be for another Python.
+    The experiment's input files, such as a script under test, are skipped: they may be for another Python.
 
     Raises:
         OSError: a file cannot be read.
@@ -274,7 +274,7 @@ def imported_names(folder: Path) -> set[str]:
 
 @cache
 def _reached(module: str) -> set[str]:
-    """Return the top-level modules that a module imports, itself or by way of others of its own package."""
+    """Return the top-level modules that a module imports, directly or through modules of its own package."""
     top = module.partition(".")[0]
     found, pending, seen = {top}, [module], set()
     while pending:
@@ -298,7 +298,7 @@ def _reached(module: str) -> set[str]:
 
 
 def _file_of(module: str) -> Path | None:
-    """Return the file of a module or, where it names something inside one, of that; nothing is imported."""
+    """Return the file of a module or, if the name is an object in a module, of that module; nothing is imported."""
     top, *rest = module.split(".")
     try:
         spec = find_spec(top)
@@ -316,7 +316,7 @@ def _file_of(module: str) -> Path | None:
 
 
 def _imports(content: bytes, package: str) -> Iterable[str]:
-    """Yield the full names of what a file imports, also where a function does; nothing of a file that is no Python."""
+    """Yield the full names of a file's imports, also those in functions; nothing if the file is not valid Python."""
     try:
         tree = parsed(content)
     except (SyntaxError, ValueError, RecursionError, MemoryError):
@@ -331,7 +331,7 @@ def _imports(content: bytes, package: str) -> Iterable[str]:
 
 
 def _statements(tree: ast.Module) -> Iterator[ast.AST]:
-    """Yield all statements, however deep: a tenth of what `ast.walk` yields, since no expression imports anything."""
+    """Yield all nested statements: a tenth of the nodes of `ast.walk`, since expressions import nothing."""
     pending: list[ast.AST] = [tree]
     while pending:
         node = pending.pop()

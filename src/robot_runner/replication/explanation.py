@@ -1,4 +1,4 @@
-"""Where each value of a run comes from, told from the experiment's folder alone."""
+"""Explain the origin of each value of a run, from the experiment's folder alone."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ _UNMEASURED = {"simulated": "simulated, not measured", "estimated": "estimated b
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """Where one value comes from.
+    """The origin of one value.
 
     Attributes:
-        name: the column, or the measure where it has none.
+        name: the column, or the measure if it has no column.
         role: factor, measure, timestamp, and so on.
-        value: None where it is missing.
-        facts: what is known of where it comes from, in order: a heading and a text.
+        value: None if it is missing.
+        facts: the known facts of its origin, in order: a heading and a text each.
     """
 
     name: str
@@ -48,11 +48,11 @@ class Explanation:
 
 @dataclass(frozen=True, slots=True)
 class RunExplanation:
-    """Where the values of one run come from.
+    """The origin of the values of one run.
 
     Attributes:
-        facts: what holds for all of them: status, attempts, robot, host.
-        values: one for each that was asked for.
+        facts: the facts that all values share: status, attempts, robot, host.
+        values: one for each requested name.
     """
 
     experiment: str
@@ -67,10 +67,10 @@ def explain_run(root: Path, run_id: str, names: Sequence[str] = ()) -> RunExplan
     Args:
         root: the experiment's folder.
         run_id: the run.
-        names: the columns or measures to explain; none means all.
+        names: the columns or measures to explain; empty means all.
 
     Raises:
-        StorageError: there is no such run or column, or something cannot be read.
+        StorageError: there is no such run or column, or a file cannot be read.
     """
     return _Explaining(root, run_id).explain(names)
 
@@ -83,7 +83,7 @@ class _Explaining:
         rows = read_run_table(self._files.run_table, TableLayout.of_schema(tuple(self._columns.values())))
         place = rows.place_of(run_id)
         if place is None:
-            known = [rows.run_id(each) for each in range(min(len(rows), 1000))]  # the nearest of more takes long
+            known = [rows.run_id(each) for each in range(min(len(rows), 1000))]  # searching more is slow
             raise StorageError(f"there is no run {run_id!r}", where=str(root), fix=did_you_mean(run_id, known))
         self._run_id, self._row = run_id, rows.row(place)
         self._run_ids = [rows.run_id(each) for each in range(len(rows))]
@@ -135,7 +135,7 @@ class _Explaining:
         yield "Place", f"run {self._run_ids.index(self._run_id) + 1} of {len(self._run_ids)}, {self._order()}"
         if self._mark(WARM_UP):
             yield "Warm-up", "the run was executed and kept, and is not analysed"
-        if self._imported is not None:  # host, software and times of the journal are those of the import
+        if self._imported is not None:  # the journal's host, software and times are those of the import
             came = f"at {self._imported.get('at')} from {self._imported.get('table')} of {self._imported.get('from')}"
             yield "Imported", f"{came}: where and by what it was executed is not known"
             return
@@ -159,7 +159,7 @@ class _Explaining:
             yield "Parameter", f"{name} of {owner} = {value}, bound to the factor {factor}"
 
     def _registered(self) -> str:
-        """Return when the study was registered, and whether the file in the folder is still that one."""
+        """Return when the study was registered, and whether the folder's registration is still the same."""
         stated = self._manifest.get("registration")
         if not isinstance(stated, dict):
             return ""
@@ -192,12 +192,12 @@ class _Explaining:
         return f"changed by hand in run_table.csv; planned: {planned}" if design.get("is_reordered") else planned
 
     def _mark(self, name: str) -> Any:
-        """Return how the run was planned; None where a column of that name is somebody else's."""
+        """Return the run's value of a column of the plan; None if a column of that name has another role."""
         return self._row[name] if name in self._columns and self._columns[name].role is MARKS[name].role else None
 
     @property
     def _batch(self) -> Mapping[str, Any] | None:
-        """The batch in which the run was planned, as the manifest has it; None where there is only one plan."""
+        """The manifest's entry for the batch of the run; None if there is only one plan."""
         batches = (self._manifest.get("design") or {}).get("batches") or ()
         return next((each for each in batches if each.get("batch") == self._mark(BATCH)), None)
 
@@ -209,7 +209,7 @@ class _Explaining:
             yield "Runs", f"{batch['runs']} ({batch['first']} to {batch['last']}){added}"
 
     def _executed(self) -> str:
-        """Return where the run came in the order that was executed, where that is another than the table's."""
+        """Return the run's place in the order of execution, if that differs from the table's."""
         executed = executed_order(self._files.journal)
         if self._run_id not in moved_runs(self._run_ids, executed):
             return ""
@@ -218,18 +218,18 @@ class _Explaining:
 
     @property
     def _own_robot(self) -> str:
-        """How the robot that executed the run was reached then, of several that take turns."""
+        """The connection of the robot that executed the run, if several robots take turns."""
         given = _mapping(self._execution.get("given")).get(f"robot[{self._history.place!r}]")
         return str(given or _mapping(self._manifest.get("robots")).get(self._history.place) or "")
 
     @property
     def _reached(self) -> str:
-        """How the robot was reached in the execution of the run."""
+        """The robot's connection in the execution of the run."""
         given = _mapping(self._execution.get("given")).get("robot")
         return self._own_robot or str(given or self._manifest.get("robot") or "")
 
     def _host(self) -> str:
-        """Which machine executed the run, or directed it, and with which Python: that of its execution."""
+        """The machine that executed or directed the run, and its Python, in the execution of the run."""
         python = _mapping(self._manifest.get("software")).get("python")
         facts = {**_mapping(self._manifest.get("host")), "python": python}
         changed = self._execution.get("changed") or {}
@@ -239,14 +239,14 @@ class _Explaining:
 
     @property
     def _execution(self) -> Mapping[str, Any]:
-        """The execution that was going on when the run was executed, as the manifest has it."""
+        """The manifest's entry for the execution in which the run was executed."""
         moment, executions = self._history.started_at or "", self._manifest.get("executions") or ()
         begun = [each for each in executions if str(each.get("started_at", "")) <= moment]
         return begun[-1] if begun else {}
 
     @property
     def _worker(self) -> str:
-        """Which worker of a cluster executed the run, on a machine that the manifest does not describe."""
+        """The worker of a cluster that executed the run, on a machine that the manifest does not describe."""
         return f"worker {self._history.place} of a cluster" if self._history.is_elsewhere else ""
 
     def _system(self) -> str:
@@ -256,7 +256,7 @@ class _Explaining:
         return f"{named or 'unknown'}, {packages:,} packages in the manifest" if named or packages else ""
 
     def _program(self, path: str, owner: str) -> str:
-        """Return which program it was, and of which version as far as that is known."""
+        """Return a program's path, its version if known, and its caller."""
         known = _mapping(_mapping(self._manifest.get("programs")).get(path))
         if known.get("package"):
             told = f"{known['package']} {known.get('version') or ''}".rstrip()
@@ -345,7 +345,7 @@ class _Explaining:
         yield "Config", self._lines.of_factor(column.name) or self._lines.of_method("create_run_table")
 
     def _assumed(self, factor: str) -> str:
-        """Return that the run was planned before the factor was added, where that is so."""
+        """Return a sentence if the run was planned before the factor was added, else an empty text."""
         batches = (self._manifest.get("design") or {}).get("batches") or ()
         added = next((each["batch"] for each in batches if factor in each.get("defaults", {})), 0)
         if (self._mark(BATCH) or 1) >= added:
@@ -353,7 +353,7 @@ class _Explaining:
         return f"the factor was added with batch {added}, and runs before count as having had this treatment"
 
     def _read_by(self, factor: str) -> str:
-        if self._history.readers is None:  # not executed, or by a version that did not look
+        if self._history.readers is None:  # not executed, or by an earlier version that did not record it
             return ""
         return ", ".join(self._history.readers.get(factor, ())) or "nobody: no callback and no plugin looked at it"
 
@@ -381,7 +381,7 @@ class _Explaining:
 
 
 def _mapping(value: Any) -> Mapping[str, Any]:
-    """Return a value of a manifest where it is a mapping, and else an empty one: a folder may come from anybody."""
+    """Return a manifest's value if it is a mapping, else an empty one: the folder may come from elsewhere."""
     return value if isinstance(value, dict) else {}
 
 

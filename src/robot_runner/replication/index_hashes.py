@@ -1,9 +1,9 @@
-"""The hashes of the files of recorded versions: from the lock of Robot Runner where it is at hand, else asked of pip.
+"""Find the hashes of the files of recorded versions: in Robot Runner's lock if available, else through pip.
 
-The lock lies beside the source that Robot Runner was installed from. It has the files of every platform, and no network
-is asked for what stands in it. For all else, pip knows which index is meant, how to get in, and which file fits; uv
-reads none of pip's settings. What pip answers is read for hashes and names of files; where they come from is neither
-kept nor shown. Nothing is built: of a package without a wheel, nothing is known.
+The lock is in the source folder from which Robot Runner was installed. It has the files of every platform, and needs
+no network. For other packages, pip knows the index, the credentials, and which file fits; uv does not read pip's
+settings. Only hashes and names of files are read from pip's report; their addresses are neither kept nor shown.
+Nothing is built: the hashes of a package without a wheel stay unknown.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from robot_runner.replication.distributions import canonical, installed_distribu
 from robot_runner.replication.environment import PLATFORMS, PackageRecord, RecordedEnvironment
 
 _DEADLINE_S = 300.0
-#: Of one connection; pip's own retries would make a network that is not there a matter of minutes.
+#: The timeout of one connection. There are no retries: pip's own take minutes without a network.
 _CONNECTION_S = 15
-#: Where so many packages are not found, and none is, there is no index.
+#: After so many misses without a hit, there is no index.
 _MOST_MISSES = 3
 
-#: A pinned package of a lock, with its hashes on the lines below it, as uv and pip-tools write them.
+#: A pinned package of a lock with its hashes on the lines below, in the form of uv and pip-tools.
 _LOCKED = re.compile(r"^([\w.-]+)==([^\s;\\]+)[^\n]*\n((?: +--hash=sha256:[0-9a-f]{64}[ \\]*\n)+)", re.MULTILINE)
 _HASH = re.compile(r"sha256:([0-9a-f]{64})")
 
@@ -42,7 +42,7 @@ _NO_INDEX = "no package index answers, or it has none of them"
 _NO_PIP = "pip is not installed beside Robot Runner"
 _NO_SHA256 = "the index does not give the SHA-256 of its file"
 _OWN_FOLDER = "pip takes it from a folder of this machine, which others do not have"
-#: Why the index is not asked for what did not come from one.
+#: Why the index is not asked for packages from other sources.
 _NOT_ASKED = {
     "local": "the package was installed from a folder, and its wheel is not in the package",
     "url": "the package was installed from a URL, and the installer did not keep the hash",
@@ -51,21 +51,21 @@ _NOT_ASKED = {
 
 
 class IndexAnswer(NamedTuple):
-    """The SHA-256 of each file that fits, sorted, and why there are none, by the canonical name of the package."""
+    """By canonical name of a package: the sorted SHA-256 of its fitting files, or why there are none."""
 
     hashes: Mapping[str, tuple[str, ...]]
     lacking: Mapping[str, str]
 
 
 def ask_index(pins: Sequence[str], python: str, *, deadline_s: float = _DEADLINE_S) -> IndexAnswer:
-    """Return the hashes of the files of exactly these versions, for this platform and for the others that are usual.
+    """Return the hashes of the files of exactly these versions, for this platform and for other usual ones.
 
-    Nothing that goes wrong with pip or a network is raised: what is not known is lacking.
+    Errors of pip or the network are not raised: the hashes are lacking then.
 
     Args:
         pins: requirements, such as `rich==13.7.1`.
-        python: the version of the Python that the files have to fit.
-        deadline_s: for all of it.
+        python: the version of Python for which the files are.
+        deadline_s: the deadline of all dry runs together, s.
     """
     wanted = {canonical(pin.partition("==")[0]): pin for pin in sorted(pins)}
     if find_spec("pip") is None:
@@ -88,11 +88,11 @@ def ask_index(pins: Sequence[str], python: str, *, deadline_s: float = _DEADLINE
 
 
 def locked_hashes(pins: Iterable[str], folder: Path | None = None) -> dict[str, tuple[str, ...]]:
-    """Return the hashes that the lock has of exactly these versions, by canonical name.
+    """Return the hashes of exactly these versions in the lock, by canonical name.
 
     Args:
         pins: requirements, such as `rich==13.7.1`.
-        folder: of the lock's files; that of the source that Robot Runner was installed from if left out.
+        folder: of the lock's files; if left out, that in the source folder from which Robot Runner was installed.
     """
     wanted = {(canonical(name), release) for name, _, release in (pin.partition("==") for pin in pins)}
     found: dict[str, tuple[str, ...]] = {}
@@ -100,7 +100,7 @@ def locked_hashes(pins: Iterable[str], folder: Path | None = None) -> dict[str, 
         try:
             text = path.read_text(encoding="utf-8")
         except (OSError, ValueError):
-            continue  # what is not known here is asked of the index
+            continue  # the index is asked instead
         for name, release, hashes in _LOCKED.findall(text):
             if (canonical(name), release) in wanted:
                 found[canonical(name)] = tuple(sorted(_HASH.findall(hashes)))
@@ -116,11 +116,11 @@ def _lock_folder() -> Path:
 def with_known_hashes(
     environment: RecordedEnvironment, asking: Callable[[int], None] | None = None
 ) -> tuple[RecordedEnvironment, Mapping[str, str]]:
-    """Return the environment with the hashes that the lock and the index give, and why others are lacking, by name.
+    """Return the environment with the hashes of the lock and the index, and by name why others are lacking.
 
     Args:
-        environment: as it was recorded.
-        asking: is told how many packages the index is about to be asked for; None asks the lock alone.
+        environment: the recorded one.
+        asking: called before the index is asked, with the number of packages; None uses the lock alone.
     """
     pins = [each.requirement for each in environment.without_hash({}) if each.source not in _NOT_ASKED]
     locked = locked_hashes(pins)
@@ -133,11 +133,11 @@ def with_known_hashes(
 
 
 def findings_of_hashes(unknown: Iterable[PackageRecord], lacking: Mapping[str, str]) -> Iterator[Finding]:
-    """Yield one finding for each reason for which the index gave no hash.
+    """Yield one finding for each reason why hashes are unknown.
 
     Args:
-        unknown: the packages of whose files no hash is known.
-        lacking: why, of those that the index was asked for.
+        unknown: the packages without a known hash.
+        lacking: the reasons for the packages that the index was asked for.
     """
     names: dict[str, list[str]] = {}
     for each in unknown:
@@ -154,7 +154,7 @@ class _File(NamedTuple):
 
     Attributes:
         is_any: whether it fits every platform.
-        fault: why its hash is of no use to others; empty where it is.
+        fault: why its hash is useless to others; empty if it is useful.
     """
 
     sha256: str
@@ -163,7 +163,7 @@ class _File(NamedTuple):
 
     @classmethod
     def of_download(cls, download: Mapping[str, Any]) -> _File:
-        """Return the file of an entry in pip's report (PEP 610)."""
+        """Return the file for an entry in pip's report (PEP 610)."""
         url = urlsplit(str(download.get("url", "")))
         sha256 = str(download.get("archive_info", {}).get("hashes", {}).get("sha256", ""))
         fault = _OWN_FOLDER if url.scheme == "file" else "" if sha256 else _NO_SHA256
@@ -171,11 +171,11 @@ class _File(NamedTuple):
 
 
 class _Pip:
-    """Dry runs of pip, one after the other, until a deadline that holds for all of them.
+    """Dry runs of pip, one after another, with one deadline for all.
 
     Attributes:
-        gave_up: why the last question was not asked to its end; empty where it was.
-        hides_folders: whether pip is kept from what its settings name beside the index: `find-links`, more indexes.
+        gave_up: why the last query was not completed; empty if it was.
+        hides_folders: whether to override pip's settings besides the index: `find-links` and extra indexes.
     """
 
     def __init__(self, folder: Path, python: str, deadline_s: float) -> None:
@@ -188,8 +188,8 @@ class _Pip:
     def files(self, pins: Iterable[str], platforms: Iterable[str] = ()) -> dict[str, _File]:
         """Return the files of the packages that pip finds, by their canonical names.
 
-        Pip answers for all packages or for none. Where it fails, it is asked again without the package that it names,
-        or, where it names none, for each half.
+        Pip answers for all packages or for none. If it fails, it is asked again without the package that it names or,
+        if it names none, for each half.
         """
         self.gave_up = ""
         found: dict[str, _File] = {}
@@ -212,7 +212,7 @@ class _Pip:
         return found
 
     def _dry_run(self, pins: list[str], platforms: Iterable[str]) -> tuple[dict[str, _File] | None, str]:
-        """Return what pip would install, or None and its complaint where it cannot get all of it."""
+        """Return the files that pip would install, or None and pip's error message if it cannot get all of them."""
         wanted, report = self._folder / "requirements.txt", self._folder / "report.json"
         wanted.write_text("".join(f"{pin}\n" for pin in pins), encoding="utf-8")
         report.unlink(missing_ok=True)
@@ -238,15 +238,15 @@ class _Pip:
     def _words(self, platforms: Iterable[str]) -> list[str]:
         pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-input", "--disable-pip-version-check"]
         quick = ["--retries", "0", "--timeout", str(_CONNECTION_S)]
-        # A wheel tells what it is; a source package would have to be built, which executes it.
+        # Wheels only: to get the metadata of a source package, pip builds it, which executes its code.
         only = ["--dry-run", "--ignore-installed", "--no-deps", "--only-binary", ":all:"]
-        target = ["--target", str(self._folder / "nothing")]  # pip asks for it beside a platform; a dry run writes none
+        target = ["--target", str(self._folder / "nothing")]  # demanded with --platform; not written
         return [*pip, *quick, *only, *target, *self._python, *(f"--platform={each}" for each in platforms)]
 
     def _variables(self) -> dict[str, str]:
         if not self.hides_folders:
             return dict(os.environ)
-        # An empty variable is none to pip, and its settings count then: only another place overrules those.
+        # Pip ignores an empty variable and uses its settings; another location overrides them.
         nowhere = self._folder / "nowhere"
         nowhere.mkdir(exist_ok=True)
         return {**os.environ, "PIP_FIND_LINKS": nowhere.as_uri(), "PIP_EXTRA_INDEX_URL": nowhere.as_uri()}

@@ -1,4 +1,4 @@
-"""Secrets by the names that they stand under: settings, arguments, fields, elements, and what a note says of them."""
+"""Find secrets by the names before them: settings, arguments, fields, elements, and sentences in notes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from robot_runner.replication.secret_kinds import Found
 
 
 class Grammar(Enum):
-    """What a file's text is written in, which its text without the secrets has to be as well."""
+    """The grammar of a file's text; replacing secrets must keep the text valid."""
 
     TEXT = "text"
     DATA = "data"
@@ -21,7 +21,7 @@ class Grammar(Enum):
     MARKUP = "markup"
 
 
-#: Parts of names, in lower case, near which a secret is looked for.
+#: Parts of the names of secrets, in lower case.
 NAME_HINTS = (
     *(b"pass", b"pwd", b"pw", b"psk", b"secret", b"token", b"key", b"credential", b"auth", b"kennwort", b"wachtwoord"),
     *(b"contrase", b"senha", b"mdp", b"pin"),
@@ -29,7 +29,7 @@ NAME_HINTS = (
 _HINT = re.compile(rb"(?:" + b"|".join(NAME_HINTS) + rb")[\w.-]{0,64}", re.ASCII)
 _LONGEST_NAME = 64
 _LONGEST_LINE = 400
-#: Of the text before it, read backwards: forwards, each word of it would be tried.
+#: The part of a name before a hint, matched on the reversed text: forwards, each word would be tried.
 _NAME_BEFORE = re.compile(rb"[\w.-]*", re.ASCII)
 
 _QUOTE = rb"\\?[\"']"
@@ -38,7 +38,7 @@ _BARE = rb"(?P<bare>[^\s\"'`,;<>\\)}\]]+)"
 _NUMBER = rb"(?P<number>\d{4,})(?![\w.])"
 
 
-#: What may follow a name, and ends in a text in quotes, whatever the file's grammar.
+#: What may follow a name in any grammar, up to a value in quotes.
 _QUOTED = (
     # password = "X", "password": "X", password: str = "X", ["DB_PASSWORD"] = "X"
     re.compile(
@@ -47,7 +47,7 @@ _QUOTED = (
     # name="password" value="X", ("password", default_value="X"), {"name": "password", "value": "X"}
     re.compile(_QUOTE + rb"[\s,]+" + _QUOTE + rb"?(?:default_value|default|value)" + _QUOTE + rb"?\s*[:=]\s*" + _TEXT),
 )
-#: "--password", "X" and getenv("MQTT_PASS", "X"); in other lists the next text is another name.
+#: "--password", "X" and getenv("MQTT_PASS", "X"); in other lists the next text is not the value.
 _NEXT = re.compile(_QUOTE + rb"\s*,\s*" + _TEXT)
 _BEFORE_NEXT = re.compile(rb"(?:getenv|environ\.get|setdefault|environ\.setdefault|setenv|param)\(\s*[\"']\Z|--?\Z")
 #: auth = ("ada", "X")
@@ -56,9 +56,9 @@ _PAIR = re.compile(_QUOTE + rb"?\s*[:=]\s*\(\s*[\"'][^\"'\n]*[\"']\s*,\s*" + _TE
 _VALUE_BEFORE = re.compile(rb"(?:value|default)\s*=\s*([\"'])(?P<quoted>[^\"'\n<>]+)\1\s+name\s*=\s*[\"']\Z")
 _ELEMENT = re.compile(rb">(?P<bare>[^<>\n]+)</")
 _NUMERIC = re.compile(rb"(?:" + _QUOTE + rb")?[ \t]*(?::[ \t]*int[ \t]*=|:=|[:=])[ \t]*" + _NUMBER)
-#: Of a URL: ?token=X&next=...
+#: In a URL: ?token=X&next=...
 _PARAMETER = re.compile(rb"=(?P<bare>[^\s\"'&#\\<>{}\0-\x1f]+)")
-#: A line of a settings file or a log: password: X
+#: In a line of a settings file or a log: password: X
 _LOOSE = re.compile(rb"[ \t]*(?::=|[:=])[ \t]*(?:!!str[ \t]+)?" + _BARE)
 _OF_SOMEBODY = re.compile(
     rb"[ \t]+(?:for|of|von|van|voor|f\xc3\xbcr)[ \t]+(?:[\w@.'-]+[ \t]+){0,3}[\w@.'-]+:[ \t]+" + _BARE
@@ -74,7 +74,7 @@ _PROSE = re.compile(
 _GOES_ON = re.compile(rb"[ \t]+[a-z]{2,}[ \t]+[a-z]")
 _SPACED = re.compile(rb"[ \t]+(?P<bare>[^\s\"',;<>\\)}\]:=]+)[ \t]*(?=\r?\n|\Z|\\n|[\"'])")
 
-#: In a line with one of these, what follows the word password is one, without any sign between.
+#: In a line with one of these commands, the word after `password` is the password.
 _COMMAND_LINE = re.compile(rb"(?i)\b(?:nmcli|machine|login|param set|rosparam|wpa_cli|ENV|set -x|setx|identified by)\b")
 _NO_WORD = re.compile(
     rb"(?i)(?:not?|never|wrong|incorrect|invalid|valid|correct|empty|set|in|the|a|an|that|this|his|her|our|their|your|my"
@@ -88,11 +88,11 @@ _LOGIN_WORDS = re.compile(r"(?i)pass|pw|psk|pin|kennwort|wachtwoord|contrase|sen
 
 
 def named_secrets(block: bytes, grammar: Grammar) -> Iterator[Found]:
-    """Yield the secrets that stand under names in a block.
+    """Yield the secrets with names in a block.
 
     Args:
         block: the text.
-        grammar: what it is written in.
+        grammar: its grammar.
     """
     for hint in _HINT.finditer(block.lower()):
         first, end = hint.span()
@@ -106,12 +106,12 @@ def named_secrets(block: bytes, grammar: Grammar) -> Iterator[Found]:
 
 @lru_cache(maxsize=4096)
 def _secret_name(written: bytes) -> str:
-    """Return a name without what stands before it, as in `--password`; nothing where it is not that of a secret."""
+    """Return a name without its prefix, as in `--password`; empty if it is not the name of a secret."""
     name = written.lstrip(b".-").decode("ascii", "replace")
     return name if len(name) <= _LONGEST_NAME and is_secret_name(name) else ""
 
 
-#: By what separates them: cells of a table. One in quotes goes on for lines; a quote that nothing closes is a letter.
+#: Cells of a table, by separator. A quoted cell may have several lines; an unclosed quotation mark is a character.
 _CELLS = {
     mark: re.compile(
         rb"(?P<cell>\"(?:[^\"]|\"\")*+\"(?=[MARK\r\n]|\Z)|(?P<open>(?=\"(?:[^\"]|\"\")*+\Z))?[^MARK\r\n]*)"
@@ -134,7 +134,7 @@ def _rows(block: bytes, separator: bytes) -> Iterator[list[re.Match[bytes]]]:
 
 
 def secret_columns(beginning: bytes) -> tuple[bytes, frozenset[int]]:
-    """Return what separates the columns of a table, and the places, from 0, of those that are headed as secrets."""
+    """Return a table's separator, and the indices, from 0, of the columns whose headings are names of secrets."""
     separator = max(_CELLS, key=_IN_QUOTES.sub(b"", beginning).partition(b"\n")[0].count)
     heading = next(_rows(beginning, separator), [])
     if not (heading and heading[-1]["end"]):  # a line that goes on
@@ -146,17 +146,18 @@ def secret_columns(beginning: bytes) -> tuple[bytes, frozenset[int]]:
 def secrets_in_columns(
     block: bytes, separator: bytes, columns: frozenset[int], *, has_heading: bool, goes_on: bool
 ) -> tuple[list[Found], list[int]]:
-    """Return the cells of these columns that are neither empty nor numbers: somebody has to judge.
+    """Return the cells of these columns that are neither empty nor numbers, as possible secrets.
 
     Args:
         block: the text, which begins with a row.
-        separator: what separates its columns.
-        columns: the places of those that are headed as secrets.
+        separator: between its columns.
+        columns: the indices of the columns whose headings are names of secrets.
         has_heading: whether the first row is the heading.
-        goes_on: whether the next block may close what a quote opens here: rows end before that.
+        goes_on: whether the text continues in another block, which may close a quotation mark: an incomplete row is
+            left out then.
 
     Returns:
-        Also where each row ends.
+        The cells, and the end of each row.
     """
     found: list[Found] = []
     ends: list[int] = []
@@ -183,7 +184,7 @@ def _is_number(cell: bytes) -> bool:
 
 
 def _after(block: bytes, place: tuple[int, int], name: str, grammar: Grammar) -> Iterator[Found]:
-    """Yield the secret that belongs to a name at a place of a block; at most one."""
+    """Yield the secret of a name at a place in a block; at most one."""
     start, end = place
     before = block[max(0, start - _LONGEST_LINE) : start].rsplit(b"\n", 1)[-1]
     if match := _quoted(block, end, before):
@@ -199,7 +200,7 @@ def _after(block: bytes, place: tuple[int, int], name: str, grammar: Grammar) ->
 
 
 def _quoted(block: bytes, end: int, before: bytes) -> re.Match[bytes] | None:
-    """Return the text in quotes that belongs to a name which ends here, in whatever grammar."""
+    """Return the value in quotes of a name that ends here, in any grammar."""
     for form in _QUOTED:
         if (match := form.match(block, end)) and not _is_closing(match, before):
             return match
@@ -210,7 +211,7 @@ def _quoted(block: bytes, end: int, before: bytes) -> re.Match[bytes] | None:
 
 
 def _bare(block: bytes, end: int, before: bytes) -> re.Match[bytes] | None:
-    """Return the value without quotes that can be nothing else: of a URL, an XML element, an option."""
+    """Return the unambiguous value without quotes: in a URL, an XML element, an option."""
     if before.endswith((b"?", b"&")):
         return _PARAMETER.match(block, end)
     if before.endswith(b"<"):
@@ -219,7 +220,7 @@ def _bare(block: bytes, end: int, before: bytes) -> re.Match[bytes] | None:
 
 
 def _is_text(value: bytes) -> bool:
-    """Whether a value is no bytes of a picture, which have every short name somewhere; four letters are a text."""
+    """Whether a value is text, not bytes of an image, where short names occur by chance; four characters suffice."""
     try:
         value.decode()
     except UnicodeDecodeError:
@@ -228,14 +229,14 @@ def _is_text(value: bytes) -> bool:
 
 
 def _is_closing(match: re.Match[bytes], before: bytes) -> bool:
-    """Whether a quotation mark ends the text in which the name stands, as in `ask("Password: ")`."""
+    """Whether a quotation mark closes the text that contains the name, as in `ask("Password: ")`."""
     mark = match["mark"]
     is_in_quotes = before.endswith(mark) and match[0].startswith(mark)
     return before.count(mark) % 2 == 1 and not is_in_quotes
 
 
 def _loosely(block: bytes, place: tuple[int, int], name: str, before: bytes) -> Iterator[Found]:
-    """Yield what a text without a grammar says of a secret."""
+    """Yield the secret of a name in a text without a strict grammar."""
     start, end = place
     if match := _BLOCK_SCALAR.match(block, end):
         yield from _judged(match, "bare", name, start)
@@ -251,7 +252,7 @@ def _loosely(block: bytes, place: tuple[int, int], name: str, before: bytes) -> 
 
 
 def _told(match: re.Match[bytes], name: str, start: int) -> Iterator[Found]:
-    """Yield what a sentence says that a secret is; where it is a mere word, somebody has to judge."""
+    """Yield the secret that a sentence states; a plain word is only a possible secret."""
     value = match["bare"].rstrip(b".!?")
     if _NO_WORD.fullmatch(value) or is_placeholder(value.decode("utf-8", "replace")) or _is_code(value):
         return
@@ -263,7 +264,7 @@ def _told(match: re.Match[bytes], name: str, start: int) -> Iterator[Found]:
 
 
 def _of_sentence(match: re.Match[bytes], name: str, start: int) -> Iterator[Found]:
-    """Yield a mere word behind a colon, with which a sentence may begin: somebody has to judge."""
+    """Yield a plain word after a colon as a possible secret: a sentence may begin with it."""
     value = match["bare"]
     if name != "pass" and not _NO_WORD.fullmatch(value) and not is_placeholder(value.decode("ascii", "replace")):
         yield Found(*match.span("bare"), f"what may be a {_WHAT}", start, is_sure=False)
@@ -276,7 +277,7 @@ def _judged(match: re.Match[bytes], group: str, name: str, begin: int) -> Iterat
 
 
 def _judged_number(match: re.Match[bytes], name: str, begin: int, grammar: Grammar) -> Iterator[Found]:
-    """Yield a number that is a password; tokens are counted, and keys numbered, more often than they are numbers."""
+    """Yield a number that is a password; short numbers of tokens and keys are mostly counts or indices."""
     if _LOGIN_WORDS.search(name) or len(match["number"]) >= _SHORTEST_TOKEN_NUMBER:
         replacement = b"REDACTED" if grammar in {Grammar.TEXT, Grammar.MARKUP} else b'"REDACTED"'
         yield Found(*match.span("number"), _WHAT, begin, replacement)
@@ -293,11 +294,11 @@ def _is_secret(value: bytes, name: str) -> bool:
     return not is_path and not is_prose and not text.startswith(("http://", "https://")) and len(text) > 2  # noqa: PLR2004
 
 
-#: What a list of packages has: Debian's are called passwd and base-passwd.
+#: A version, as in a list of packages: Debian has packages called passwd and base-passwd.
 _VERSION = re.compile(r"(?:\d+:)?\d+(?:\.\d+)+[\w.+:~-]*")
 _CALL = re.compile(rb"[A-Za-z_][\w.]*[(\[]|[A-Za-z_]\w*\.[A-Za-z_]\w*(?:\.\w+)*\Z|(?:self|os|args|cls)\b|\(|\[|\{|&|\*")
 
 
 def _is_code(value: bytes) -> bool:
-    """Whether a value without quotes is an expression: a call, an attribute."""
+    """Whether a value without quotes is an expression, such as a call or an attribute."""
     return _CALL.match(value) is not None

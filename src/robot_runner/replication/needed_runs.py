@@ -1,4 +1,4 @@
-"""How many runs of a combination would have decided what a replication left open."""
+"""Compute how many runs of a combination would decide an undecided measure of a replication."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import Any
 from robot_runner.core.design.repeated_intervals import t_probability, t_quantile
 from robot_runner.core.words import counted
 
-#: The probability with which a decision is to be had, as planning takes it where nothing else is said.
+#: The power: the probability of a decision, planning's default.
 _POWER = 0.8
-#: More cannot be meant: the difference lies at the bound.
+#: No larger number is reported: the difference is too close to the bound.
 _MOST = 100_000
-#: From so many degrees of freedom on, the normal distribution is taken for Student's t.
+#: Above so many degrees of freedom, the normal distribution replaces Student's t.
 _MANY = 300
 
 #: The variance of one run of the first experiment, and of the second.
@@ -23,10 +23,11 @@ Variances = tuple[float, float]
 
 
 def runs_for_equivalence(variances: Variances, difference: float, bound: float, alpha: float) -> int | None:
-    """Return how many runs of each experiment two one-sided tests need; None where the difference reaches the bound.
+    """Return how many runs of each experiment two one-sided tests need; None if the difference reaches the bound.
 
-    The power of n runs is the probability that Student's t stays below (bound - |difference|) / error - t(1 - alpha),
-    and that below (bound + |difference|) / error - t(1 - alpha), less 1 (Julious, Statistics in Medicine 23, 2004).
+    The power of n runs is P(t < (bound - |difference|) / error - t(1 - alpha))
+    + P(t < (bound + |difference|) / error - t(1 - alpha)) - 1, for Student's t and the standard error of the
+    difference (Julious, Statistics in Medicine 23, 2004).
 
     Example:
         >>> runs_for_equivalence((1.0, 1.0), 0.0, 1.0, 0.05)
@@ -36,9 +37,10 @@ def runs_for_equivalence(variances: Variances, difference: float, bound: float, 
 
 
 def runs_for_difference(variances: Variances, difference: float, alpha: float) -> int | None:
-    """Return how many runs of each experiment a two-sided test needs; None where there is no difference.
+    """Return how many runs of each experiment a two-sided test needs; None if there is no difference.
 
-    The power of n runs is the probability that Student's t stays below |difference| / error - t(1 - alpha / 2).
+    The power of n runs is P(t < |difference| / error - t(1 - alpha / 2)), for Student's t and the standard error of
+    the difference.
 
     Example:
         >>> runs_for_difference((1.0, 1.0), 1.0, 0.05)
@@ -48,9 +50,9 @@ def runs_for_difference(variances: Variances, difference: float, alpha: float) -
 
 
 def _fewest(variances: Variances, rooms: Sequence[float], level: float) -> int | None:
-    """Return the fewest runs whose power suffices: the probability that no one-sided test misses what is so far off.
+    """Return the fewest runs with enough power: the probability that all one-sided tests at these distances reject.
 
-    The degrees of freedom are Welch's for as many runs. By the normal distribution there are 2 runs where 4 are needed.
+    The degrees of freedom are Welch's. The normal distribution is no substitute for few runs: it gives 2 instead of 4.
     """
     largest = max(variances)
     if min(rooms) <= 0:
@@ -75,19 +77,19 @@ def _quantile(level: float, freedom: float) -> float:
 
 
 def _probability(value: float, freedom: float) -> float:
-    """Return how probably Student's t stays below a value."""
+    """Return the probability that Student's t is below a value."""
     return NormalDist().cdf(value) if freedom > _MANY else t_probability(value, math.floor(freedom))
 
 
 def needed_runs(differences: Sequence[Mapping[str, Any]], alpha: float, *, is_relative: bool = False) -> str:
-    """Return in words what would decide the combinations of a measure that are undecided.
+    """Return in words what would decide the undecided combinations of a measure.
 
     Args:
-        differences: as a comparison has them: `verdict`, `first_n`, `first_sd`, `second_sd`, `difference`, `bound`,
-            `not_computed`; where runs count together, `unit`, and `first_units` and `first_error` of both experiments;
-            `first_mean` where bounds are relative.
+        differences: the differences of a comparison: `verdict`, `first_n`, `first_sd`, `second_sd`, `difference`,
+            `bound`, `not_computed`; if runs are grouped into units, `unit`, and `first_units` and `first_error` of both
+            experiments; if bounds are relative, `first_mean`.
         alpha: the level of significance.
-        is_relative: whether the bound is a percentage of the first mean, which is not known exactly either.
+        is_relative: whether the bound is a percentage of the first mean, which has a standard error, too.
     """
     undecided = [each for each in differences if each["verdict"] == "undecided"]
     fewest = min(min(each["first_n"], each["second_n"]) for each in undecided or differences)
@@ -96,8 +98,8 @@ def needed_runs(differences: Sequence[Mapping[str, Any]], alpha: float, *, is_re
     if fewest < 2:  # noqa: PLR2004 - one value has no spread
         return f"{there_are}, and 2 of each experiment are the fewest that can be tested"
     if why := next((str(each["not_computed"]) for each in undecided if each.get("not_computed")), ""):
-        return f"{why[0].lower()}{why[1:].rstrip('.')}"  # more runs of the same kind have no test either
-    # As Holm adjusts p-values: for all combinations but those that are found to differ.
+        return f"{why[0].lower()}{why[1:].rstrip('.')}"  # more such runs cannot be tested either
+    # Holm's adjustment of p-values: for all combinations except those that were found to differ.
     tested = [each for each in differences if each["verdict"] != "different" and each.get("p_value") is not None]
     shared = alpha / max(1, len(tested))
     needed = [_needed(each, alpha, shared, is_relative) for each in undecided if each["first_sd"] is not None]
@@ -119,12 +121,12 @@ def needed_runs(differences: Sequence[Mapping[str, Any]], alpha: float, *, is_re
 
 
 def _needed(each: Mapping[str, Any], alpha: float, shared: float, is_relative: bool) -> int | None:
-    """Return how many runs would decide a combination one way or the other; `shared` is alpha as Holm adjusts it."""
+    """Return how many runs would decide a combination either way; `shared` is alpha with Holm's adjustment."""
     first, second = (_variance(each, side) for side in _SIDES)
     difference, bound = each["difference"] or 0.0, each["bound"]
     ways = [runs_for_difference((first, second), difference, shared)]
     if bound:
-        # The second mean is tested against the first one times 1 plus the bound.
+        # With a relative bound, the second mean is tested against the first mean times (1 + bound).
         times = 1 + bound / abs(each["first_mean"]) if is_relative and each["first_mean"] else 1.0
         ways.append(runs_for_equivalence((first * times**2, second), difference, bound, alpha))
     found = [way for way in ways if way is not None]
@@ -136,11 +138,11 @@ _SIDES = ("first", "second")
 
 
 def _units(each: Mapping[str, Any], side: str) -> int:
-    """Return how many units a combination has that vary by chance: its runs, where none count together."""
+    """Return the number of independent units of a combination: its runs, unless they are grouped."""
     return int(each.get(f"{side}_units") or each[f"{side}_n"])
 
 
 def _variance(each: Mapping[str, Any], side: str) -> float:
-    """Return the variance of one such unit."""
+    """Return the variance of one unit."""
     error = each.get(f"{side}_error")
     return float(error) ** 2 * _units(each, side) if error is not None else (each[f"{side}_sd"] or 0.0) ** 2

@@ -1,4 +1,4 @@
-"""A package as its files, zipped or unpacked; looking at it writes nothing and executes nothing."""
+"""Open a package, zipped or unpacked; reading it writes nothing and executes nothing."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from robot_runner.replication.contents import DESCRIPTION, DESKTOP_FILES, SUMS, 
 from robot_runner.replication.plain_zip import Progress
 from robot_runner.replication.redaction import chunks_of
 
-#: The directory of some 100,000 files.
+#: The directory of about 100,000 files has this size, bytes.
 _LARGEST_READ = 12 << 20
-#: Deflate cannot do better than about 1000 to 1, and data that was measured never comes near this.
+#: The compression ratio of a zip bomb: Deflate reaches up to about 1000, and measured data stays far below this.
 _MOST_TIMES_SMALLER = 200
 _SMALL = 64 << 20
-#: What stays free on a disk to which a package is unpacked.
+#: Bytes that must stay free on the disk to which a package is unpacked.
 _SPARE = 64 << 20
-#: A local file header, without the name (APPNOTE.TXT, 4.3.7): flags, method, time and date are its third to sixth part.
+#: A local file header without the name (APPNOTE.TXT, 4.3.7): its third to sixth field are flags, method, time and date.
 _LOCAL = struct.Struct("<4s5H3I2H")
 _LINK, _NOT_REGULAR = "the file is a symbolic link", "the file is not a regular one"
 _GET_IT_AGAIN = "Get it again from where it came from."
@@ -42,9 +42,8 @@ class OpenPackage:
     Attributes:
         where: the zip file or folder.
         sizes: the size of each file in bytes, by its name.
-        faults: what no package may have, each an error finding.
-        blocks: yields a file block by block; raises PackageError where it is damaged, StorageError where it cannot be
-            read.
+        faults: an error finding for each forbidden entry, such as a symbolic link.
+        blocks: yields a file block by block; raises PackageError if it is damaged, StorageError if it cannot be read.
     """
 
     where: Path
@@ -55,18 +54,18 @@ class OpenPackage:
 
 @contextmanager
 def open_package(path: Path) -> Iterator[OpenPackage]:
-    """Open a package: a zip file, or the folder that one was unpacked to.
+    """Open a package: a zip file, or the folder to which it was unpacked.
 
     Raises:
-        PackageError: it is no package, or is damaged.
-        StorageError: it cannot be read.
+        PackageError: the file is not a package, or is damaged.
+        StorageError: the file cannot be read.
     """
     if path.is_dir():
         yield _unpacked(path)
         return
     if not path.exists():
         raise PackageError("there is no such file or folder", where=str(path), fix="Correct the path.")
-    if not path.is_file():  # a named pipe would be waited for, and a device never ends
+    if not path.is_file():  # opening a named pipe blocks, and a device has no end
         raise PackageError("this is neither a regular file nor a folder", where=str(path), fix="Name a package.")
     with ExitStack() as opened:
         yield _zipped(path, _archive(path, opened))
@@ -75,7 +74,7 @@ def open_package(path: Path) -> Iterator[OpenPackage]:
 def _archive(path: Path, opened: ExitStack) -> zipfile.ZipFile:
     try:
         return opened.enter_context(zipfile.ZipFile(opened.enter_context(_BoundedReads(path))))
-    # The others are what the library raises where its directory has odd names, places or numbers.
+    # The library raises the others for invalid names, offsets or numbers in the directory.
     except (zipfile.BadZipFile, ValueError, OverflowError, EOFError, struct.error) as error:
         problem = f"the file is no zip file, or its end is missing: {error}"
         raise PackageError(problem, where=str(path), fix=_GET_IT_AGAIN) from error
@@ -84,16 +83,16 @@ def _archive(path: Path, opened: ExitStack) -> zipfile.ZipFile:
 
 
 class _BoundedReads(io.FileIO):
-    """A file of which no more is read at once than a package needs.
+    """A file with a limit on the size of one read.
 
-    The directory of a zip file is read whole, and takes up to twenty times its size in memory.
+    The directory of a zip file is read as a whole, and takes up to twenty times its size in memory.
     """
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """Return so many bytes at most.
+        """Return at most so many bytes.
 
         Raises:
-            zipfile.BadZipFile: so many are asked for as no package needs.
+            zipfile.BadZipFile: the size exceeds the limit.
         """
         wanted = os.fstat(self.fileno()).st_size - self.tell() if size is None or size < 0 else size
         if wanted > _LARGEST_READ:
@@ -102,16 +101,16 @@ class _BoundedReads(io.FileIO):
 
 
 def unpack(package: OpenPackage, target: Path, progress: Progress = lambda _, __: None) -> None:
-    """Write the files of a package below `target`, which is made; one that was unpacked there before is left as it is.
+    """Write the files of a package to the new folder `target`; nothing is done if it was unpacked there before.
 
     Args:
-        package: opened, and found to be intact.
-        target: the folder. What is half unpacked stands beside it under another name.
-        progress: is told how many bytes are written, of how many.
+        package: the opened package, which was found to be intact.
+        target: the folder. Until all files are written, it has another name.
+        progress: called with the number of bytes written and the total.
 
     Raises:
-        PackageError: another package is there, or there is no room.
-        StorageError: it cannot be written.
+        PackageError: another package is there, or the disk is full.
+        StorageError: the folder cannot be written.
     """
     if target.exists():
         _refuse_other(package, target)
@@ -141,7 +140,7 @@ def _write(package: OpenPackage, folder: Path, progress: Progress) -> None:
 
 
 def _refuse_other(package: OpenPackage, target: Path) -> None:
-    """Both have the checksums of all their files: the same checksums, the same package."""
+    """Refuse a folder with another package: one with other checksums of its files."""
     sums = target / SUMS
     is_same = sums.is_file() and read_bytes(sums) == b"".join(package.blocks(SUMS))
     if not is_same:
@@ -163,7 +162,7 @@ def _unpacked(root: Path) -> OpenPackage:
         for path in sorted(Path(top, name) for top, folders, files in os.walk(root) for name in (*folders, *files)):
             try:
                 name, status = path.relative_to(root).as_posix(), path.lstat()
-            except FileNotFoundError:  # it was renamed or removed since it was listed, as in what is executed
+            except FileNotFoundError:  # renamed or removed since it was listed
                 continue
             if stat.S_ISREG(status.st_mode) and path.name in DESKTOP_FILES:
                 continue
@@ -182,7 +181,7 @@ def _blocks_of_file(root: Path, name: str) -> Iterator[bytes]:
 def _zipped(path: Path, archive: zipfile.ZipFile) -> OpenPackage:
     entries = archive.infolist()
     if min((entry.header_offset for entry in entries), default=0) > 0:
-        # Where the end is cut off, the directory that is found last may be that of a wheel in the package.
+        # If the end is cut off, the last directory in the file may be that of a wheel in the package.
         problem = "the zip file's end is missing, or something stands before its beginning"
         raise PackageError(problem, where=str(path), fix=_GET_IT_AGAIN)
     sizes = {entry.filename: entry.file_size for entry in entries if not entry.is_dir()}
@@ -229,7 +228,7 @@ def _entry_faults(path: Path, entries: list[zipfile.ZipInfo]) -> Iterator[Findin
 
 
 def _header_faults(path: Path, entries: list[zipfile.ZipInfo]) -> Iterator[Finding]:
-    """Yield files whose own header says something else than the directory at the end, which is what is read."""
+    """Yield an error for each file whose header differs from its entry in the directory, which is what is read."""
     with path.open("rb") as file:
         for entry in entries:
             file.seek(max(0, entry.header_offset))
@@ -247,7 +246,7 @@ def _header_faults(path: Path, entries: list[zipfile.ZipInfo]) -> Iterator[Findi
 
 
 def _layout_faults(path: Path, entries: list[zipfile.ZipInfo]) -> Iterator[Finding]:
-    """Yield names that stand twice or in each other's way, and files that share bytes."""
+    """Yield an error for each duplicate name, each file whose name is also a folder's, and files that share bytes."""
     seen: set[str] = set()
     folders: set[str] = set()
     for entry in entries:

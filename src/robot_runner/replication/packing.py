@@ -1,4 +1,4 @@
-"""From an experiment's folder to a replication package; the folder alone is enough."""
+"""Make a replication package from an experiment's folder alone."""
 
 from __future__ import annotations
 
@@ -39,19 +39,19 @@ from robot_runner.replication.sealing import Packing, Sealing
 
 @dataclass(frozen=True, slots=True)
 class Packed:
-    """A package that was made.
+    """A finished package.
 
     Attributes:
         sha256: of the whole file.
-        file_count: how many files are in it.
-        left_out: what is not in it, and why.
-        replaced: which secrets were replaced in which files.
-        doubtful: what may be a secret and was packed as it is.
-        not_searched: what could not be looked into, and why.
-        wheels: distributions that went in as wheels.
-        package_count: how many Python packages the experiment needs.
-        without_hash: those of whose files no hash is known; pip demands hashes only where this is empty.
-        findings: what others will miss.
+        file_count: the number of its files.
+        left_out: the files that are not in it, and why.
+        replaced: the replaced secrets, by file.
+        doubtful: possible secrets that were packed unchanged.
+        not_searched: files that could not be searched, and why.
+        wheels: distributions that were packed as wheels.
+        package_count: the number of Python packages that the experiment needs.
+        without_hash: those packages without a known hash; pip demands hashes only if there are none.
+        findings: facts that others will miss.
     """
 
     path: Path
@@ -80,13 +80,13 @@ def pack(
     Args:
         folder: the experiment's folder; nothing in it is changed.
         target: the file to write; an earlier package is replaced.
-        packing: what is asked for.
-        progress: is told how many bytes are packed, of how many.
-        asking: is told of how many packages the package index is about to be asked for hashes.
+        packing: the options.
+        progress: called with the number of packed bytes and the total.
+        asking: called before the package index is asked for hashes, with the number of packages.
 
     Raises:
-        PackageError: it cannot be packed as it is, or something in it may be a secret.
-        StorageError: something cannot be read or written.
+        PackageError: the experiment cannot be packed as it is, or holds a possible secret.
+        StorageError: a file cannot be read or written.
     """
     require_rocrate()
     asked = packing or Packing()
@@ -114,7 +114,7 @@ def pack(
             progress=progress,
         )
         sealing.write_files()
-        # Last, as it may take minutes: whatever cannot be is refused before.
+        # Last, as it may take minutes: everything that is refused has been refused before.
         environment, lacking = with_known_hashes(recorded, asking if asked.with_hashes else None)
         sealing.describe(environment)
     unknown = environment.without_hash(sealing.wheels)
@@ -146,7 +146,7 @@ def file_sha256(path: Path) -> str:
     """Return the SHA-256 of a file.
 
     Raises:
-        StorageError: it cannot be read.
+        StorageError: the file cannot be read.
     """
     with storage_errors(path, "read"), open_to_read(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
@@ -185,7 +185,7 @@ def _run_table(files: ExperimentFolder) -> tuple[RunTableRows, Sequence[ColumnDe
 
 
 def _known_secrets(files: ExperimentFolder, manifest: Mapping[str, Any]) -> set[str]:
-    """Return the secrets of the environment, the configs and what was set by hand, to find them elsewhere, too."""
+    """Return the secrets in environment variables, configs and settings, to find them in other files, too."""
     found = set(secrets_of_environment())
     for folder in (files.config, files.earlier_configs):
         for path in sorted(folder.rglob("*.py")):
@@ -220,7 +220,7 @@ def _findings(
 
 
 def _is_whole(files: ExperimentFolder, facts: Mapping[str, Any], stored: Container[str]) -> bool:
-    """Whether all files of the copy of a revision's repository are in the package."""
+    """Whether the package has all files of the kept copy of a revision's repository."""
     copy = files.revisions / facts["kept"] if facts.get("kept") else None
     if copy is None or not copy.is_dir():
         return False

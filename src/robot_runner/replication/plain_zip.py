@@ -1,4 +1,4 @@
-"""A zip file whose bytes depend on its contents alone, written as its contents come."""
+"""Write a zip file as a stream; its bytes depend on its contents alone."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from typing import BinaryIO, NamedTuple, TypeAlias
 from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.system_refusals import fsync_file, fsync_folder, storage_error, storage_errors
 
-#: Called with the number of bytes that are done, and with that of all.
+#: Called with the number of processed bytes and the total.
 Progress: TypeAlias = "Callable[[int, int], None]"
 
-#: The time of every file in a package: the earliest that a zip file can say.
+#: The time of every file in a package: the earliest that a zip file can hold.
 _STAMP = (1980, 1, 1, 0, 0, 0)
 _LEVEL = 6
 _LARGE = 1 << 30
 _BLOCK = 1 << 16
-#: What a zip file says of each file takes a hundredth of one of this size: many smaller ones are no bomb together.
+#: The metadata of a file takes a hundredth of this size, so that many smaller files together are not a zip bomb.
 _SMALL = 1 << 14
-#: Half of what is taken for a zip bomb: a file whose secrets are replaced may shrink more.
+#: Half the compression ratio of a zip bomb: a file whose secrets are replaced may shrink more.
 _MOST_TIMES_SMALLER = 100
-#: Compressed already.
+#: Suffixes of files that are already compressed.
 _COMPRESSED = (".bz2", ".gz", ".npz", ".parquet", ".pdf", ".png", ".whl", ".woff2", ".xz", ".zip", ".zst")
 
 
 class StoredFile(NamedTuple):
-    """What was written under one name: its size in bytes, uncompressed, and its SHA-256 in hexadecimal digits."""
+    """A written file: its uncompressed size in bytes, and its SHA-256 in hexadecimal digits."""
 
     name: str
     size: int
@@ -42,7 +42,7 @@ class PlainZip:
     """A zip file being written.
 
     Attributes:
-        stored: what was written so far, by name.
+        stored: the files written so far, by name.
     """
 
     def __init__(self, target: Path | BinaryIO) -> None:
@@ -55,11 +55,11 @@ class PlainZip:
         Args:
             name: in the zip file.
             blocks: its contents.
-            size: about how large it will be: above 1 GiB it is written in the form for large files.
-            is_stored: whether it is written as it is, and not deflated.
+            size: its approximate size, bytes: above 1 GiB it is written in the ZIP64 format.
+            is_stored: whether to write it uncompressed.
 
         Raises:
-            OSError: it cannot be read or written.
+            OSError: a file cannot be read or written.
         """
         entry = _entry(name, 0o100644)
         is_stored = is_stored or name.casefold().endswith(_COMPRESSED)
@@ -75,10 +75,10 @@ class PlainZip:
         return self.stored[name]
 
     def add_folders(self, names: Iterable[str]) -> None:
-        """Write an entry for each of these folders, whose names end with `/`: what describes a package names them.
+        """Write an entry for each of these folders, since the crate describes them; their names end with `/`.
 
         Raises:
-            OSError: it cannot be written.
+            OSError: the zip file cannot be written.
         """
         for name in sorted(names):
             entry = _entry(name, 0o40755)
@@ -91,10 +91,10 @@ class PlainZip:
 
 
 def looks_like_a_bomb(path: Path, size: int) -> bool:
-    """Whether a file would shrink so much that who receives it takes it for a zip bomb: one line again and again.
+    """Whether a file, such as one with equal lines, would be compressed so much that it looks like a zip bomb.
 
     Raises:
-        StorageError: it cannot be read.
+        StorageError: the file cannot be read.
     """
     if size <= _SMALL:
         return False
@@ -114,10 +114,10 @@ def _entry(name: str, mode: int) -> zipfile.ZipInfo:
 
 @contextmanager
 def written_beside(target: Path) -> Iterator[PlainZip]:
-    """Yield a zip file beside `target`, which replaces it once everything is in it and on the disk.
+    """Yield a zip file beside `target`; it replaces `target` when it is complete and on the disk.
 
     Raises:
-        StorageError: it cannot be written; what stood at `target` is intact.
+        StorageError: the file cannot be written; an earlier file at `target` is intact.
     """
     beside = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     try:

@@ -1,4 +1,4 @@
-"""Files on their way into a package: secrets replaced, in blocks, so that the size of a file does not matter."""
+"""Replace secrets in the files of a package, block by block, so that files of any size can be packed."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from robot_runner.replication.named_secrets import (
 from robot_runner.replication.secret_kinds import HOME_PATH, Found, Kind, kinds, literal, reduced
 
 _BLOCK = 1 << 20
-#: A file that is not longer is looked at as a whole.
+#: A file up to this size is searched as a whole, bytes.
 _WHOLE = 4 << 20
-#: Of a line that is longer than a block, so much stays for the next block: what stands across the cut is found there.
+#: If a line is longer than a block, so many bytes move to the next block, to find secrets across the cut.
 _KEPT_BACK = 8192
-#: A longer line is no heading of a table.
+#: A longer line is not the heading of a table, bytes.
 _LONGEST_HEADING = 1 << 16
-#: More lines of one kind in one file are counted, not told.
+#: At most so many line numbers are recorded for each kind and file.
 _MOST_LINES = 20
 _SNIFFED = 8192
 _BINARY_TEXT = ".bag .bz2 .db3 .gz .mcap .npz .parquet .pdf .png .tar .tgz .whl .woff2 .xz .zip .zst"
@@ -43,20 +43,20 @@ _GRAMMARS = {
 
 
 def chunks_of(file: IO[bytes]) -> Iterator[bytes]:
-    """Yield what is left of a file, block by block."""
+    """Yield the rest of a file, block by block."""
     return iter(partial(file.read, _BLOCK), b"")
 
 
 def grammar_of(path: Path) -> Grammar:
-    """Return what a file is written in, by its name."""
+    """Return the grammar of a file, by its suffix."""
     return _GRAMMARS.get(path.suffix.casefold(), Grammar.TEXT)
 
 
 def is_binary(path: Path) -> bool:
-    """Whether nothing in a file can be replaced without breaking it.
+    """Whether a file is binary, so that replacing bytes would break it.
 
     Raises:
-        OSError: it cannot be read.
+        OSError: the file cannot be read.
     """
     if path.suffix.casefold() in _BINARY:
         return True
@@ -66,11 +66,11 @@ def is_binary(path: Path) -> bool:
 
 @dataclass(slots=True)
 class Hits:
-    """What was found in a file: of each kind how often, and in which lines at first.
+    """The secrets found in a file: number and first lines of each kind.
 
     Attributes:
-        replaced: how many secrets of each kind were replaced.
-        doubtful: how often something was found that may be one, and stays.
+        replaced: the number of replaced secrets of each kind.
+        doubtful: the number of possible secrets of each kind that were not replaced.
         lines: the numbers of the first lines with each kind, from 1.
     """
 
@@ -79,7 +79,7 @@ class Hits:
     lines: dict[str, list[int]] = field(default_factory=dict)
 
     def note(self, found: Found, line: int, *, is_replaced: bool) -> None:
-        """Count one."""
+        """Count a secret, and record its line."""
         (self.replaced if is_replaced else self.doubtful)[found.what] += 1
         lines = self.lines.setdefault(found.what, [])
         if len(lines) < _MOST_LINES and line not in lines[-1:]:
@@ -91,9 +91,9 @@ class Redactor:
     """Replaces secrets in files.
 
     Attributes:
-        known: texts that are secrets of this experiment, wherever they stand, and the home folder of the user.
-        has_general: whether secrets of all kinds are looked for, and not only those that are known, and private keys.
-        replaces_doubtful: whether what may be a secret is replaced, too.
+        known: known secrets of this experiment, which are replaced wherever they occur, and the user's home folder.
+        has_general: whether to search for all kinds of secrets, and not only for known ones and private keys.
+        replaces_doubtful: whether to replace possible secrets, too.
 
     Example:
         >>> redactor = Redactor.knowing({"swordfish"}, home=None)
@@ -107,7 +107,7 @@ class Redactor:
 
     @classmethod
     def knowing(cls, secrets: Iterable[str], *, home: Path | None, replaces_doubtful: bool = False) -> Redactor:
-        """Return one that also replaces these very texts, and the home folder of the user who packs."""
+        """Return a redactor that also replaces these texts and the user's home folder."""
         texts = sorted(secrets, key=lambda text: (-len(text), text))
         known = [literal("password", text, REDACTED, is_whole=text.isalnum()) for text in texts]
         own = [literal(HOME_PATH, str(home), "~")] if home and len(home.parts) > 2 else []  # noqa: PLR2004
@@ -115,20 +115,20 @@ class Redactor:
 
     @property
     def own(self) -> Redactor:
-        """A redactor of this experiment's secrets, this home and private keys only: code is full of false alarms."""
+        """A redactor of only the known secrets, the home folder and private keys: code causes many false alarms."""
         return Redactor(self.known, has_general=False)
 
     @cached_property
     def _kinds(self) -> tuple[Kind, ...]:
         wanted = [*self.known, *(each for each in kinds() if self.has_general or each.what == "private key")]
-        return tuple(sorted(wanted, key=lambda each: each.what == HOME_PATH))  # homes last: a secret goes whole
+        return tuple(sorted(wanted, key=lambda each: each.what == HOME_PATH))  # last: secrets in paths
 
     def find(self, block: bytes, grammar: Grammar, *, is_file: bool = False) -> list[Found]:
-        """Return the secrets of a block, in the order in which they stand, none of them across another.
+        """Return the secrets of a block in their order, without overlaps.
 
         Args:
             block: the text.
-            grammar: what it is written in.
+            grammar: its grammar.
             is_file: whether it is a whole file, so that code can be parsed.
         """
         hinted = reduced(block)
@@ -145,7 +145,7 @@ class Redactor:
         return _without_overlap(found)
 
     def secrets_in(self, chunks: Iterable[bytes], grammar: Grammar) -> Counter[str]:
-        """Return how many secrets of each kind are in a text that comes in chunks, and stays as it is."""
+        """Return the number of secrets of each kind in a text, which is given in chunks and stays unchanged."""
         hits = Hits()
         for _ in self.cleaned(chunks, hits, grammar):
             pass
@@ -156,7 +156,7 @@ class Redactor:
         return self._replaced(block, self.find(block, grammar), Hits(), 1)
 
     def cleaned(self, chunks: Iterable[bytes], hits: Hits, grammar: Grammar) -> Iterator[bytes]:
-        """Yield a text that comes in chunks of UTF-8 in blocks of another size, secrets replaced."""
+        """Yield a text with its secrets replaced; it is given in chunks of UTF-8, and yielded in other blocks."""
         kept, line, is_whole, is_in_row, separator, columns = b"", 1, True, False, b",", frozenset[int]()
         for chunk, is_last in _with_last(chunks):
             kept += chunk
@@ -172,7 +172,7 @@ class Redactor:
             cut = len(kept) if is_last else _cut_of(kept, found)
             if columns and not is_last:
                 row_end = _row_end(ends, cut, found)
-                is_in_row = not row_end and (is_in_row or len(kept) >= 2 * _WHOLE)  # it may be too long to be kept
+                is_in_row = not row_end and (is_in_row or len(kept) >= 2 * _WHOLE)  # too long to keep
                 cut = cut if is_in_row else row_end
             yield self._replaced(kept[:cut], [each for each in found if each.end <= cut], hits, line)
             line += kept.count(b"\n", 0, cut)
@@ -195,16 +195,16 @@ class Redactor:
 def _in_columns(
     block: bytes, separator: bytes, columns: frozenset[int], *, is_whole: bool, is_last: bool
 ) -> tuple[list[Found], list[int]]:
-    """Return what is found in columns, and where the rows end that are whole."""
+    """Return the possible secrets in columns, and the ends of complete rows."""
     found, ends = secrets_in_columns(block, separator, columns, has_heading=is_whole, goes_on=not is_last)
     if is_last or len(block) - (ends[-1] if ends else 0) < _WHOLE:
         return found, ends
-    # No note is that long: nothing closes the quote.
+    # No cell is that long: the quotation mark is never closed.
     return secrets_in_columns(block, separator, columns, has_heading=is_whole, goes_on=False)
 
 
 def _row_end(ends: list[int], cut: int, found: list[Found]) -> int:
-    """Return the last of these ends before a cut that is within nothing that was found; 0 where none is."""
+    """Return the last end of a row before a cut that is not inside a found secret; 0 if there is none."""
     end = ends[at - 1] if (at := bisect_right(ends, cut)) else 0
     for each in reversed(found):
         if each.begin < end < each.end:
@@ -224,7 +224,7 @@ def _with_last(chunks: Iterable[bytes]) -> Iterator[tuple[bytes, bool]]:
 
 
 def _without_overlap(found: list[Found]) -> list[Found]:
-    """Return the same in the order of the text; where several have something in common, one that covers them all."""
+    """Return the findings in the order of the text; overlapping ones are merged."""
     kept: list[Found] = []
     for each in sorted(found, key=lambda each: each.start):
         if kept and each.start < kept[-1].end:
@@ -235,18 +235,18 @@ def _without_overlap(found: list[Found]) -> list[Found]:
 
 
 def _joined(first: Found, second: Found) -> Found:
-    """Return one finding that covers two, with the words and the replacement of the one that covers more."""
+    """Return the union of two findings, with the description and the replacement of the longer one."""
     sure = [each for each in (first, second) if each.is_sure] or [first, second]
     secret = [each for each in sure if each.what != HOME_PATH] or sure
     widest = max(secret, key=lambda each: each.end - each.start)
-    if not widest.is_sure or len(sure) == 1:  # a doubt beside what is sure counts no more
+    if not widest.is_sure or len(sure) == 1:  # a possible secret that overlaps a certain one is dropped
         first = second = widest
     start, end = min(first.start, second.start), max(first.end, second.end)
     return widest._replace(start=start, end=end, begin=min(first.begin, second.begin))
 
 
 def _cut_of(block: bytes, found: list[Found]) -> int:
-    """Return where to end a block that goes on: with a line, where it has one, and before whatever may go on."""
+    """Return where to cut a block that continues: after a line if possible, and not inside a secret or a key."""
     cut = block.rfind(b"\n") + 1 or max(0, len(block) - _KEPT_BACK)
     begun = block.rfind(b"-----BEGIN ", 0, cut)
     if begun >= 0 and block.find(b"-----END ", begun, cut) < 0 and cut - begun < 1 << 16:

@@ -1,4 +1,4 @@
-"""From a package, or an experiment's folder that nobody sealed, to the same experiment, ready to be executed again."""
+"""Prepare the experiment of a package, or of an experiment's folder that was not packed, to be executed again."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ from robot_runner.replication.plain_zip import Progress
 from robot_runner.replication.verification import Environment, refuse_faults, verify_package
 
 _UNPACKED = "package"
-#: Beside it, what of it may be written into.
+#: Beside the unpacked package: copies of its input files, which may be written to.
 _WORKING = "files"
-#: Where the results go, and on whose cluster runs are executed, a replication never takes from the original.
+#: A replication never takes its results folder, its cluster or the path of its registration from the original.
 _PATH, _CLUSTER, _REGISTRATION = "results_output_path", "cluster", "registration"
-#: So many values that are others than the original's are named.
+#: At most so many differing values are named.
 _NAMED = 8
 
 
@@ -51,11 +51,11 @@ class Source:
 
     Attributes:
         path: the zip file or the folder.
-        is_sealed: whether it has checksums, which were found to be right.
+        is_sealed: whether it has checksums; they were checked.
         experiment: the experiment's name.
-        description: of the package; empty where it is not sealed.
-        environment: as the package or the manifest has it.
-        findings: of verification, none of them an error.
+        description: the package's description of itself; empty if it is not sealed.
+        environment: the environment from the package or from the manifest.
+        findings: the findings of verification, none of them an error.
     """
 
     path: Path
@@ -68,14 +68,14 @@ class Source:
 
     @property
     def kind(self) -> str:
-        """What it is called: a package, or an experiment that nobody sealed."""
+        """The noun for it in messages: package, or experiment if it is not sealed."""
         return "package" if self.is_sealed else "experiment"
 
     def refuse_target(self, target: Path) -> None:
-        """Let only a folder pass that is not part of what is replicated.
+        """Refuse a target inside the original, or one that is a file.
 
         Raises:
-            PackageError: it is.
+            PackageError: the target is inside the original, or is a file.
         """
         root = self.path.resolve()
         if target == root or root in target.parents:
@@ -88,8 +88,8 @@ class Source:
         """Return the folder that holds the original; a zip file is unpacked below `target`.
 
         Raises:
-            PackageError: another package is there, what is there was altered, or there is no room.
-            StorageError: it cannot be written.
+            PackageError: another package is there, the unpacked files were altered, or the disk is full.
+            StorageError: the folder cannot be written.
         """
         if self.path.is_dir():
             return self.path.resolve()
@@ -104,11 +104,11 @@ class Source:
 
 
 def find_source(path: Path, progress: Progress) -> Source:
-    """Open and verify what is to be replicated; nothing is written, and nothing of it is executed.
+    """Open and verify a package or an experiment's folder; nothing is written, and none of its code is executed.
 
     Raises:
-        PackageError: it is not intact, or is nothing that can be replicated.
-        StorageError: it cannot be read.
+        PackageError: the package is not intact, or `path` is neither a package nor an experiment's folder.
+        StorageError: a file cannot be read.
     """
     if path.is_dir() and not (path / DESCRIPTION).exists():
         manifest = read_manifest(ExperimentFolder.found_at(path).manifest)
@@ -124,10 +124,10 @@ def find_source(path: Path, progress: Progress) -> Source:
 
 
 def _environment(path: Path, manifest: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return what the manifest tells of the environment, in the form that a package has it in.
+    """Return the environment from the manifest, in the form of a package's `environment.json`.
 
     Raises:
-        PackageError: it is not as it has to be.
+        PackageError: the manifest's entries have the wrong shape.
     """
     software = manifest.get("software") or {}
     packages = {
@@ -148,24 +148,25 @@ class Replication(NamedTuple):
 
 
 def original_settings(manifest: Mapping[str, Any]) -> dict[str, str]:
-    """Return what was set by hand when the package's experiment was executed last, but for where that was."""
+    """Return the settings of the original's last execution, except its results folder and its cluster."""
     executions = manifest.get("executions") or [manifest]
     settings = executions[-1].get("deviations") or {}
     return {str(name): str(text) for name, text in settings.items() if name not in {_PATH, _CLUSTER}}
 
 
 def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str]) -> Replication:
-    """Load the config of a package and make the experiment of it that is to be executed. This executes its code.
+    """Load a package's config, which executes its code, and prepare its experiment.
 
     Args:
-        root: the unpacked package, or an experiment's folder; verified, and agreed to by the user.
+        root: the unpacked package, or an experiment's folder; verified, and accepted by the user.
         target: the folder in which the new experiment's folder is made.
-        deviations: static parameters that are to be other than they were.
+        deviations: static parameters with values that differ from the original's.
 
     Raises:
-        PackageError: something that it needs is not here, another experiment is in the folder, or a deviation is none.
+        PackageError: a module is not installed, a file of the original is missing, another experiment is in the
+            folder, or a deviation is not allowed.
         ConfigError: the config is refused; carries every finding.
-        StorageError: something cannot be read or written.
+        StorageError: a file cannot be read or written.
     """
     if given := deviations.keys() & {_PATH, _REGISTRATION}:
         fix = "Leave it out: results go below the folder of --to, and a registration is that of the original."
@@ -185,7 +186,7 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
     absent = list(missing_inputs(files.config))
     if preparation.experiment is None:
         raise ConfigError.of_findings([*preparation.findings, *absent])
-    # Where it is executed, where its results go, and where its registration is, is no deviation from the original.
+    # Its cluster, its results folder and the path of its registration do not count as deviations from the original.
     own = {_CLUSTER, _PATH, _REGISTRATION} - deviations.keys()
     overrides = {name: text for name, text in settings.items() if name not in own}
     experiment = replace(preparation.experiment, replication=facts, overrides=overrides)
@@ -227,12 +228,12 @@ def _facts(files: ExperimentFolder, manifest: Mapping[str, Any], deviations: Map
         "sha256": digest,
         "seed": manifest.get("seed"),
         "deviations": hidden_settings(deviations),
-        "treatments": made_for(files),  # a branch may mean another commit by now
+        "treatments": made_for(files),  # a branch may point at another commit by now
     }
 
 
 def made_for(files: ExperimentFolder) -> dict[str, Any]:
-    """Return what is known of the original's treatments, with where the copies lie that they can be made from."""
+    """Return the facts of the original's treatments, with the paths of the kept copies of their repositories."""
     known = known_treatments(files)
     for factor in _mappings_in(known.get("revisions")):
         for facts in _mappings_in(factor):
@@ -242,12 +243,12 @@ def made_for(files: ExperimentFolder) -> dict[str, Any]:
 
 
 def _mappings_in(value: object) -> list[dict[str, Any]]:
-    """Return the mappings in a mapping that a stranger wrote, who may have written anything."""
+    """Return the values of a mapping that are mappings; a package from elsewhere may hold any values."""
     return [each for each in value.values() if isinstance(each, dict)] if isinstance(value, dict) else []
 
 
 def _identity(files: ExperimentFolder) -> tuple[str, str]:
-    """Return the file that tells which original it is, and its SHA-256."""
+    """Return the name of the file that identifies the original, and its SHA-256."""
     sums = files.root / SUMS
     identity = sums if sums.is_file() else files.manifest
     with open_to_read(identity) as file:
@@ -257,7 +258,7 @@ def _identity(files: ExperimentFolder) -> tuple[str, str]:
 def _other_values(
     experiment: Experiment, manifest: Mapping[str, Any], deviations: Mapping[str, str]
 ) -> Iterator[Finding]:
-    """Yield a warning where the config takes other values from outside here than it did for the original."""
+    """Yield a warning if the config reads other values from outside, such as the environment, than it did then."""
     if told := given_elsewhere(experiment, manifest, deviations):
         problem = f"what the config is given is not what the original was given: {listed(told, _NAMED)}"
         fix = "Have it be the same if results are to be compared: it may come from a variable of the environment."
@@ -279,7 +280,7 @@ def _refuse_other(experiment: Experiment, facts: Mapping[str, Any], deviations: 
 def _settle_table(
     experiment: Experiment, files: ExperimentFolder, manifest: Mapping[str, Any], *, has_deviations: bool
 ) -> list[Finding]:
-    """Make sure that the runs are the original ones; return a finding where the config plans others."""
+    """Make sure that the runs are the original ones; return a finding if the config plans others."""
     has_exclusions = files.schema.exists() and TableLayout.of_schema(read_schema(files.schema)).has_exclusions
     layout = replace(experiment.table_layout(), has_exclusions=has_exclusions)
     rows = read_run_table(files.run_table, layout)
@@ -301,7 +302,7 @@ def _settle_table(
 
 
 def _with_batches(experiment: Experiment, files: ExperimentFolder) -> Experiment:
-    """Return the experiment with the batches and repetitions that the original grew by, which its journal then has.
+    """Return the experiment with the original's later batches and repetitions, and write them to its journal.
 
     Raises:
         DesignError: the config lacks a treatment that runs of the original have.
@@ -311,25 +312,25 @@ def _with_batches(experiment: Experiment, files: ExperimentFolder) -> Experiment
         return experiment
     make_experiment_folder(experiment.folder.root)
     with Journal(experiment.folder.journal) as journal:
-        if not experiment.model.batches:  # else an earlier try has come this far
+        if not experiment.model.batches:  # else an earlier attempt has written them
             for fields in records_of(model.batches):
                 journal.append(EXTENDED if "batch" in fields else REPEATED, flush=True, **fields)
     return replace(experiment, model=model)
 
 
 def _put_table(experiment: Experiment, rows: RunTableRows) -> None:
-    """Write the original's runs as if by hand, all of them to be executed, those that were excluded there as well."""
+    """Write the original's runs as a run table by hand, all to be executed, also those that were excluded."""
     make_experiment_folder(experiment.folder.root)
     write_run_table(experiment.folder.run_table, rows.to_do_again())
 
 
 def working_files(root: Path, target: Path) -> Path | None:
-    """Return a folder with copies of the files that the original reads, made where it is missing; None without files.
+    """Return a folder with copies of the original's input files, made if it is missing; None without such files.
 
-    Software under test may write where it reads, and the original is to stay as it is.
+    Software under test may write to its input files, and the original must not change.
 
     Raises:
-        StorageError: something cannot be read or written.
+        StorageError: a file cannot be read or written.
     """
     files = ExperimentFolder.found_at(root)
     if not read_index(files.config):
@@ -341,16 +342,16 @@ def working_files(root: Path, target: Path) -> Path | None:
 
 
 def replicated_folder(target: Path, root: Path, deviations: Mapping[str, str]) -> Path:
-    """Return the folder in which a package was executed again; of several, the one that was executed last.
+    """Return the folder of a package's replication; of several, the one that was executed last.
 
     Args:
-        target: the folder below which it is.
+        target: the folder that contains it.
         root: the unpacked package, or the experiment's folder that was replicated.
-        deviations: what was set otherwise: with another name or path, the same package may have been executed before.
+        deviations: its deviations: the same package may have been replicated before with another name or path.
 
     Raises:
-        PackageError: there is none.
-        StorageError: something cannot be read.
+        PackageError: there is no such folder.
+        StorageError: a file cannot be read.
     """
     digest = _identity(ExperimentFolder.found_at(root))[1]
     found = []

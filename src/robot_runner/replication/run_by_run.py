@@ -1,4 +1,4 @@
-"""The values of two experiments beside each other, run by run."""
+"""Compare the values of two experiments run by run."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from robot_runner.core.storage.run_table_rows import RunTableRows
 
 @dataclass(frozen=True, slots=True)
 class Sameness:
-    """One measure in the runs that are done in both experiments.
+    """The comparison of one measure in the runs that are done in both experiments.
 
     Attributes:
-        runs: how many of them have a value in either.
-        identical: in how many of these the two values are the same, to the last digit.
-        lacking: how many more have a value in the original, and are not done in the replication.
+        runs: the number of these runs with a value in either experiment.
+        identical: the number of these with the same value in both, to the last digit.
+        lacking: the number of further runs with a value in the original that are not done in the replication.
 
     Example:
         >>> Sameness(15, 15).is_complete, Sameness(1, 1, lacking=14).is_complete
@@ -31,20 +31,20 @@ class Sameness:
 
     @property
     def is_same(self) -> bool:
-        """Whether there are values, and all that can be compared are the same."""
+        """Whether there are values, and all comparable ones are the same."""
         return self.runs > 0 and self.identical == self.runs
 
     @property
     def is_complete(self) -> bool:
-        """Whether all values of the original are there again, and the same."""
+        """Whether the replication has all values of the original, and they are the same."""
         return self.is_same and not self.lacking
 
 
 def identical_values(original: Path, replication: Path) -> dict[str, Sameness]:
-    """Compare the run tables of two experiments run by run, by the runs' ids; excluded runs are passed over.
+    """Compare the run tables of two experiments by the ids of their runs; excluded runs are skipped.
 
     Returns:
-        Each measure that both have.
+        The comparison of each measure that both have.
 
     Raises:
         StorageError: a run table cannot be read.
@@ -62,12 +62,12 @@ def identical_values(original: Path, replication: Path) -> dict[str, Sameness]:
 
 
 def statuses_that_count(rows: RunTableRows) -> list[RunStatus]:
-    """Return the status of each run that nobody left out."""
+    """Return the status of each run that is not excluded."""
     return [rows.status(place) for place in range(len(rows)) if rows.excluded(place) is None]
 
 
 def is_executed(folder: Path) -> bool:
-    """Return whether each run of an experiment was executed, whatever became of it, and some run is done.
+    """Return whether all runs of an experiment are done or failed, and at least one is done.
 
     Raises:
         StorageError: the run table cannot be read.

@@ -1,4 +1,4 @@
-"""What the journal has of one run: its attempts, what it waited for, and what people changed."""
+"""The journal's records of one run: attempts, waits, and corrections by people."""
 
 from __future__ import annotations
 
@@ -11,36 +11,36 @@ from robot_runner.core.storage.executed_runs import EXCLUSION_KINDS, ExcludedRun
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.words import shown_commit, shown_duration
 
-#: What the runs that follow have in common.
+#: The record of an execution, which applies to the runs after it.
 _OF_EXECUTION = "experiment_started"
 
 
 @dataclass(slots=True)
 class RunHistory:
-    """What the journal has of one run.
+    """The journal's records of one run.
 
     Attributes:
-        attempt: the number of the last attempt; 0 where there was none.
+        attempt: the number of the last attempt; 0 if there was none.
         started_at, finished_at: of the last attempt (UTC).
-        place: where that was executed; empty where there was one place only.
-        is_elsewhere: whether that was a worker of a cluster.
-        measures: what it published: a mapping with `value`, `owner`, `origin` for each.
-        clocks: when its events were emitted, s on the run's clock.
-        doubts: what the owners of measures found odd about their samples, by owner.
+        place: where the last attempt was executed; empty if there was only one place.
+        is_elsewhere: whether that place is a worker of a cluster.
+        measures: its published measures: a mapping with `value`, `owner`, `origin` for each.
+        clocks: the times of its events, s on the run's clock.
+        doubts: findings of the owners of measures about their samples, by owner.
         hosts: other computers that were measured, with the offsets of their clocks.
-        failures: why earlier attempts failed, by number.
+        failures: why attempts failed, by number.
         bound: plugin, parameter, factor and value of each parameter that was bound to a factor.
-        readers: who read the treatment of each factor.
-        stopped: who stopped the mission, and why; empty where nobody did.
-        excluded: whether, when and why the run was left out.
-        corrections: each time that it was excluded or included.
-        waits: what was awaited before and in the last attempt, and which guards came true in it.
-        waited: how long that took in all, s.
+        readers: the readers of each factor's treatment.
+        stopped: who stopped the mission, and why; empty if it was not stopped.
+        excluded: whether, when and why the run was excluded.
+        corrections: each exclusion and inclusion of the run.
+        waits: conditions that were awaited before and in the last attempt, and guards that fired in it.
+        waited: the total duration of these waits, s.
         gate_of: the attempt before which a gate was awaited last.
         commit: of the config's repository.
-        subjects: software under test, with its command and where its output is.
-        steps: what a person did before the run, and noted of it.
-        programs: the programs that were called, by who called them.
+        subjects: software under test, with its command and the file of its output.
+        steps: what a person did before and after the run, and noted about it.
+        programs: the called programs, by caller.
     """
 
     attempt: int = 0
@@ -68,10 +68,10 @@ class RunHistory:
 
     @classmethod
     def read(cls, journal: Path, run_id: str) -> Self:
-        """Read what the journal has of a run; a journal that does not exist has nothing.
+        """Read the records of a run; a missing journal has none.
 
         Raises:
-            StorageError: it cannot be read.
+            StorageError: the journal cannot be read.
         """
         history = cls()
         commit = ""
@@ -84,7 +84,7 @@ class RunHistory:
         return history
 
     def _begin(self, record: dict[str, Any]) -> None:
-        if self.gate_of != record["attempt"]:  # else the gates before it belong to it
+        if self.gate_of != record["attempt"]:  # else the gates before it belong to this attempt
             self.waits, self.waited = [], 0.0
         self.attempt, self.started_at, self.finished_at = int(record["attempt"]), record["at"], None
         self.place, self.is_elsewhere = str(record.get("place") or ""), record.get("slot") == 0
@@ -92,7 +92,7 @@ class RunHistory:
         self.bound, self.readers, self.stopped, self.subjects, self.programs = [], None, "", [], []
 
     def _end(self, record: dict[str, Any]) -> None:
-        self.finished_at = self.finished_at or record["at"]  # a later end only adds what was published after it
+        self.finished_at = self.finished_at or record["at"]  # a later record only adds measures
         self.measures = record["measures"]
         self.readers = record.get("readers")
         if record.get("failure"):

@@ -1,4 +1,4 @@
-"""Sealing an experiment's folder as one file: read, cleaned of secrets, hashed and written block by block."""
+"""Seal an experiment's folder as one file: read, redact, hash and write it block by block."""
 
 from __future__ import annotations
 
@@ -44,16 +44,15 @@ from robot_runner.replication.redaction import Redactor, chunks_of
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Packing:
-    """What is asked of a package.
+    """Options for packing.
 
     Attributes:
-        raw: whose raw data to take: `all`, `none`, or names of plugins.
-        keep: patterns of names of files to pack as they are, though something in them looks secret.
-        doubtful: what happens with what may be a secret: packing is refused, or it is packed as it is, or replaced.
-        authors, licence, citation: take the place of what the config said.
-        with_wheels: whether packages that only this machine has go in as wheels.
-        with_hashes: whether the package index that pip is set up for is asked for the hashes that the lock of Robot
-            Runner does not have.
+        raw: the plugins whose raw data is packed: `all`, `none`, or their names.
+        keep: patterns of the names of files to pack unchanged, although they seem to hold secrets.
+        doubtful: how to treat a possible secret: refuse to pack, pack it unchanged, or replace it.
+        authors, licence, citation: override those of the config.
+        with_wheels: whether to pack distributions that exist only on this machine as wheels.
+        with_hashes: whether to ask the package index of pip's settings for hashes that are not in Robot Runner's lock.
 
     Example:
         >>> Packing(raw=("Ina219",)).licence is None
@@ -76,15 +75,15 @@ class Sealing:
     """One package being written.
 
     Attributes:
-        asked: what is asked of it.
+        asked: the options.
         columns, rows: the run table's.
-        run_folders: the run of each folder in the package that is a run's, by the folder's name, which ends with `/`.
-        chosen: which files go in.
+        run_folders: the run of each run folder in the package, by the folder's name, which ends with `/`.
+        chosen: the files to pack.
         redactor: replaces secrets.
-        archive: where they go.
-        progress: is told how many bytes are packed, of how many.
-        left_out: what does not go in, and why.
-        cleaning: which secrets were replaced, and what may be one.
+        archive: the zip file.
+        progress: called with the number of packed bytes and the total.
+        left_out: the files that are not packed, and why.
+        cleaning: replaced and possible secrets.
         wheels: the hash of each wheel, by the canonical name of its distribution.
     """
 
@@ -109,11 +108,11 @@ class Sealing:
         self.cleaning = Cleaning(self.redactor, self.asked.keep, self.left_out)
 
     def write_files(self) -> None:
-        """Write the files of the experiment, and the wheels of what was installed from a folder of this machine.
+        """Write the files of the experiment, and wheels of distributions installed from local folders.
 
         Raises:
             StorageError: a file cannot be read.
-            PackageError: something in them may be a secret, where that is refused.
+            PackageError: a file holds a possible secret, and the options refuse it.
             OSError: the package cannot be written.
         """
         for file in self.chosen.files:
@@ -121,7 +120,7 @@ class Sealing:
             if (blocks := self.cleaning.blocks_of(file)) is not None:
                 is_stored = looks_like_a_bomb(file.path, file.size)
                 self.archive.add(file.name, self._blocks(file, blocks), size=file.size, is_stored=is_stored)
-            self._advance(end - self._done)  # what was replaced may be longer than what stood there
+            self._advance(end - self._done)  # a replacement may be longer or shorter than the secret
         for distribution in self.environment.local if self.asked.with_wheels else ():
             self._add_wheel(distribution)
         if self.asked.doubtful == "refuse":
@@ -155,7 +154,7 @@ class Sealing:
         self.wheels[canonical(distribution.name)] = stored.sha256
 
     def describe(self, environment: RecordedEnvironment) -> None:
-        """Add what describes the files, and the environment that they need, with the hashes that are known.
+        """Add the descriptions of the files and of the environment, with the known hashes.
 
         Raises:
             PackageError: the crate would not be valid.
@@ -191,7 +190,7 @@ class Sealing:
         self.archive.add_folders(folders)
 
     def _add_terms(self) -> None:
-        """Add the licence's text, unless somebody put one there, and how to cite the package."""
+        """Add the licence's text, unless the folder has one, and the citation files."""
         about = self.about
         if contents.LICENCE not in self.archive.stored and (text := licence_text(about)):
             self._add_text(contents.LICENCE, text)
@@ -238,7 +237,7 @@ class Sealing:
         self._add_text(name, json.dumps(facts, indent=2, ensure_ascii=False, default=str) + "\n")
 
     def _add_text(self, name: str, text: str) -> None:
-        """Write what was made from the manifest: whatever the manifest holds may be in it, secrets too."""
+        """Write a text that was generated from the manifest, redacted: the manifest may hold secrets."""
         self.archive.add(name, [self.redactor.redacted(text.encode())])
 
 
@@ -248,10 +247,10 @@ _WORKFLOW = frozenset({"File", "SoftwareSourceCode", "ComputationalWorkflow"})
 
 
 def crate_faults(text: str, names: Collection[str]) -> Iterator[Finding]:
-    """Yield an error finding for each rule that the crate breaks: such a package is refused, never published.
+    """Yield an error finding for each violated rule of the crate formats; packing is refused then.
 
-    The rules are the REQUIRED ones of RO-Crate 1.1, Process Run Crate and Workflow Run Crate (0.5) that an experiment
-    could break. The tests of the project ask the validator of the formats' own authors for all of them.
+    Checked are those REQUIRED rules of RO-Crate 1.1, Process Run Crate and Workflow Run Crate (0.5) that an experiment
+    could violate. The project's tests check all of them with the validator by the authors of the formats.
 
     Args:
         text: of `ro-crate-metadata.json`.

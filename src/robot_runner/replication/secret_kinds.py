@@ -1,6 +1,6 @@
-"""Secrets that show by their form, whatever they are called: keys, tokens of services, addresses, words of a command.
+"""Find secrets by their form: keys, tokens of services, addresses, arguments of commands.
 
-The forms of tokens are those that the services document; what stands under a name is in `named_secrets`.
+The forms of tokens are those in the documentation of the services. `named_secrets` finds secrets by their names.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ class Found(NamedTuple):
     """A secret in a block of bytes.
 
     Attributes:
-        start, end: where it stands.
+        start, end: its place in the block.
         what: its kind, in words.
-        begin: where that begins by which it is known, such as the name before it.
-        replacement: what takes its place.
-        is_sure: whether it is one; of the others a person has to judge.
+        begin: the start of its context, such as the name before it.
+        replacement: the bytes that replace it.
+        is_sure: whether it certainly is a secret; otherwise a person has to decide.
     """
 
     start: int
@@ -35,15 +35,15 @@ class Found(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """One kind of secret that is found by its form.
+    """A kind of secret that is found by its form.
 
     Attributes:
-        what: the secret in words.
-        hints: texts, as `reduced` has them, of which a block with such a secret holds one: looking for these is much
-            quicker than the expression.
-        expression: finds the secret; its group 1 is what is replaced, or all of it where there is no group.
-        replacement: what takes its place.
-        is_sure: whether what is found is a secret.
+        what: the kind in words.
+        hints: texts in the form of `reduced`; a block with such a secret contains one of them. Searching for these is
+            much faster than the expression.
+        expression: matches the secret; group 1 is replaced, or the whole match if there is no group.
+        replacement: the bytes that replace it.
+        is_sure: whether a match certainly is a secret.
     """
 
     what: str
@@ -53,7 +53,7 @@ class Kind:
     is_sure: bool = True
 
     def find(self, block: bytes) -> Iterator[Found]:
-        """Yield what is found in a block."""
+        """Yield the secrets of this kind in a block."""
         group = 1 if self.expression.groups else 0
         for match in self.expression.finditer(block):
             start, end = match.span(group)
@@ -62,23 +62,23 @@ class Kind:
 
 
 _LOWER = bytes(range(256)).lower()
-#: What no hint holds: without it hardly anything of a table of numbers is left to look through.
+#: Characters that are in no hint: without them, tables of numbers are nearly empty.
 _IN_NO_HINT = b"0123456789 .,;+\t\r\n"
 
 
 def reduced(block: bytes) -> bytes:
-    """Return what of a block the hints are looked for in: in lower case, without digits and blanks."""
+    """Return a block in the form in which hints are searched: in lower case, without digits and blanks."""
     return block.translate(_LOWER, _IN_NO_HINT)
 
 
 def literal(what: str, text: str, replacement: str = "REDACTED", *, is_whole: bool = False) -> Kind:
-    """Return the kind that is this very text.
+    """Return the kind for one literal secret.
 
     Args:
-        what: the secret in words.
-        text: it.
-        replacement: what takes its place.
-        is_whole: whether letters or digits beside it make it another text.
+        what: the kind in words.
+        text: the secret.
+        replacement: the text that replaces it.
+        is_whole: whether it must not have letters or digits beside it.
     """
     raw = text.encode("utf-8", "surrogateescape")
     edges = (rb"(?<![A-Za-z0-9])", rb"(?![A-Za-z0-9])") if is_whole else (b"", b"")
@@ -90,7 +90,7 @@ def _kind(what: str, expression: bytes, *hints: bytes, is_sure: bool = True) -> 
 
 
 _MARKS = rb"PRIVATE KEY|OpenVPN Static key"
-#: Between two words of a command: blanks, or what stands between two texts of a list.
+#: Between two words of a command: blanks, or the separator of two texts in a list.
 _GAP = rb"(?:[ \t]+|\\?[\"'][ \t]*,\s*\\?[\"'])"
 _VALUE = rb"[\"']?([^\s\"',;\\<>|&]+)"
 _CALLS = rb"username_pw_set|HTTP(?:Basic|Digest|Proxy)Auth|BasicAuth|DigestAuth|set_password"
@@ -98,7 +98,7 @@ _CALLS = rb"username_pw_set|HTTP(?:Basic|Digest|Proxy)Auth|BasicAuth|DigestAuth|
 
 @cache
 def kinds() -> tuple[Kind, ...]:
-    """Return the kinds of secrets that are found by their form; of two in one place the first one gives the words."""
+    """Return the kinds of secrets that are found by their form; of two matches at one place, the first kind counts."""
     return (*_keys(), *_addresses(), *_headers(), *_tokens(), *_commands(), *_homes())
 
 
@@ -116,7 +116,7 @@ def _keys() -> Iterator[Kind]:
     yield _kind("SSH key", rb"\b(?:sk-)?(?:ssh-(?:rsa|dss|ed25519)|ecdsa-sha2-nistp\d+)(?:@openssh\.com)?\s+"
                 rb"(AAAA[A-Za-z0-9+/=]{20,})", b"ssh-", b"ecdsa-")  # fmt: skip
     yield _kind("SSH fingerprint", rb"\bSHA256:([A-Za-z0-9+/]{43})(?![A-Za-z0-9+/])", b"sha256:")
-    # Parameters and salt, then the hash: of MD5, 22 characters of this alphabet. Bytes of a picture have no such row.
+    # Parameters and salt, then the hash: MD5's has 22 characters of this alphabet. Images do not contain such a text.
     crypt = rb"\$(?:[1567y]|2[aby]?|apr1|argon2(?:id?|d))\$((?:[\w./+=,-]{0,64}\$){0,4}[A-Za-z0-9./+=]{20,})"
     yield _kind("password hash", crypt, b"$$", b"$a$", b"$b$", b"$y$", b"$apr1$", b"$argon2")
 
@@ -202,7 +202,7 @@ def _commands() -> Iterator[Kind]:
 
 
 def _homes() -> Iterator[Kind]:
-    # Last, so that a secret in a path goes whole.
+    # Last, so that a secret in a path is replaced as a whole.
     home = re.compile(rb"(?<![\w.~-])/(?:home|Users)/[A-Za-z0-9_][A-Za-z0-9._-]*(?=$|[^A-Za-z0-9._-])")
     yield Kind(HOME_PATH, (b"/home/", b"/users/"), home, b"~")
     yield Kind(HOME_PATH, (b"/root",), re.compile(rb"(?<![\w./~-])/root(?=$|[/\s\"'\\,:;)\]}<])"), b"~")

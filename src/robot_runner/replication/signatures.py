@@ -1,7 +1,7 @@
-"""A signature beside a package that tells who made it: OpenSSH's, by the `ssh-keygen` of this machine.
+"""Sign packages, and check their signatures, by OpenSSH's `ssh-keygen`.
 
-The format is https://github.com/openssh/openssh-portable/blob/master/PROTOCOL.sshsig. Whoever has ssh has the program,
-most have a key, and their public keys are published already. The signature is a file of its own, `PACKAGE.sig`.
+The format is https://github.com/openssh/openssh-portable/blob/master/PROTOCOL.sshsig. The program comes with ssh, most
+users have a key, and their public keys are published already. The signature is a separate file, `PACKAGE.sig`.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.safe_write import write_beside_and_rename
 from robot_runner.core.storage.system_refusals import storage_error
 
-#: What it is a signature of: one that was made for a commit or for an e-mail is refused.
+#: The namespace of the signature: signatures of commits or e-mails are refused.
 _NAMESPACE = "robot-runner-package"
-#: To read a package of many gigabytes; to type a passphrase.
+#: Enough to read a package of many gigabytes, and to type a passphrase.
 _DEADLINE_S = 600.0
-#: A signature by the largest key has some kilobytes.
+#: The largest accepted signature, bytes; one by the largest key has a few kilobytes.
 _LARGEST = 64 << 10
 _KEY_TYPES = ("ssh-", "ecdsa-", "sk-ssh-", "sk-ecdsa-")
 _FINGERPRINT = re.compile(r"with (\S+) key (SHA256:[A-Za-z0-9+/=]+)")
@@ -34,11 +34,11 @@ _GET_IT_AGAIN = "Get the package and its signature again from where their author
 
 @dataclass(frozen=True, slots=True)
 class Signer:
-    """Who signed a package.
+    """The signer of a package.
 
     Attributes:
-        key: the kind and the fingerprint of the key.
-        name: whose it is, as the file of those who are trusted says; None where none was given.
+        key: the type and the fingerprint of the key.
+        name: the owner of the key in the file of trusted signers; None without such a file.
     """
 
     key: str
@@ -46,25 +46,25 @@ class Signer:
 
 
 def signature_of(package: Path) -> Path:
-    """Return where the signature of a package lies."""
+    """Return the path of a package's signature."""
     return package.with_name(f"{package.name}.sig")
 
 
 def sign(package: Path, key: Path) -> Path:
-    """Sign a package; its signature is written beside it, and replaces an earlier one.
+    """Sign a package; the signature is written beside it, and replaces an earlier one.
 
     Args:
         package: the zip file.
-        key: the private key, or the public one where the ssh agent holds the private one. A passphrase is asked for on
-            the terminal, by ssh-keygen itself.
+        key: the private key, or the public key if the ssh agent has the private one. ssh-keygen asks for a passphrase
+            on the terminal.
 
     Raises:
-        PackageError: it cannot be signed with this key; the package is as it was.
+        PackageError: signing with this key failed; the package is unchanged.
         StorageError: the signature cannot be written.
     """
     target = signature_of(package)
     with tempfile.TemporaryDirectory(prefix="robot-runner-signature-") as folder:
-        # It writes beside what it signs, and asks before it replaces anything.
+        # ssh-keygen writes the signature beside the signed file, and asks before it replaces one.
         link, made = Path(folder, "package"), Path(folder, "package.sig")
         link.symlink_to(package.resolve())
         answer = _ssh_keygen(["-Y", "sign", "-f", str(key), "-n", _NAMESPACE, str(link)])
@@ -77,15 +77,15 @@ def sign(package: Path, key: Path) -> Path:
 
 
 def check_signature(package: Path, trusted: Path | None = None) -> Signer:
-    """Return who signed a package.
+    """Return the signer of a package.
 
     Args:
         package: the zip file, with its signature beside it.
         trusted: a file with public keys, one a line, or with allowed signers (ssh-keygen(1), ALLOWED SIGNERS). Without
-            it, the signature is checked, and whose key it is remains open.
+            it, the signature is checked, but the owner of the key stays unknown.
 
     Raises:
-        PackageError: there is no signature, it does not belong to this package, or none of those made it.
+        PackageError: there is no signature, it does not match this package, or it is not by a trusted signer.
         StorageError: a file cannot be read.
     """
     signature = signature_of(package)
@@ -102,7 +102,7 @@ def check_signature(package: Path, trusted: Path | None = None) -> Signer:
 
 
 def _name(package: Path, signature: Path, trusted: Path, key: str) -> str:
-    """Return whose key it is, as a file of those who are trusted says."""
+    """Return the owner of the key in the file of trusted signers."""
     with tempfile.TemporaryDirectory(prefix="robot-runner-signers-") as folder:
         signers = Path(folder, "allowed_signers")
         signers.write_text(_allowed_signers(trusted), encoding="utf-8")
@@ -143,7 +143,7 @@ def _allowed_signers(trusted: Path) -> str:
 
 
 def _ssh_keygen(words: Sequence[str], package: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """Run ssh-keygen with the package as its input, or on the terminal, where it asks for a passphrase."""
+    """Run ssh-keygen with the package as its input, or on the terminal, where it may ask for a passphrase."""
     program = shutil.which("ssh-keygen")
     if program is None:
         fix = "Install OpenSSH's client, such as with: apt install openssh-client"
@@ -155,7 +155,7 @@ def _ssh_keygen(words: Sequence[str], package: Path | None = None) -> subprocess
                 [program, *words],
                 stdin=file,
                 stdout=subprocess.PIPE,
-                stderr=None if asks else subprocess.PIPE,  # where it asks
+                stderr=None if asks else subprocess.PIPE,  # it asks for the passphrase there
                 encoding="utf-8",
                 errors="replace",
                 timeout=_DEADLINE_S,

@@ -1,4 +1,4 @@
-"""What a replication says of its original: a conclusion for each measure, one for all together, and an exit code."""
+"""The verdict of a replication: a conclusion for each measure, one for the experiment, and an exit code."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from robot_runner.core.words import combination_label, counted, enumerated, has_
 from robot_runner.replication.needed_runs import needed_runs
 from robot_runner.replication.run_by_run import Sameness
 
-#: What difference does not matter where nobody has said it: a convention, and said to be one wherever it counts.
+#: The default bound of differences that do not matter: a convention, and called one wherever it is used.
 DEFAULT_BOUND = "5%"
-#: The same where a percentage says nothing: of temperatures (degrees Fahrenheit are smaller), and of decibels.
+#: The same for units without a true zero: temperatures (degrees Fahrenheit are smaller) and decibels.
 _DEGREES, _DEGREES_FAHRENHEIT, _DECIBELS = "2", "3.6", "1"
 _TIMES = frozenset({"ns", "us", "\N{MICRO SIGN}s", "\N{GREEK SMALL LETTER MU}s", "ms", "s", "min", "h"})
 _MEASURED = frozenset({None, "", "measured"})
 
 
 class Conclusion(Enum):
-    """What can be said of a measure, or of all primary measures together.
+    """A conclusion on a measure, or on all primary measures together.
 
     IDENTICAL: the same value in every run, to the last digit. EQUIVALENT: no difference as large as the bound.
-    DIFFERENT: a difference that chance does not explain, or that no chance is in. UNDECIDED: nothing was compared, or
-    too little for any of the others.
+    DIFFERENT: a difference that chance does not explain, or one without random variation. UNDECIDED: nothing was
+    compared, or too little for any of the others.
     """
 
     IDENTICAL = "identical"
@@ -37,7 +37,7 @@ class Conclusion(Enum):
 
     @property
     def exit_code(self) -> int:
-        """The exit code that says so."""
+        """The exit code of this conclusion."""
         return {Conclusion.DIFFERENT: 3, Conclusion.UNDECIDED: 4}.get(self, 0)
 
 
@@ -46,8 +46,8 @@ class Margin:
     """The largest difference of a measure that does not matter.
 
     Attributes:
-        text: as `compare --bound` takes it: a percentage of the original's mean, or a number in the measure's unit.
-        source: who says so, in words.
+        text: in the form of `compare --bound`: a percentage of the original's mean, or a number in the measure's unit.
+        source: where it comes from, in words.
 
     Example:
         >>> str(Margin("5%", "--bound"))
@@ -63,14 +63,14 @@ class Margin:
 
 @dataclass(frozen=True, slots=True)
 class MeasureConclusion:
-    """What a replication says of one measure.
+    """The conclusion of a replication on one measure.
 
     Attributes:
-        runs: how many runs have a value in either experiment.
-        bound: what difference does not matter, in words; empty where no bound was needed.
-        bound_source: who says so.
+        runs: the number of runs with a value in either experiment.
+        bound: the largest difference that does not matter, in words; empty if no bound was needed.
+        bound_source: where the bound comes from.
         sentence: the conclusion in words.
-        secondary_because: why it does not count in the verdict; empty for a primary measure.
+        secondary_because: why the measure does not count in the verdict; empty for a primary measure.
     """
 
     name: str
@@ -85,12 +85,12 @@ class MeasureConclusion:
 
 @dataclass(frozen=True, slots=True)
 class ReplicationVerdict:
-    """What a replication says of its original.
+    """The verdict of a replication.
 
     Attributes:
         conclusion: of all primary measures together.
         sentence: the same in words.
-        measures: one each, the primary ones first.
+        measures: one conclusion for each measure, the primary ones first.
     """
 
     conclusion: Conclusion
@@ -98,16 +98,16 @@ class ReplicationVerdict:
     measures: tuple[MeasureConclusion, ...]
 
 
-#: Why measures of these owners are not primary where no plan names any.
+#: Why measures of these owners are not primary without a plan that names measures.
 _CIRCUMSTANCES = {ROBOTS_OWNER: "it is which robot was free", OPERATOR_OWNER: "it is what the operator answered"}
 
 
 def why_not_primary(columns: Sequence[ColumnDescription], manifest: Mapping[str, Any]) -> dict[str, str]:
-    """Return why each measure of an experiment is not primary, by name; the primary ones have an empty text.
+    """Return by name why a measure is not primary; the text is empty for a primary measure.
 
-    The plan of the analysis names them, where there is one. Otherwise all are, but for how long this machine took on a
-    simulated robot, which depends on what else it did, for which of several robots a run was executed on, and for what
-    the operator answered, which tells of the circumstances.
+    The primary measures are those in the analysis plan. Without a plan, all are primary except: durations on this
+    machine's clock with a simulated robot, which depend on the machine's load; the robot of a run, if there are
+    several; and the operator's answers, which describe the circumstances. If none remained, all are primary.
     """
     measures = [
         column for column in columns if column.role is ColumnRole.MEASURE and not column.name.endswith(QUALITY_SUFFIX)
@@ -128,12 +128,12 @@ def why_not_primary(columns: Sequence[ColumnDescription], manifest: Mapping[str,
 
 
 def margins_of(units: Mapping[str, str], manifest: Mapping[str, Any], given: Sequence[str]) -> dict[str, Margin]:
-    """Return what difference does not matter, by measure: as given, else as planned, else by our own convention.
+    """Return the margin of each measure: the given one, else the planned one, else the default.
 
     Args:
-        units: of the measures, by their names.
-        manifest: the original's; a hypothesis of equivalence in its plan has a margin for a measure.
-        given: `5%` or `10` for every measure, `NAME=5%` for one, as `--bound` takes them; they can be read.
+        units: the units of the measures, by name.
+        manifest: the original's; a hypothesis of equivalence in its plan has a margin for its measure.
+        given: `5%` or `10` for every measure, `NAME=5%` for one, as in `--bound`; already validated.
     """
     own = {name: text for name, equals, text in (each.rpartition("=") for each in given) if equals}
     general = next((each for each in given if "=" not in each), None)
@@ -150,7 +150,7 @@ def margins_of(units: Mapping[str, str], manifest: Mapping[str, Any], given: Seq
 
 
 def _default(unit: str) -> str:
-    """Return what difference does not matter in a unit where nobody has said it."""
+    """Return the default margin for a unit."""
     if has_true_zero(unit):
         return DEFAULT_BOUND
     plain = unit.strip().lower()
@@ -158,13 +158,13 @@ def _default(unit: str) -> str:
 
 
 def _planned(plan: Mapping[str, Any]) -> dict[str, float]:
-    """Return the smallest margin of a difference of two means that hypotheses state, by measure."""
+    """Return by measure the smallest margin of a difference of two means in the hypotheses."""
     found: dict[str, float] = {}
     for each in plan.get("hypotheses") or ():
         margin, name = (each.get("within"), each.get("measure")) if isinstance(each, dict) else (None, None)
         if not isinstance(margin, int | float) or not 0 < margin < math.inf:
             continue
-        # Of a contrast the margin is that of the weighted sum; a difference of two means weighs 1 and -1.
+        # A contrast's margin is that of the weighted sum; a difference of two means has the weights 1 and -1.
         weights = (each.get("contrast") or {}).values()
         weight = sum(abs(float(weight)) for weight in weights) / 2 or 1.0
         found[str(name)] = min(margin / weight, found.get(str(name), float("inf")))
@@ -178,14 +178,14 @@ def reached_verdict(
     margins: Mapping[str, Margin],
     comparison: Mapping[str, Any] | None,
 ) -> ReplicationVerdict:
-    """Return what the replication says of the original.
+    """Return the verdict of the replication.
 
     Args:
-        columns: of the original's run table.
+        columns: the columns of the original's run table.
         manifest: the original's.
-        same: each measure that both have, run by run.
-        margins: what difference does not matter, by measure.
-        comparison: what `robot-runner compare --json` found, as plain data; None where it was not asked.
+        same: the comparison run by run of each measure that both have.
+        margins: the largest difference that does not matter, by measure.
+        comparison: the output of `robot-runner compare --json`, as plain data; None if it was not executed.
     """
     secondary = why_not_primary(columns, manifest)
     compared = {each["first_name"]: each for each in (comparison or {}).get("measures", ()) if _has_numbers(each)}
@@ -206,7 +206,7 @@ def reached_verdict(
 
 @dataclass(frozen=True, slots=True)
 class _Judged:
-    """One measure that is judged: what is the same, and what the comparison found."""
+    """A measure with the results that its conclusion depends on."""
 
     name: str
     unit: str
@@ -225,7 +225,7 @@ class _Judged:
 
 
 def _has_numbers(found: Mapping[str, Any]) -> bool:
-    """Return whether there is a mean anywhere; of texts, of which there is none, statistics here say nothing."""
+    """Return whether any combination has a mean; texts have none, and are not tested."""
     return any(each["first_mean"] is not None for each in found["differences"])
 
 
@@ -265,14 +265,14 @@ def _judged(judged: _Judged, *, has_comparison: bool, secondary_because: str) ->
 
 
 def _by_statistics(judged: _Judged, found: Mapping[str, Any]) -> tuple[Conclusion, str]:
-    """Return the conclusion from a comparison, and the rest of a sentence that begins with the measure."""
+    """Return the conclusion of a comparison, and a predicate whose subject is the measure."""
     differences = found["differences"]
     verdicts = [Conclusion(each["verdict"]) for each in differences]
     conclusion = _of_all(verdicts)
     within = f"{judged.bound} ({judged.margin.source})"
-    # It is not known to an environment for the comparison that an earlier version has made.
+    # A comparison environment that was made by an earlier version does not report it.
     largest = f"; the largest difference is {found['largest']}" if found.get("largest") else ""
-    if conclusion in {Conclusion.EQUIVALENT, Conclusion.IDENTICAL}:  # of all values that are there; some run lacks one
+    if conclusion in {Conclusion.EQUIVALENT, Conclusion.IDENTICAL}:  # of all existing values; a run may lack one
         return Conclusion.EQUIVALENT, f"is equivalent within {within}{largest}."
     pairs = zip(differences, verdicts, strict=True)
     concerned = [_combination(each) for each, verdict in pairs if verdict is conclusion]
@@ -294,7 +294,7 @@ def _combination(each: Mapping[str, Any]) -> str:
 
 
 def _of_all(conclusions: Sequence[Conclusion]) -> Conclusion:
-    """Return the weakest that can be said of all: different where one is, identical where all are."""
+    """Return the joint conclusion: different if one is different, identical only if all are."""
     for each in (Conclusion.DIFFERENT, Conclusion.UNDECIDED, Conclusion.EQUIVALENT):
         if each in conclusions:
             return each

@@ -1,4 +1,4 @@
-"""Whether a package is intact, of a format that is known, and fit to be executed."""
+"""Verify a package: is it intact, of a known format, and executable?"""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from robot_runner.replication import contents
 from robot_runner.replication.opening import OpenPackage
 from robot_runner.replication.plain_zip import Progress
 
-#: Of what is read whole: descriptions and checksums.
+#: The size limit of files that are read as a whole: descriptions and checksums, bytes.
 _LARGEST_TEXT = 32 << 20
 _MOST_FINDINGS = 20
-#: Checksums that cannot be read: what is no list of checksums has more of them than anybody reads.
+#: The limit of reported lines that are not checksums: a file that is no list of checksums has many.
 _MOST_BAD_LINES = 100
 
 
@@ -59,7 +59,7 @@ class _RosWithPackages(_Ros, total=False):
 
 
 class Environment(TypedDict, total=False):
-    """`environment.json`: what comparing it with this machine relies on."""
+    """The entries of `environment.json` that the comparison with this machine needs."""
 
     packages: dict[str, _KnownPackage] | None
     host: _Host | None
@@ -78,14 +78,14 @@ _ALTERED = "Get it again from where it came from."
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """What was found of a package.
+    """The result of verifying a package.
 
     Attributes:
-        description: what it says of itself.
+        description: its `package.json`.
         manifest: the manifest of its experiment.
         environment: the environment of its experiment.
-        file_count, size: how many files it has, and how many bytes in all.
-        findings: everything that is wrong.
+        file_count, size: the number of its files, and their size in bytes.
+        findings: all problems.
     """
 
     where: Path
@@ -98,7 +98,7 @@ class Verification:
 
     @property
     def is_intact(self) -> bool:
-        """Whether nothing is wrong with it."""
+        """Whether there are no errors."""
         return not any(finding.is_error for finding in self.findings)
 
     @property
@@ -108,26 +108,26 @@ class Verification:
 
     @property
     def has_config(self) -> bool:
-        """Whether it can be executed again: imported results come without a config."""
+        """Whether it has a config, and so can be executed again; imported results have none."""
         return bool((self.manifest.get("config") or {}).get("file"))
 
 
 def verify_package(package: OpenPackage, progress: Progress = lambda _, __: None) -> Verification:
-    """Read a package from end to end and compare it with what it says of itself.
+    """Read a whole package and compare it with its checksums and descriptions.
 
     Args:
-        package: opened.
-        progress: is told how many bytes are read, of how many.
+        package: the opened package.
+        progress: called with the number of bytes read and the total.
 
     Raises:
-        PackageError: it is damaged so that it cannot be read, is no package, or has a newer format.
-        StorageError: it cannot be read.
+        PackageError: the file is too damaged to be read, is not a package, or has a newer format.
+        StorageError: the file cannot be read.
     """
     description = _description(package)
     manifest: Mapping[str, Any] = {}
     environment: Mapping[str, Any] = {}
     findings = list(package.faults)
-    if not findings:  # otherwise nothing in it is even read
+    if not findings:  # otherwise its files are not read
         sums, findings = _sums(package)
         findings += _differing_names(package, sums)
         findings += _differing_contents(package, sums, progress)
@@ -145,10 +145,10 @@ def verify_package(package: OpenPackage, progress: Progress = lambda _, __: None
 
 
 def refuse_faults(verification: Verification) -> None:
-    """Let only an intact package pass.
+    """Refuse a package that is not intact.
 
     Raises:
-        PackageError: something is wrong with it; carries every finding.
+        PackageError: there are errors; carries every finding.
     """
     PackageError.refuse(finding for finding in verification.findings if finding.is_error)
 
@@ -176,7 +176,7 @@ def read_text_of(package: OpenPackage, name: str) -> str:
     """Return the text of a file of a package.
 
     Raises:
-        PackageError: the package has no such file, or one larger than any such text.
+        PackageError: the package has no such file, or the file is too large.
     """
     if name not in package.sizes:
         fix = "Pack it again with this version, or get the package again."
@@ -220,7 +220,7 @@ def _differing_names(package: OpenPackage, sums: Mapping[str, str]) -> Iterator[
 def _differing_contents(package: OpenPackage, sums: Mapping[str, str], progress: Progress) -> Iterator[Finding]:
     total, done = sum(package.sizes.values()), 0
     for name in sorted(set(sums) & set(package.sizes)):
-        if package.sizes[name] > _LARGEST.get(name, package.sizes[name]):  # not read to its end only to be refused then
+        if package.sizes[name] > _LARGEST.get(name, package.sizes[name]):  # refused before it is read
             problem = f"the file has {package.sizes[name]:,} bytes, more than any such file"
             yield Finding.error(f"{package.where}, {name}", problem, _ALTERED)
             continue
@@ -254,7 +254,7 @@ def _malformed(package: OpenPackage, name: str, facts: Mapping[str, Any]) -> Ite
 
 
 def _registration(package: OpenPackage, manifest: Mapping[str, Any], findings: list[Finding]) -> Iterator[Finding]:
-    """Yield why the registration in it is not the one that the experiment began with."""
+    """Yield an error if the package's registration is missing, or is not the one from the experiment's start."""
     stated = manifest.get("registration")
     if not isinstance(stated, dict):
         return
@@ -269,7 +269,7 @@ def _registration(package: OpenPackage, manifest: Mapping[str, Any], findings: l
 
 
 def _unfit(package: OpenPackage, manifest: Mapping[str, Any]) -> Iterator[Finding]:
-    """Yield why the experiment in it could not be executed, though nothing was altered."""
+    """Yield an error for each reason why the experiment could not be executed."""
     where = str(package.where)
     if not manifest:
         yield Finding.error(f"{where}, {contents.MANIFEST}", "the file is missing, or empty", _ALTERED)

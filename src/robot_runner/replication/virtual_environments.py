@@ -1,4 +1,4 @@
-"""Virtual environments below the folder of a replication: one that executes it, and one that compares its results."""
+"""Virtual environments in the folder of a replication: one to execute it, and one to compare its results."""
 
 from __future__ import annotations
 
@@ -29,31 +29,31 @@ _COMPLETE = "complete"
 
 
 def is_complete(folder: Path) -> bool:
-    """Return whether a virtual environment was made, to its end."""
+    """Return whether a virtual environment was completed."""
     return (folder / _COMPLETE).exists()
 
 
 def program_in(folder: Path) -> Path:
-    """Return where the program is in a virtual environment."""
+    """Return the path of `robot-runner` in a virtual environment."""
     return folder / "bin" / _OUR_NAME
 
 
 def make_environment(root: Path, folder: Path, environment: Mapping[str, Any]) -> Path:
-    """Make a virtual environment and install what a package needs; one that is complete is used as it is.
+    """Make a virtual environment with the packages that an experiment needs; a complete one is reused.
 
-    What the package brings as wheels is taken from it; pip gets the rest from wherever it is set up to, and demands the
-    hashes where the package has them of all files.
+    Wheels come from the package, and everything else from the index of pip's settings. Pip demands hashes if the
+    package has them for all files.
 
     Args:
         root: the unpacked package.
-        folder: where the environment is to be.
-        environment: as the package has it; its Python is taken where it is installed here under its usual name.
+        folder: the folder of the new environment.
+        environment: the package's; its version of Python is used if it is installed here under its usual name.
 
     Returns:
-        The program `robot-runner` in it.
+        The path of `robot-runner` in it.
 
     Raises:
-        PackageError: the environment cannot be made; shows the last lines that pip wrote.
+        PackageError: the environment cannot be made; shows the last lines of pip's output.
         StorageError: the folder cannot be written.
     """
     if is_complete(folder):
@@ -63,8 +63,8 @@ def make_environment(root: Path, folder: Path, environment: Mapping[str, Any]) -
     fix = f"Mend what is said there, or {own}."
     asked = ["--find-links", str(root / WHEELS)] if (root / WHEELS).is_dir() else []
     if any("--hash=" in line.partition("#")[0] for line in read_text(root / REQUIREMENTS, root).splitlines()):
-        # Then the list is whole. Pip before 23.3 refuses such a list once there is a newer release of what another
-        # package needs with an extra (`coverage[toml]`), unless it is told that nothing else is needed.
+        # With hashes the list is complete. Pip before 23.3 refuses such a list if a package is needed with an extra
+        # (`coverage[toml]`) and has a newer release, unless it is told to install no dependencies.
         asked.append("--no-deps")
         fix += f" The first lines of {REQUIREMENTS} say for which Python and platforms its hashes are."
         if python == sys.executable and wanted not in {"", _OWN_PYTHON}:
@@ -75,18 +75,18 @@ def make_environment(root: Path, folder: Path, environment: Mapping[str, Any]) -
 
 
 def make_comparison_environment(folder: Path) -> Path:
-    """Make a virtual environment in which results can be compared: this very program, with its extra `analysis`.
+    """Make a virtual environment for the comparison of results: this Robot Runner with its extra `analysis`.
 
-    It stands apart from what executes an experiment, so that no version of that changes.
+    It is separate from the environment of the experiment, so that no version there changes.
 
     Args:
-        folder: where the environment is to be; one that is complete is used as it is.
+        folder: the folder of the new environment; a complete one is reused.
 
     Returns:
-        The program `robot-runner` in it.
+        The path of `robot-runner` in it.
 
     Raises:
-        PackageError: it cannot be made; shows the last lines that pip wrote.
+        PackageError: the environment cannot be made; shows the last lines of pip's output.
         StorageError: the folder cannot be written.
     """
     if not is_complete(folder):
@@ -105,13 +105,13 @@ def make_comparison_environment(folder: Path) -> Path:
 
 
 def compare_with(program: Path, original: Path, replication: Path, bounds: Sequence[str], page: Path) -> dict[str, Any]:
-    """Compare two experiments with the program of another environment.
+    """Compare two experiments by the `robot-runner` of another environment.
 
     Returns:
-        What `robot-runner compare --json` prints.
+        The output of `robot-runner compare --json`.
 
     Raises:
-        PackageError: they cannot be compared; shows what the program said.
+        PackageError: the comparison failed; shows the program's output.
     """
     words = [str(program), "compare", str(original), str(replication), "--json", "--html", str(page)]
     words += [word for bound in bounds for word in ("--bound", bound)]
@@ -130,10 +130,10 @@ def compare_with(program: Path, original: Path, replication: Path, bounds: Seque
 
 
 def _make(folder: Path, python: str, asked: Sequence[str], fix: str) -> None:
-    """Make a virtual environment and have pip install what is asked."""
+    """Make a virtual environment, and install the requested packages by pip."""
     log = folder.with_name(f"{folder.name}.log")
-    # Pip works on other environments, too: to put one into each would take the longest of all. But it is executed by
-    # their Python, and fails where that is newer than it knows (23.0 of Debian 12 by Python 3.12).
+    # Our own pip can install into other environments, and installing pip into each is the slowest step. But the other
+    # environment's Python executes it, and pip fails if that Python is too new for it (Debian 12's pip 23.0 on 3.12).
     has_pip = find_spec("pip") is not None and python == sys.executable
     inside = str(folder / "bin" / "python")
     pip = [sys.executable, "-m", "pip", "--python", inside] if has_pip else [inside, "-m", "pip"]
@@ -179,16 +179,16 @@ def _call(words: Sequence[str], log: Path, fix: str) -> None:
 def execute_with(program: Path, words: Sequence[str], *, quietly: str, output: TextIO | None) -> int:
     """Execute the program of another environment in this terminal, and return its exit code.
 
-    A stop request is passed on, and its end awaited: what it executes has a robot to make safe.
+    A stop request is forwarded to the program, whose end is awaited: it has to make its robot safe.
 
     Args:
-        program: where it is.
-        words: what it is called with.
-        quietly: an option that is added where that version of the program knows it.
-        output: where its output goes; None for where ours goes.
+        program: its path.
+        words: its arguments.
+        quietly: an option that is added if that version of the program knows it.
+        output: the file for its output; None for our own standard output.
 
     Raises:
-        PackageError: it cannot be started.
+        PackageError: the program cannot be started.
     """
     try:
         known = subprocess.run(  # noqa: S603 - words of our own
@@ -206,9 +206,9 @@ def execute_with(program: Path, words: Sequence[str], *, quietly: str, output: T
 
 @contextmanager
 def _passed_on() -> Iterator[list[subprocess.Popen[bytes]]]:
-    """Pass stop requests on to the processes that are added to what is yielded, and go on waiting for them.
+    """Yield a list; stop requests are forwarded to the processes in it, and do not interrupt this one.
 
-    A terminal sends Ctrl-C to them, too: the program takes two within a second for one.
+    A terminal sends Ctrl-C to them, too; the program counts two within a second as one.
     """
     processes: list[subprocess.Popen[bytes]] = []
 

@@ -1,4 +1,4 @@
-"""Goals that a link sends to action servers: how they are followed until they are over, whatever the graph speaks."""
+"""Goals that a link sends to action servers: they are followed until they are over, over any protocol."""
 
 from __future__ import annotations
 
@@ -23,30 +23,30 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
-#: How long the goals that are not over may take to end when their link is closed, s, all together.
+#: How long all goals that are not over may take to end when their link is closed, s.
 CLOSING_SECONDS = 2.0
-#: How often it is looked for an action that is not offered yet, s.
+#: How often to look for an action that is not offered yet, s.
 _POLL = 0.05
 
 
 class ActionDialect(Protocol):
-    """How a graph speaks of actions: over services and topics, over topics only, or by itself."""
+    """The protocol of a graph for actions: over services and topics, over topics only, or its own."""
 
     def types(self, action_type: str) -> ActionTypes:
-        """Return what an action is made of; raise a `LinkError` where there is no such type."""
+        """Return the message types of an action; raise a `LinkError` where there is no such type."""
 
     def actions(self) -> Mapping[str, str]:
         """Return the type of each action that is offered, by full name."""
 
     def client(self, action: str, action_type: str, timeout: float) -> ActionClient:
-        """Return what sends goals to an action; raise a `LinkError` where it is not offered, or has another type."""
+        """Return a client of an action; raise a `LinkError` where it is not offered, or has another type."""
 
     def serve(self, action: str, action_type: str, server: GoalServer) -> Subscription:
-        """Have goals executed by a server of this link; raise a `LinkError` where the action is offered already."""
+        """Offer an action by a server of this link; raise a `LinkError` where it is offered already."""
 
 
 def missing_action(action: str, action_type: str, known: Mapping[str, str]) -> LinkError:
-    """Return the error that nobody offers an action of this type; it names what comes near.
+    """Return the error that no node offers an action of this type; it names a similar one.
 
     Example:
         >>> missing_action("/navigate_to_pos", "nav2_msgs/NavigateToPose", {"/navigate_to_pose": ""}).fix
@@ -61,10 +61,10 @@ def missing_action(action: str, action_type: str, known: Mapping[str, str]) -> L
 
 
 def await_action(actions: Callable[[], Mapping[str, str]], action: str, action_type: str, seconds: float) -> None:
-    """Return once `actions` tells of an action of this type, or of an untold one; `seconds` are how long it may take.
+    """Return once `actions` has the action with this type, or with an unknown one; wait for `seconds` at most.
 
     Raises:
-        LinkError: it does not in time, or the action has another type.
+        LinkError: the action is not offered in time, or has another type.
     """
     deadline = time.monotonic() + seconds
     while (known := actions()).get(action) not in {action_type, "*"}:
@@ -74,7 +74,7 @@ def await_action(actions: Callable[[], Mapping[str, str]], action: str, action_t
 
 
 def check_one_server(action: str, servers: Iterable[GraphEndpoint]) -> None:
-    """Raise a `LinkError` where several nodes offer an action, whose states `servers` tell: each would execute it.
+    """Raise a `LinkError` where several nodes, the publishers of its states, offer an action: each would execute goals.
 
     Example:
         >>> check_one_server("/dock", [])
@@ -86,10 +86,10 @@ def check_one_server(action: str, servers: Iterable[GraphEndpoint]) -> None:
 
 
 class LinkGoals:
-    """The goals of one link: its clients of actions, and what is to be cancelled when it is closed.
+    """The goals of one link: its clients of actions, and the goals to be cancelled when it is closed.
 
     Args:
-        dialect: how the graph speaks of actions.
+        dialect: the graph's protocol for actions.
         wait: waits for an event, as the link's transport does.
         check_open: raises a `LinkError` where the link is closed, or is about to be.
         has_threads: whether the transport may be used in several threads.
@@ -122,26 +122,26 @@ class LinkGoals:
         sent = SentGoal(action, self._wait, take_feedback)
         sent.client = client
         with self._lock:
-            self._check_open(action)  # to find the server may have taken seconds
+            self._check_open(action)  # again, as finding the server may have taken seconds
             self._goals = [each for each in self._goals if not each.is_over]
-            self._goals.append(sent)  # before it is accepted: a link that is closed meanwhile cancels it
+            self._goals.append(sent)  # before it is accepted, so that closing the link meanwhile cancels it
         try:
             client.send(complete, sent, timeout)
-            if self._is_closed and not sent.is_over:  # and could not cancel what was not sent yet
+            if self._is_closed and not sent.is_over:  # the link could not cancel it, as it had not been sent
                 sent.ask_for_end(CLOSING_SECONDS)
                 self._check_open(action)
         except Exception as error:
             sent.is_abandoned = True
             status = sent.status
             sent.lose(as_link_error(error, where=action))
-            if status is not GoalStatus.UNKNOWN and not status.is_over:  # it was taken before anybody had given it up
-                with suppress(Exception):  # what was raised first is told
+            if status is not GoalStatus.UNKNOWN and not status.is_over:  # it was accepted before it was given up here
+                with suppress(Exception):  # the first exception is the one to raise
                     client.cancel(sent, CLOSING_SECONDS)
             raise
         return sent
 
     def ask_for_ends(self) -> None:
-        """Ask for the end of all goals that are not over at once, and wait for no server; `close` tells what fails."""
+        """Cancel all goals that are not over at once, without waiting for servers; `close` reports failures."""
         with self._lock:
             fresh = {goal: threading.Event() for goal in self._open_goals() if goal not in self._asked}
             self._asked |= fresh
@@ -152,7 +152,7 @@ class LinkGoals:
                 asking()
 
     def close(self) -> None:
-        """Cancel the goals that are not over, wait for it shortly, and leave the actions.
+        """Cancel the goals that are not over, wait briefly for their ends, and leave the actions.
 
         Raises:
             LinkError: one of them could not be cancelled.
@@ -165,7 +165,7 @@ class LinkGoals:
             clients = list(self._clients.values())
         self.ask_for_ends()
         for asked in list(self._asked.values()):
-            with suppress(Exception):  # it is asked again, and told then
+            with suppress(Exception):  # it is cancelled again below, and failures are reported then
                 self._wait(asked, max(0.0, deadline - time.monotonic()))  # this thread may be the one that receives
         for goal in open_goals:
             try:
@@ -180,7 +180,7 @@ class LinkGoals:
             raise LinkError(problem, where=first.where, fix=f"See that the robot stands still. {first.fix}") from first
 
     def _open_goals(self) -> list[SentGoal]:
-        # In ROS 1 to cancel one that has no key yet is to cancel those of all clients.
+        # In ROS 1, cancelling a goal that has no key yet would cancel those of all clients.
         return [goal for goal in self._goals if goal.key and not goal.is_over]
 
     def _client(self, action: str, action_type: str, timeout: float) -> ActionClient:
@@ -192,7 +192,7 @@ class LinkGoals:
         stale: ActionClient | None
         with self._lock:
             there = self._clients.get((action, action_type))
-            if self._is_closed or there is not known:  # another thread has found it as well, or has closed the link
+            if self._is_closed or there is not known:  # meanwhile another thread has closed the link, or made a client
                 stale, chosen = fresh, there or fresh
             else:
                 stale, chosen = known, fresh

@@ -1,4 +1,4 @@
-"""The executions of the goals of an action that a link offers, whatever the graph speaks."""
+"""Executes the goals of an action that a link offers, over any protocol."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _ENDING_SECONDS = 2.0
 
 @dataclass(frozen=True, slots=True)
 class ActionTypes:
-    """What an action is made of.
+    """The message types of an action.
 
     Attributes:
-        goal: what is sent.
-        result: what comes of it.
-        feedback: what is told meanwhile.
+        goal: of the goal.
+        result: of its result.
+        feedback: of the feedback during its execution.
     """
 
     goal: Shape
@@ -37,32 +37,32 @@ class ActionTypes:
 
 
 def part_of(shape: Shape, name: str) -> Shape:
-    """Return the message that one field of a type is."""
+    """Return the message type of a field."""
     return next(field.kind for field in shape.fields if field.name == name)  # type: ignore[return-value]
 
 
 class Outlet(Protocol):
-    """Tells the graph what becomes of the goals of one action."""
+    """Publishes feedback, states and results of the goals of one action."""
 
     def tell_feedback(self, execution: Execution, message: Message) -> None:
-        """Tell complete feedback of a goal."""
+        """Publish feedback of a goal, with every field."""
 
     def tell_status(self, executions: Sequence[Execution]) -> None:
-        """Tell the states of all goals that are remembered."""
+        """Publish the states of all goals that are remembered."""
 
     def tell_result(self, execution: Execution, result: ActionResult) -> None:
-        """Tell what came of a goal, with every field of its result."""
+        """Publish the result of a goal, with every field."""
 
 
 class Execution:
     """A goal while it is executed, and for some time after.
 
     Attributes:
-        key: how the dialect knows the goal.
+        key: of the goal in the protocol.
         goal: with every field of its type.
         accepted_ns: when it was accepted, ns since the epoch.
         status: its state.
-        result: what came of it, once it is over.
+        result: its result, once it is over.
     """
 
     def __init__(self, server: GoalServer, key: str, goal: Message) -> None:
@@ -73,17 +73,17 @@ class Execution:
         self.result: ActionResult | None = None
         self.over = threading.Event()
         self.over_since = 0.0
-        self.told = threading.Event()  # set once the result is on the graph; `teller` is the thread that puts it there
+        self.told = threading.Event()  # set once the result is published; `teller` is the thread that publishes it
         self.teller = 0
         self._server = server
 
     @property
     def is_cancel_requested(self) -> bool:
-        """Whether it is to end."""
+        """Whether its end was requested."""
         return self.status is GoalStatus.CANCELING
 
     def feedback(self, message: Message) -> None:
-        """Tell whoever sent the goal how far it is."""
+        """Send feedback to the client of the goal."""
         self._server.tell_feedback(self, message)
 
 
@@ -92,10 +92,10 @@ class GoalServer:
 
     Args:
         action: full name of the action.
-        types: what it is made of.
-        execute: carries a goal out.
-        accept: whether a goal is taken; None for all.
-        on_fault: called with what `execute` or `accept` raised that is no end of a goal.
+        types: its message types.
+        execute: executes a goal.
+        accept: whether to accept a goal; None accepts all.
+        on_fault: called with exceptions of `execute` or `accept` that are no end of a goal.
         start: starts a function in a thread of its own, whose name is given.
     """
 
@@ -114,8 +114,8 @@ class GoalServer:
         self._accept = accept
         self._on_fault = on_fault
         self._lock = threading.Lock()
-        # States are read and told in one: a subscriber that keeps the last message only must have the newest. It is
-        # reentrant, as who hears a state in the same thread may cancel a goal.
+        # Held while states are read and published, so that the last message always has the newest ones. Reentrant, as a
+        # callback that receives a state in the same thread may cancel a goal.
         self._telling = threading.RLock()
         self._executions: dict[str, Execution] = {}
         self._outlet: Outlet | None = None
@@ -136,7 +136,7 @@ class GoalServer:
             return list(self._executions.values())
 
     def connect(self, outlet: Outlet) -> None:
-        """Take where it is told what becomes of goals."""
+        """Set where feedback, states and results are published."""
         self._outlet = outlet
 
     def find(self, key: str) -> Execution | None:
@@ -145,7 +145,7 @@ class GoalServer:
             return self._executions.get(key)
 
     def accept(self, key: str, goal: Mapping[str, object]) -> Execution | None:
-        """Take a goal and begin to execute it, or return None where it is rejected."""
+        """Accept a goal and begin to execute it, or return None where it is rejected."""
         try:
             complete = completed(self.types.goal, goal, where=self.action)
             if not (self._accept is None or self._accept(complete)):
@@ -156,13 +156,13 @@ class GoalServer:
         execution = Execution(self, key, complete)
         with self._lock:
             if self._is_closed or key in self._executions:
-                return None  # withdrawn meanwhile, or sent twice
+                return None  # the action was withdrawn meanwhile, or the goal was sent twice
             self._executions[key] = execution
         self.start(lambda: self._run(execution))
         return execution
 
     def cancel(self, execution: Execution) -> bool:
-        """Ask for the end of a goal; return whether it is not over yet."""
+        """Request the end of a goal; return whether it is not over yet."""
         with self._lock:
             if execution.status.is_over:
                 return False
@@ -171,17 +171,17 @@ class GoalServer:
         return True
 
     def tell_feedback(self, execution: Execution, message: Message) -> None:
-        """Tell feedback of a goal; raises a `LinkError` where it does not follow its definition."""
+        """Publish feedback of a goal; raise a `LinkError` where it does not follow its definition."""
         complete = completed(self.types.feedback, message, where=f"the feedback of {self.action}")
         if self._outlet is not None and not execution.over.is_set():
             self._outlet.tell_feedback(execution, complete)
 
     def close(self) -> None:
-        """Take no more goals, and ask for the end of those that are executed; those that do not end are aborted.
+        """Accept no more goals, and request the end of those that are executed; those that do not end are aborted.
 
-        It returns once the results of all have been told: whoever closes it leaves the topics on which they are.
+        It returns once the results of all have been published, as the caller then leaves their topics.
         """
-        with self._lock:  # a goal that is accepted is among those that are ended, or was not accepted
+        with self._lock:  # so that every goal is either not accepted, or among those that are ended
             self._is_closed = True
         executions = self.executions
         for execution in executions:
@@ -190,7 +190,7 @@ class GoalServer:
         for execution in executions:
             if not execution.over.wait(max(0.0, deadline - time.monotonic())):
                 self._finish(execution, GoalStatus.ABORTED, "the action is not offered any more", {})
-            elif execution.teller != threading.get_ident():  # else whoever hears the result withdraws the action
+            elif execution.teller != threading.get_ident():  # else a callback that receives the result closes this
                 execution.told.wait(max(0.0, deadline - time.monotonic()))
 
     def _run(self, execution: Execution) -> None:
@@ -203,7 +203,7 @@ class GoalServer:
             complete = completed(self.types.result, result, where=f"the result of {self.action}")
             self._finish(execution, GoalStatus.SUCCEEDED, "", complete)
         except ActionCanceled as ending:
-            # One that nobody asked for is no state of ROS: the server gave the goal up.
+            # ROS has no state for an end that was not requested: the server gave the goal up.
             status = GoalStatus.CANCELED if execution.is_cancel_requested else GoalStatus.ABORTED
             self._finish(execution, status, ending.text, ending.result)
         except ActionAborted as ending:
@@ -238,7 +238,7 @@ class GoalServer:
             try:
                 if self._outlet is not None:
                     self._outlet.tell_status(self.executions)
-            except Exception:  # goals go on, and can still be cancelled, although nobody can be told of it
+            except Exception:  # goals go on, and can still be cancelled, although their states are not published
                 _logger.warning("the states of the goals of %s could not be told", self.action, exc_info=True)
 
 

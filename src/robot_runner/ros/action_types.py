@@ -1,4 +1,4 @@
-"""What ROS makes of an action: design.ros2.org/articles/actions.html, and `genaction.py` of actionlib_msgs."""
+"""The types that ROS derives from an action (design.ros2.org/articles/actions.html, actionlib_msgs' `genaction.py`)."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import re
 from robot_runner.core.errors import LinkError
 from robot_runner.ros.shapes import plain_type
 
-#: What ROS 2 makes of an action beside its goal, result and feedback; no type of another kind has these endings,
-#: because names of ROS 2 have no underscore.
+#: The endings of the types that ROS 2 derives from an action; no other type has these, as names of ROS 2 have no
+#: underscore.
 _ROS2_PARTS = ("_Goal", "_Result", "_Feedback", "_SendGoal", "_GetResult", "_FeedbackMessage")
 _HALVES = ("_Request", "_Response")
 _SEPARATOR = re.compile(r"^[^\S\n]*---[^\S\n]*$", re.MULTILINE)
@@ -16,7 +16,7 @@ _UUID = "unique_identifier_msgs/UUID goal_id"
 
 
 def split_definition(text: str) -> list[str]:
-    r"""Return the messages of which the definition of a service or an action is made.
+    r"""Return the message definitions in the definition of a service or an action.
 
     Example:
         >>> split_definition("bool data\n---\nbool success")
@@ -26,7 +26,7 @@ def split_definition(text: str) -> list[str]:
 
 
 def whole_action(part: str) -> str:
-    """Return the action that a type of ROS 2 is a part of; the same name where it is of none.
+    """Return the action of which a type of ROS 2 is a part; the same name where there is none.
 
     Example:
         >>> whole_action("nav2_msgs/NavigateToPose_SendGoal_Request"), whole_action("std_srvs/SetBool_Request")
@@ -48,16 +48,16 @@ def is_action_part(name: str) -> bool:
 
 
 def action_parts(generation: int, name: str, text: str, *, where: str) -> dict[str, str]:
-    r"""Return the definition of each message that ROS makes of an action, by its name as type stores spell it.
+    r"""Return the definition of each message that ROS derives from an action, by its name in type stores.
 
     Args:
         generation: of ROS, 1 or 2.
         name: of the action, such as `nav2_msgs/NavigateToPose`.
         text: its definition.
-        where: the file that it comes from, for the error.
+        where: its file, for the error.
 
     Raises:
-        LinkError: the definition has not three parts.
+        LinkError: the definition does not have three parts.
 
     Example:
         >>> parts = action_parts(2, "example_interfaces/Fibonacci", "int32 order\n---\n---\n", where="a file")

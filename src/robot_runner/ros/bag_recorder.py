@@ -1,4 +1,4 @@
-"""ROS' own recorders, here or on the robot's computer, and when they hear what they are to record."""
+"""ROS' own recorders, here or on the robot's computer, and when they have subscribed to their topics."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ PROGRAMS = {Encoding.ROS1: "rosbag", Encoding.CDR: "ros2"}
 _STARTUP, _GRACE, _FETCH = 15.0, 30.0, 600.0
 #: How long a publisher takes to connect to a subscription that the graph knows, s: tenths, over Wi-Fi.
 _CONNECTING = 0.5
-#: How often the folder is looked at until the bag is finished, s.
+#: How often to look into the folder until the bag is finished, s.
 _LOOK = 0.02
 
-#: What each takes for "finish, and end". `rosbag` passes SIGTERM on to the program behind it as SIGINT, and
-#: SIGINT not at all, which a terminal would send to both.
+#: The signal at which each finishes its bag and ends. `rosbag` passes SIGTERM on to the program behind it as SIGINT,
+#: but not SIGINT, which a terminal would send to both.
 ENDING = {Encoding.ROS1: signal.SIGTERM, Encoding.CDR: signal.SIGINT}
 
-#: Recording goes on until this script's input ends, as it does when ssh ends, whatever ended it; then the recorder gets
-#: its signal. The folder is named on the first line that is said. Without `set -m` the recorder would ignore SIGINT.
+#: Recording goes on until this script's input ends, which it does when ssh ends for any reason; then the recorder gets
+#: its signal. The first line of output names the folder. Without `set -m` the recorder would ignore SIGINT.
 _ON_HOST = """set -m
 trap : INT TERM
 folder=$(mktemp -d) && cd "$folder" || exit 1
@@ -54,12 +54,12 @@ class BagProgram:
     """A recorder of ROS' own, from its start until it is closed.
 
     Args:
-        encoding: of the messages, which tells the generation of ROS.
+        encoding: of the messages, from which the generation of ROS follows.
         topics: full names.
-        folder: takes the bag.
-        host: as for ssh; `localhost` is this machine.
+        folder: for the bag.
+        host: in one of ssh's forms; `localhost` is this machine.
         setup: a file to be sourced on the host first, such as `/opt/ros/humble/setup.bash`.
-        ssh_config: a file to take the place of the user's ssh config.
+        ssh_config: a file to use instead of the user's ssh config.
 
     Raises:
         PluginError: it cannot be started.
@@ -98,7 +98,7 @@ class BagProgram:
             )
 
     def close(self) -> str | None:
-        """End it, fetch the bag where it is on another computer, and say what went wrong, if anything did."""
+        """End it, fetch the bag from another computer, and return what went wrong, if anything did."""
         if self._host == LOCAL:
             ending = self._process.stop(ENDING[self._encoding], grace=_GRACE)
             self._wait_until_renamed()
@@ -110,7 +110,7 @@ class BagProgram:
         return None if ending.was_asked else f"the recorder ended by itself: {ending.complaint}"
 
     def _wait_until_renamed(self) -> None:
-        """Wait for the recorder behind `rosbag`, which outlives it: until it is finished, a bag is called `.active`."""
+        """Wait for the recorder behind `rosbag`, which outlives it: an unfinished bag is called `.active`."""
         deadline = time.monotonic() + _GRACE
         while any(self._folder.glob("*.active")) and time.monotonic() < deadline:
             time.sleep(_LOOK)
@@ -125,7 +125,7 @@ class BagProgram:
         if not self._process.records:
             return "the recorder on the robot did not say where its bag is"
         remote = shlex.quote(self._process.records[0].text)
-        # What finishes the bag outlives its ssh by a moment.
+        # The script finishes the bag a moment after its ssh has ended.
         wait = f"for i in $(seq {round(10 * _GRACE)}); do [ -e {remote}/done ] && break; sleep 0.1; done"
         command = ssh_command(self._host, f"{wait}; tar -C {remote} -cf - . && rm -rf {remote}", config=self._config)
         return _unpacked(command, self._folder)
@@ -158,7 +158,7 @@ def _unpacked(command: Sequence[str], folder: Path) -> str | None:
 
 
 def subscriptions_of(link: GraphListing, topics: Sequence[str]) -> dict[str, int]:
-    """Return how many subscribe each topic, by its full name; none where the graph cannot be listed."""
+    """Return the number of subscribers of each topic, by its full name; empty where the graph cannot be listed."""
     try:
         return {topic: len(link.subscribers(topic)) for topic in topics}
     except LinkError:  # a rosbridge without rosapi
@@ -166,7 +166,7 @@ def subscriptions_of(link: GraphListing, topics: Sequence[str]) -> dict[str, int
 
 
 def await_subscriptions(link: GraphListing, before: Mapping[str, int], *, seconds: float) -> list[str]:
-    """Wait until each topic has more subscriptions than before, for so long at most; return those that have not.
+    """Wait, for `seconds` at most, until each topic has more subscribers than before; return those that have not.
 
     A recorder opens its file first, and subscribes after that: what is published meanwhile is not in the bag.
     """

@@ -29,7 +29,7 @@ _TOPIC, _REQUEST, _REPLY = "rt", "rq", "rr"
 _REQUEST_END, _REPLY_END = "Request", "Reply"
 _TYPE_PARTS = 4
 
-#: What the participants of our links tell of themselves, beside what each of ROS 2 does: names with values, as there.
+#: The user data of our links' participants: like that of ROS 2, and with the program's name.
 LINK_QOS = DdsQos(Policy.Userdata(b"enclave=/;program=robotrunner;"))
 
 
@@ -148,9 +148,9 @@ class Graph:
             return frozenset(self._participants)
 
     def silent(self) -> frozenset[UUID]:
-        """Return the participants that have told of no reader or writer, but for links that are still being opened.
+        """Return the participants that have announced no reader or writer, except links that are still being opened.
 
-        They have nothing to tell: two that are opened at the same time would wait for each other.
+        These have none yet: two that are opened at the same time would wait for each other.
         """
         with self._lock:
             told = {each.participant for each in (*self._readers.values(), *self._writers.values())}
@@ -173,7 +173,7 @@ class Graph:
         }
 
     def services(self) -> dict[str, str]:
-        """Return the type of each service that is answered."""
+        """Return the type of each service that is offered."""
         with self._lock:
             readers = list(self._readers.values())
         return {
@@ -224,7 +224,7 @@ def _is_alive(sample: Any) -> bool:
     return bool(sample.sample_info.valid_data and sample.sample_info.instance_state & InstanceState.Alive)
 
 
-#: How often cyclonedds is asked again; endpoints do not come ten times between two of its own calls.
+#: How often to call cyclonedds again; endpoints do not appear ten times between two of its own calls.
 _TRIES = 10
 
 
@@ -239,7 +239,7 @@ def matched_publications(reader: Any) -> list[int]:
 
 
 def _steady(ask: Callable[[], list[int]]) -> list[int]:
-    # cyclonedds asks for their number, then for that many: it fails where another comes in between.
+    # cyclonedds gets their number, then that many: it fails if another appears in between.
     for _ in range(_TRIES):
         try:
             return ask()

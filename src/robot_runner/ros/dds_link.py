@@ -1,4 +1,4 @@
-"""Opens a link over DDS, and says what stands in its way; nothing of DDS is loaded before."""
+"""Opens a link over DDS, and finds what prevents it; DDS is not loaded before."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _check_installed = partial(check_installed, ("cyclonedds", "rosbags"), way="over
 
 
 def findings(name: RobotName) -> list[Finding]:
-    """Return what stands in the way of reaching a robot of this name over DDS; nothing is opened by asking."""
+    """Return what prevents reaching a robot of this name over DDS; nothing is opened for that."""
     try:
         _check_installed()
         settings = DdsSettings.of(name.options, os.environ)
@@ -35,7 +35,7 @@ def open_dds_link(options: Mapping[str, str], clock: Clock, namespace: str = "")
     """Join the graph that the options name, as `DdsSettings` reads them, and return the link to the robot there.
 
     Raises:
-        LinkError: an option cannot have its value, a package is missing, or the domain cannot be joined.
+        LinkError: an option is invalid, a package is missing, or the domain cannot be joined.
     """
     settings = DdsSettings.of(options, os.environ)
     _check_installed()

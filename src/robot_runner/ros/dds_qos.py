@@ -10,11 +10,11 @@ from cyclonedds.qos import Qos as DdsQos
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros.qos_policies import Policies, adapted, asked_by, offered_by
 
-#: A writer waits this long in ns for readers that do not keep up before it gives up, where nothing may be lost.
+#: How long a reliable writer waits for readers that do not keep up before it gives up, ns.
 _MAX_BLOCKING_NS = 500_000_000
 
 _TRANSIENT_LOCAL = Policy.Durability.TransientLocal
-#: XCDR1, the one encoding that all middlewares of ROS 2 speak.
+#: XCDR1, the one encoding that all middlewares of ROS 2 support.
 _REPRESENTATION = Policy.DataRepresentation(use_cdrv0_representation=True)
 
 
@@ -29,17 +29,17 @@ def reader_profile(qos: Qos, user_data: str = "") -> DdsQos:
 
 
 def service_profile(user_data: str) -> DdsQos:
-    """Return the policies of services: nothing is lost, and nothing is kept for later readers."""
+    """Return the policies of services: reliable, and nothing is kept for later readers."""
     return writer_profile(Qos.RELIABLE, user_data)
 
 
 def adapted_profile(offers: Sequence[DdsQos], user_data: str = "") -> DdsQos:
-    """Return the policies of a reader that all of these publishers satisfy, as strong as they allow."""
+    """Return the strongest policies of a reader that all of these publishers satisfy."""
     return _as_dds(adapted(list(map(policies_of, offers)), alone=False), user_data)
 
 
 def policies_of(qos: DdsQos) -> Policies:
-    """Return what policies of DDS ask for or offer."""
+    """Return what policies of DDS request or offer."""
     kept = (_TRANSIENT_LOCAL, Policy.Durability.Transient, Policy.Durability.Persistent)
     return Policies(Policy.Reliability.BestEffort not in qos, any(each in qos for each in kept))
 

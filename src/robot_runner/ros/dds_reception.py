@@ -1,4 +1,4 @@
-"""One thread a participant that takes what its readers receive and hands it on."""
+"""One thread for each participant, which takes the samples of its readers and calls their handlers."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ _ARRAY: Any = idl.array
 _SEQUENCE: Any = idl.sequence
 _BOUNDED_STRING: Any = idl.bounded_str
 
-#: How rmw_cyclonedds leads requests and replies in: the client's GUID, and the number of its request.
+#: The header of rmw_cyclonedds before requests and replies: the client's GUID, and the number of its request.
 _SERVICE_HEADER = {"guid": idl.uint64, "seq": idl.int64}
 
 
 class RawSample:
-    """A sample as its bytes, with the information that comes with it.
+    """The bytes of a sample, with its sample info.
 
     Attributes:
         data: CDR, with its header of four bytes.
@@ -89,7 +89,7 @@ def topic_wire_type(shape: Shape) -> WireType:
 
 @lru_cache(maxsize=256)
 def service_wire_type(shape: Shape, *, has_header: bool = True) -> WireType:
-    """Return the DDS type of a request or response; without a header for a middleware that puts none before it."""
+    """Return the DDS type of a request or response; without a header for a middleware that has none."""
     return _structure(shape, wire_type_name(shape.type_name, "srv"), _SERVICE_HEADER if has_header else {})
 
 
@@ -100,8 +100,8 @@ def _structure(shape: Shape, type_name: str, leading: dict[str, Any]) -> WireTyp
 
     def body(namespace: dict[str, Any]) -> None:
         namespace["__annotations__"].update(members)
-        # The bytes come from a compiled serialiser of the type catalogue: that of cyclonedds walks the type for each
-        # sample, several times slower, and would decode what is to be recorded as it is.
+        # The bytes come from a compiled serialiser of the type catalogue. That of cyclonedds, which walks the type for
+        # each sample, is several times slower, and would decode samples that are recorded as bytes.
         namespace["__init__"] = _keep
         namespace["serialize"] = _bytes_of
         namespace["deserialize"] = staticmethod(RawSample)
@@ -139,29 +139,29 @@ def _one(field: Field) -> Any:
 
 _ANY = ViewState.Any | InstanceState.Any | SampleState.Any
 
-#: As many samples are taken at once; the rest come in the next turn.
+#: How many samples are taken at once; the rest are taken in the next turn.
 _BATCH = 256
 
-#: The thread looks whether it is to end at least this often, in ns.
+#: The thread checks at least this often whether to end, ns.
 _TURN_NS = 1_000_000_000
 
 _END_SECONDS = 5.0
 
-#: Who waits for something looks again at least this often, s: DDS tells of who is discovered, and then matches it,
-#: of which nobody is told.
+#: A wait checks its condition at least this often, s: DDS announces a discovered endpoint before it matches it, and
+#: does not announce the match.
 _LOOK = 0.05
 
 #: Held wherever cyclonedds makes a QoS of what was discovered: it does so in variables that all threads of a process
 #: share (cyclonedds/qos.py, `_gc_…`), so that two links at once read the QoS and user data of each other's endpoints.
 READING_QOS = threading.Lock()
 
-#: A reader from which so many times nothing can be taken is broken.
+#: After this many failures to take samples a reader is broken.
 _MOST_FAULTS = 10
 
 
 def delete(entity: Any) -> None:
-    """Delete a DDS entity now, and not when the last name of it goes."""
-    entity.__del__()  # what cyclonedds offers to that end; once more later it does nothing
+    """Delete a DDS entity now, and not when its last reference goes."""
+    entity.__del__()  # cyclonedds has no other way; called again later, it does nothing
 
 
 class Source:
@@ -181,8 +181,8 @@ class Source:
 class Reception:
     """The readers of a participant, served by one thread of its own.
 
-    A wait set rather than listeners: those are called from the threads that receive, where a callback that takes its
-    time would hold up everything that comes in.
+    It uses a wait set rather than listeners: these are called in the receiving threads, where a slow callback would
+    delay everything that arrives.
     """
 
     def __init__(self, participant: DomainParticipant) -> None:
@@ -207,14 +207,14 @@ class Reception:
         return source
 
     def serve(self, source: Source) -> None:
-        """Begin to hand samples on; the first one may come before this returns."""
+        """Begin to hand samples to the handler; the first one may be handled before this returns."""
         with self._lock:
-            # The latest first: those of the graph, which are there before all others, have time.
+            # The latest first: those of the graph, which are added before all others, can wait.
             self._sources = (source, *self._sources)
             self._waitset.attach(source.condition)
 
     def remove(self, source: Source) -> None:
-        """Serve a reader no more, and delete it."""
+        """Stop serving a reader, and delete it."""
         with self._lock:
             if not source.is_open:
                 return
@@ -226,20 +226,20 @@ class Reception:
             delete(source.reader)
 
     def drain(self, source: Source) -> None:
-        """Hand on what a reader has received by now; to be called in the thread that serves, before it is removed."""
+        """Handle what a reader has received by now; call it in the thread that serves, before the reader is removed."""
         self._take(source, KEPT)
 
     def when_idle(self, source: Source, act: Callable[[], None]) -> None:
-        """Do something while a handler is not at work: now, or once it is; to be called in the thread that serves."""
+        """Call `act` now, or once the source's handler has returned; call this in the thread that serves."""
         if source.is_busy:
             source.afterwards = act
         else:
             act()
 
     def wait_for(self, is_so: Callable[[], bool], timeout: float) -> bool:
-        """Wait until `is_so` holds, mostly after something was received; `timeout` is in seconds.
+        """Wait until `is_so` holds, which is checked after samples were received; `timeout` is in seconds.
 
-        A callback may wait too: samples are then served meanwhile, within it.
+        A callback may wait, too: samples are then served within it.
         """
         if threading.current_thread() is self._thread:
             return self._turn_until(is_so, timeout)
@@ -253,12 +253,12 @@ class Reception:
         return is_so()
 
     def wake(self) -> None:
-        """Have those who wait look again; what they wait for has come another way."""
+        """Have all waits check their conditions again, which may hold for another reason than a sample."""
         self._guard.set(True)
         self._is_woken = True  # afterwards: the turn that sees it takes the guard back
 
     def wait_event(self, event: threading.Event, timeout: float) -> None:
-        """Wait for an event that any thread may set; as `wait_for` in all else."""
+        """Wait for an event that any thread may set; otherwise like `wait_for`."""
         if threading.current_thread() is self._thread:
             self._turn_until(event.is_set, timeout)
         else:
@@ -291,7 +291,7 @@ class Reception:
 
     @contextmanager
     def _without_busy(self) -> Iterator[None]:
-        """Leave out the sources whose callbacks are at work: they are not called again before they are done."""
+        """Leave out the sources whose callbacks have not returned: they are not called again before that."""
         busy = [source for source in self._sources if source.is_busy]
         with self._lock:
             for source in busy:
@@ -343,5 +343,5 @@ class Reception:
     def _do(self, source: Source, act: Callable[[], None]) -> None:
         try:
             act()
-        except Exception:  # one bad sample, such as of another version of a type, must not end the thread of them all
+        except Exception:  # one bad sample, such as of another version of a type, must not end the thread for all
             _logger.exception("a sample of %s could not be used", source.where)

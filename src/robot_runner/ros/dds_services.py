@@ -1,4 +1,4 @@
-"""Services as rmw_cyclonedds carries them: a topic for requests, one for replies, both led in by a header.
+"""Services as in rmw_cyclonedds: a topic for requests and one for replies, each with a header before the message.
 
 Those of other middlewares are in `dds_foreign_services`.
 """
@@ -61,7 +61,7 @@ class _Side:
         self.reply_topic = reply_topic(service)
 
     def pack(self, shape: Shape, header: bytes, message: Message) -> bytes:
-        """Return the bytes of a request or reply; a header of 16 bytes leaves what follows aligned as it is."""
+        """Return the bytes of a request or reply; the header of 16 bytes does not change the message's alignment."""
         body = self.session.types.serialise(shape.type_name, message, Encoding.CDR)
         return body[:HEADER_BYTES] + header + body[HEADER_BYTES:]
 
@@ -71,7 +71,7 @@ class _Side:
         return self.session.types.deserialise(shape.type_name, body, Encoding.CDR)
 
     def user_data(self, role: str, shape: Shape) -> str:
-        """Return what an endpoint says of itself: which client or service it belongs to, and the hash of its type."""
+        """Return the user data of an endpoint: its client or service, and the hash of its type."""
         identity = self.session.guid.bytes[:12] + next(_numbers).to_bytes(4, "big")
         return f"{role}={'.'.join(f'{octet:x}' for octet in identity)};{self.session.type_hash(shape.type_name)}"
 
@@ -90,7 +90,7 @@ class ServiceClient:
         self._writer = session.writer(side.request_topic, request_type, service_profile(identity))
         self._request_type = request_type
         self._guid = self._writer.get_instance_handle() & _UINT64  # cyclonedds reads it as signed
-        # Last: replies to other clients come here as well, from now on.
+        # Last, as from now on replies arrive, also those to other clients.
         self._source = session.reception.add(self._reader, self._take, service)
 
     def call(self, request: Message, deadline: float) -> dict[str, Any] | None:
@@ -114,7 +114,7 @@ class ServiceClient:
         return None if answer is None else self._side.unpack(self._side.response, answer)
 
     def _is_matched(self, deadline: float) -> bool:
-        """Return whether the service takes and answers requests by the deadline; raise a `LinkError` if it is gone."""
+        """Return whether the service's endpoints are matched by the deadline; raise a `LinkError` if it is gone."""
 
         def is_there() -> bool:
             return bool(matched_subscriptions(self._writer) and matched_publications(self._reader))
@@ -146,11 +146,11 @@ class OfferedService:
         self._reply_type = service_wire_type(side.response)
         self._writer = session.writer(side.reply_topic, self._reply_type, service_profile(identity))
         reader = session.reader(side.request_topic, service_wire_type(side.request), service_profile(identity))
-        self._source = Source(reader, self._take, service)  # known before the first request, which asks for it
+        self._source = Source(reader, self._take, service)  # set before the first request, whose reply needs it
         session.reception.serve(self._source)
 
     def close(self) -> None:
-        """Offer it no more."""
+        """Withdraw the service."""
         for endpoint in (self._writer, self._source.reader):
             self._side.session.nodes.remove(endpoint.guid)
         self._side.session.reception.remove(self._source)
@@ -158,7 +158,7 @@ class OfferedService:
 
     def _take(self, sample: RawSample) -> None:
         if sample.sample_info.valid_data and len(sample.data) >= _BODY:
-            # An answer may take its time, and may subscribe or call meanwhile.
+            # In a thread: an answer may take a while, and may subscribe or call meanwhile.
             with READING_QOS:
                 client = self._source.reader.get_matched_publication_data(sample.sample_info.publication_handle)
             identity = _client_id(client.qos) if client is not None else None
@@ -168,7 +168,7 @@ class OfferedService:
             threading.Thread(target=self._reply, args=(sample.data, identity), daemon=True).start()
 
     def _refuse(self) -> None:
-        """Leave out a request without a header, whose fields would be read as one."""
+        """Ignore a request without a header, as its fields would be read as one, and log that."""
         if not self._has_refused:
             self._has_refused = True
             _logger.warning(
@@ -186,7 +186,7 @@ class OfferedService:
             _logger.info("%s is not answered: ROS 2 cannot tell a client that it failed (%s)", side.service, fault)
             return
         try:
-            # A reply that is written before the client's reader is discovered is lost to it.
+            # A reply that is written before the client's reader is discovered does not reach it.
             side.session.graph.wait_for(lambda: not self._source.is_open or self._is_matched(client), _REPLY_SECONDS)
             if self._source.is_open:
                 self._writer.write(self._reply_type(reply))
@@ -204,19 +204,19 @@ class OfferedService:
 
 
 def is_foreign(session: Session, service: str) -> bool:
-    """Whether a service that is there is offered through another middleware.
+    """Whether an existing service is offered through another middleware.
 
-    rmw_cyclonedds tells the identity of a service with its endpoints; rmw_fastrtps and rmw_connextdds tell none.
+    rmw_cyclonedds announces the identity of a service with its endpoints; rmw_fastrtps and rmw_connextdds do not.
     """
     readers = session.graph.readers(request_topic(service))
     return bool(readers) and not any("serviceid=" in reader.user_data for reader in readers)
 
 
 def await_service(session: Session, service: str, service_type: str, deadline: float) -> None:
-    """Wait until a service is there.
+    """Wait until a service is offered.
 
     Raises:
-        LinkError: it is not there by the deadline, or is of another type.
+        LinkError: it is not offered by the deadline, or has another type.
     """
     wire = request_topic(service)
 

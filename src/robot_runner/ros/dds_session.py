@@ -1,4 +1,4 @@
-"""A participant of a DDS domain that looks like a node of ROS 2, and what it is made of."""
+"""A participant of a DDS domain that looks like a node of ROS 2, and its parts."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from robot_runner.ros.graph_addresses import DdsSettings
 
-#: rmw_dds_common: each participant says here which nodes it has, and which readers and writers are whose.
+#: On this topic each participant announces its nodes, and the readers and writers of each (rmw_dds_common).
 DISCOVERY_TOPIC = "ros_discovery_info"
 _TYPE = "rmw_dds_common/ParticipantEntitiesInfo"
 
@@ -37,10 +37,10 @@ _GUID_BYTES = 16
 
 
 class Nodes:
-    """The nodes of a graph, this link's own among them: ROS 2 tells them on a topic of its own.
+    """The nodes of a graph, including this link's own: ROS 2 announces them on a topic of its own.
 
-    A link that has opened nothing tells of no node: who stands by to stop a robot is not counted among those that are
-    measured.
+    A link that has opened nothing announces no node: so the process that stands by to stop a robot is not counted among
+    the nodes that are measured.
     """
 
     def __init__(self, session: Session, name: str) -> None:
@@ -61,23 +61,23 @@ class Nodes:
         self._tell()
 
     def names(self) -> list[str]:
-        """Return the full names of the nodes whose participants are there, sorted."""
+        """Return the full names of the nodes of existing participants, sorted."""
         present = {participant.bytes for participant in self._session.graph.participants}
         with self._lock:
             return sorted({name for owner, names in self._told.items() if owner in present for name in names})
 
     def tellers(self) -> set[UUID]:
-        """Return the participants that have told their nodes."""
+        """Return the participants that have announced their nodes."""
         with self._lock:
             return {UUID(bytes=participant) for participant in self._told}
 
     def without_nodes(self) -> set[UUID]:
-        """Return the participants that have told that they have none."""
+        """Return the participants that have announced that they have no nodes."""
         with self._lock:
             return {UUID(bytes=participant) for participant, names in self._told.items() if not names}
 
     def name_of(self, endpoint: Endpoint) -> str:
-        """Return the full name of the node that has an endpoint; empty where its participant does not tell."""
+        """Return the full name of the node that has an endpoint; empty where its participant has not announced it."""
         participant = endpoint.participant.bytes
         with self._lock:
             names = self._told.get(participant, [])
@@ -85,19 +85,19 @@ class Nodes:
         return owner or (names[0] if len(names) == 1 else "")
 
     def add_reader(self, reader: Any) -> None:
-        """Tell the graph of a reader."""
+        """Announce a reader to the graph."""
         with self._lock:
             self._readers.append(reader.guid)
         self._tell()
 
     def add_writer(self, writer: Any) -> None:
-        """Tell the graph of a writer."""
+        """Announce a writer to the graph."""
         with self._lock:
             self._writers.append(writer.guid)
         self._tell()
 
     def remove(self, guid: UUID) -> None:
-        """Tell the graph that a reader or writer is no more."""
+        """Announce to the graph that a reader or writer is gone."""
         with self._lock:
             self._readers = [each for each in self._readers if each != guid]
             self._writers = [each for each in self._writers if each != guid]
@@ -124,7 +124,7 @@ class Nodes:
             return
         try:
             told = self._session.types.deserialise(_TYPE, sample.data, Encoding.CDR)
-        except LinkError:  # of a distribution with another message: its topics are seen nevertheless
+        except LinkError:  # of a distribution with another message; its topics are still seen
             return
         names = [f"{node['node_namespace'].rstrip('/')}/{node['node_name']}" for node in told["node_entities_info_seq"]]
         owners = {
@@ -137,10 +137,10 @@ class Nodes:
             self._told[participant], self._owners[participant] = names, owners
 
 
-#: Within so many seconds of joining, all participants on the graph have been discovered: DDS announces at once.
+#: This long after joining, all participants on the graph have been discovered, s: DDS announces at once.
 SETTLING = 1.0
-#: Within so many seconds of opening they have told of what they have, and of their nodes: those of Fast DDS tell it up
-#: to 1.2 s after they are discovered (measured with 2.9 and 2.14). It is waited for where some have not.
+#: This long after opening, they have announced their endpoints and nodes, s: those of Fast DDS do so up to 1.2 s after
+#: they are discovered (measured with 2.9 and 2.14). There is a wait only if some have not.
 _TELLING = 3.0
 
 #: The distribution of a graph without type hashes, which came with Iron, and that of an empty graph.
@@ -150,7 +150,7 @@ _WITHOUT_TYPE_HASHES = frozenset({"foxy", "galactic", "humble"})
 #: Where Cyclone DDS finds its configuration, as XML or as a file, when the first participant of a domain is made.
 _CONFIGURATION = "CYCLONEDDS_URI"
 
-#: The participants of this process, past ones among them: what they tell of a graph is what this process believed.
+#: The participants of this process, including past ones: what they announce about a graph is only this process's guess.
 _ours: set[UUID] = set()
 
 
@@ -188,46 +188,46 @@ class Session:
         return self._participant.guid
 
     def own(self, participant: DomainParticipant) -> None:
-        """Take a participant for one of this link's own."""
+        """Count a participant as one of this link's own."""
         self._own.add(participant.guid)
         _ours.add(participant.guid)
 
     def type_hash(self, name: str) -> str:
-        """Return the user data that tells a type's hash; empty for distributions that know none."""
+        """Return the user data with a type's hash; empty for distributions that have none."""
         return "" if self.distro in _WITHOUT_TYPE_HASHES else f"typehash={self.types.digest(name)};"
 
     def writer(self, topic: str, wire_type: WireType, qos: DdsQos) -> DataWriter[Any]:
-        """Return a new writer of a topic, and tell the graph of it."""
+        """Return a new writer of a topic, and announce it to the graph."""
         writer: DataWriter[Any] = DataWriter(self._participant, self._topic(topic, wire_type), qos)
         if topic != DISCOVERY_TOPIC:
             self.nodes.add_writer(writer)
         return writer
 
     def reader(self, topic: str, wire_type: WireType, qos: DdsQos) -> DataReader[Any]:
-        """Return a new reader of a topic, and tell the graph of it."""
+        """Return a new reader of a topic, and announce it to the graph."""
         reader: DataReader[Any] = DataReader(self._participant, self._topic(topic, wire_type), qos)
         if topic != DISCOVERY_TOPIC:
             self.nodes.add_reader(reader)
         return reader
 
     def settle(self, is_so: Callable[[], bool]) -> bool:
-        """Wait until `is_so` holds, but no longer than it takes to discover what is on the graph."""
+        """Wait until `is_so` holds, at most as long as the discovery of the graph takes."""
         if not self.graph.wait_for(is_so, max(0.0, self._joined + SETTLING - time.monotonic())):
             left = max(0.0, self._opened + _TELLING - time.monotonic())
             self.graph.wait_for(lambda: is_so() or not self._silent(), left)
         return is_so()
 
     def _silent(self) -> frozenset[UUID]:
-        """Return the others that are there, and have not told of their endpoints and nodes."""
+        """Return the other participants that have not announced their endpoints and nodes."""
         tellers = {writer.participant for writer in self.graph.writers(DISCOVERY_TOPIC)}
         return (self.graph.silent() | (tellers - self._tellers())) - self._own
 
     def is_alone(self) -> bool:
-        """Whether nobody else is on its domain but participants without a node."""
+        """Whether there are no other participants with nodes on its domain."""
         return not self.graph.participants - self._own - self.nodes.without_nodes()
 
     def loneliness(self) -> str:
-        """Say what to do where nobody else is on the graph."""
+        """Return the fix where no other node is on the graph."""
         return (
             f"Nobody else is on domain {self.domain}: give the ROS_DOMAIN_ID of the robot (robot = 'dds:domain=…'),"
             " and see that multicast reaches it."
@@ -259,23 +259,23 @@ class Session:
             ) from error
 
     def _told_distro(self) -> str:
-        """Tell from the endpoints of others whether all have type hashes, as there are since Iron.
+        """Return the distribution by the endpoints of others: whether all have type hashes, which exist since Iron.
 
-        One that has none is older. Other links of ours, which found nobody when they were opened, have hashes.
+        One without a hash is older. Other links of ours that found no other node when they were opened have hashes.
         """
 
         def others() -> list[str]:
             writers = self.graph.writers(DISCOVERY_TOPIC)
             return [writer.user_data for writer in writers if writer.participant not in _ours]
 
-        # Endpoints of Fast DDS come later than those of our other links.
+        # Endpoints of Fast DDS are discovered later than those of our other links.
         self.settle(lambda: bool(others()) and not self.graph.silent() - self._own)
         return _LATEST if all("typehash=" in data for data in others()) else _BEFORE_TYPE_HASHES
 
 
 def _joined(settings: DdsSettings) -> DomainParticipant:
     configuration = settings.cyclone_configuration()
-    if configuration is not None:  # what the user says to Cyclone DDS itself goes before what is said to ROS
+    if configuration is not None:  # the user's settings for Cyclone DDS take precedence over those for ROS
         os.environ.setdefault(_CONFIGURATION, configuration)
     try:
         return DomainParticipant(settings.domain, qos=LINK_QOS)

@@ -1,4 +1,4 @@
-"""Files that define messages, services and actions: where they are, and which package each is of."""
+"""Files that define messages, services and actions: where they are, and to which package each belongs."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from pathlib import Path
 
 from robot_runner.core.errors import LinkError
 
-#: What a file of definitions is called.
+#: The suffixes of definition files.
 SUFFIXES = (".msg", ".srv", ".action")
-#: The folders of a package that hold them.
+#: The folders of a package that contain them.
 _FOLDERS = tuple(suffix.removeprefix(".") for suffix in SUFFIXES)
 _NAME = re.compile(rb"<name[^>]*>\s*([A-Za-z]\w*)\s*</name>")
-#: Its name stands at the beginning of a package.xml, bytes.
+#: How much of a package.xml is read for the package's name, which is at its beginning, bytes.
 _LOOKED_AT = 65536
 
 
 def definition_files(path: Path) -> list[Path]:
-    """Return a file of a definition, or those below a folder.
+    """Return a definition file, or those below a folder.
 
     Raises:
         LinkError: there is none.
@@ -33,7 +33,7 @@ def definition_files(path: Path) -> list[Path]:
 
 
 def package_of(file: Path) -> str:
-    """Return the package of a definition: as package.xml names it; without one, its folder.
+    """Return the package of a definition: the name in package.xml; without one, that of its folder.
 
     A clone or a download may lie in a folder of another name, such as `px4_msgs-main`.
 
@@ -49,7 +49,7 @@ def package_of(file: Path) -> str:
 
 
 def naming_files(path: Path) -> Iterator[Path]:
-    """Yield each package.xml that the definitions at a path need to be of the right package once they are copied."""
+    """Yield each package.xml by which copies of the definitions at a path still belong to the right package."""
     whole = path.resolve()
     for folder in sorted({_folder_of(each) for each in definition_files(path)}):
         name = _named_by(folder / "package.xml")

@@ -1,6 +1,6 @@
-"""The checks of this room that entry points announce: they look at each experiment, whatever robot it has.
+"""The checks of this package that are announced by entry points: for each experiment, whatever its robot.
 
-Each start of the program asks for them: what only a robot of ROS needs is imported where there is one.
+They are loaded at each start of the program: so what only a robot of ROS needs is imported where there is one.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def check_ros(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> Iterator[Finding]:
-    """Yield what stands between an experiment and the ROS that it needs; the embedded robot needs none."""
+    """Yield what is missing of the ROS that an experiment needs; the embedded robot needs none."""
     if is_simulated(parameters.robot) or (parameters.robot is None and parameters.required_ros_version is None):
         return
     from robot_runner.ros.required_ros import ros_findings  # noqa: PLC0415 - as said above
@@ -26,7 +26,7 @@ def check_ros(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> 
 
 
 def check_left_settings(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> Iterator[Finding]:
-    """Yield that nodes of the robot are as a run set them that was killed; the embedded one ends with its run."""
+    """Yield that nodes of the robot still have settings of a killed run; the embedded robot ends with its run."""
     if parameters.robot is None or is_simulated(parameters.robot):
         return
     from robot_runner.ros.restored_settings import left_findings  # noqa: PLC0415 - as said above

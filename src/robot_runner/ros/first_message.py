@@ -1,4 +1,4 @@
-"""The first message of a topic that satisfies a condition, whoever delivers it."""
+"""Waits for the first message of a topic that satisfies a condition, over any transport."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class FirstMessage:
 
     Args:
         condition: None for any message.
-        timeout: how long it is waited for, s; for the error.
+        timeout: how long the caller waits, s; for the error.
 
     Attributes:
         is_over: set once there is one, or the condition raised.
@@ -29,7 +29,7 @@ class FirstMessage:
         self._lock = threading.Lock()  # in ROS 1 each publisher of the topic has a thread here
 
     def take(self, message: Message) -> None:
-        """Look at one message."""
+        """Check one message."""
         if self.is_over.is_set():
             return
         fault: Exception | None = None
@@ -47,8 +47,8 @@ class FirstMessage:
         """Return the message.
 
         Raises:
-            LinkError: there was none in time; `explain` says what to do.
-            Exception: what the condition raised.
+            LinkError: there was none in time; `explain` returns the fix.
+            Exception: the condition's own.
         """
         if self._fault is not None:
             raise self._fault

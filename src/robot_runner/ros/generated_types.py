@@ -13,7 +13,7 @@ from robot_runner.ros.shapes import plain_type
 
 
 class TypeKind(Enum):
-    """What a type is of: its module in the package, what it is called, and an example.
+    """A kind of type: its module in the package, its name in messages, and an example.
 
     Example:
         >>> TypeKind.SERVICE.module

@@ -1,4 +1,4 @@
-"""How a graph is reached, as `robot = "dds:..."` or `robot = "rosbridge://..."` says; no client library is loaded."""
+"""Addresses of graphs, such as `robot = "dds:..."` or `robot = "rosbridge://..."`; no client library is loaded."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _LOCAL = ("127.0.0.1", "127.0.1.1", "::1")
 _DDS_OPTIONS = ("domain", "distro", "types")
 #: Domains above this have UDP ports past 65535 (RTPS 2.2, 9.6.1.1: 7400 + 250 · domain + …).
 _MAX_DOMAIN = 232
-#: So many participants of one computer are found without multicast; rmw_cyclonedds_cpp looks for as many.
+#: How many participants of one computer are found without multicast; the same as in rmw_cyclonedds_cpp.
 _MOST_PARTICIPANTS = 32
 
 _SCHEME = "rosbridge"
@@ -39,17 +39,17 @@ _ROSBRIDGE_OPTIONS = ("ros", "distro", "types", *SECURITY_OPTIONS)
 
 
 def check_options(link: str, options: Iterable[str], known: Collection[str]) -> None:
-    """See that a link has these options; raises a `LinkError` that names the nearest."""
+    """Check that a link has these options; else raise a `LinkError` that names the nearest."""
     for name in options:
         if name not in known:
             raise LinkError(f"{link} has no option {name!r}", where=_WHERE, fix=did_you_mean(name, known))
 
 
 def domain_id(options: Mapping[str, str], environment: Mapping[str, str]) -> int:
-    """Return the DDS domain that the option `domain` names, or else the environment.
+    """Return the DDS domain from the option `domain`, or else from the environment.
 
     Raises:
-        LinkError: it is no domain.
+        LinkError: the text is no domain.
 
     Example:
         >>> domain_id({"domain": "7"}, {}), domain_id({}, {"ROS_DOMAIN_ID": "3"}), domain_id({}, {})
@@ -68,7 +68,7 @@ def domain_id(options: Mapping[str, str], environment: Mapping[str, str]) -> int
 
 
 def graph_of(robot: str) -> str:
-    """Return what tells one graph from another, however it is reached: its domain, its master, or its rosbridge.
+    """Return what identifies a graph: its domain, its master, or its rosbridge.
 
     Example:
         >>> graph_of("dds:domain=7,distro=humble") == graph_of("ros2:domain=7,namespace=/alice")
@@ -90,13 +90,13 @@ def graph_of(robot: str) -> str:
 
 
 def _known(host: str) -> str:
-    """Return the one name of this computer for each that it has, without asking the network, and any other as it is."""
+    """Return one name for all names of this computer, without using the network; other hosts stay as they are."""
     own = socket.gethostname().lower()
     return "localhost" if host in {*_LOCAL, own, own.partition(".")[0]} else host
 
 
 def is_of_environment(robot: str, encoding: Encoding) -> bool:
-    """Whether programs of ROS that are executed here join the graph of a robot: there may be another robot on theirs.
+    """Whether programs of ROS that are executed here join the graph of a robot, rather than that of another one.
 
     Example:
         >>> is_of_environment("rosbridge://robot:9090", Encoding.ROS1)
@@ -107,14 +107,14 @@ def is_of_environment(robot: str, encoding: Encoding) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class DdsSettings:
-    """How the graph is reached: what `robot = "dds:option=value,..."` and the environment say.
+    """How the graph is reached, by `robot = "dds:option=value,..."` and the environment.
 
     Attributes:
         domain: DDS domain id, 0 to 232.
-        distro: distribution of ROS 2 on the robot; None to tell from the graph.
+        distro: distribution of ROS 2 on the robot; None to find it out from the graph.
         types: files and folders with further message types.
-        is_local: whether nobody is looked for in the network: `ROS_LOCALHOST_ONLY=1`, or the discovery range LOCALHOST.
-        peers: computers that are asked for the graph as well, from `ROS_STATIC_PEERS`; ROS_LOCALHOST_ONLY leaves none.
+        is_local: whether discovery is limited to this machine: `ROS_LOCALHOST_ONLY=1`, or the range LOCALHOST.
+        peers: other computers to discover, from `ROS_STATIC_PEERS`; none with ROS_LOCALHOST_ONLY.
 
     Example:
         >>> DdsSettings.of({"domain": "7", "distro": "humble"}, {}).domain
@@ -129,10 +129,10 @@ class DdsSettings:
 
     @classmethod
     def of(cls, options: Mapping[str, str], environment: Mapping[str, str] | None = None) -> DdsSettings:
-        """Read options, `ROS_DOMAIN_ID` and `ROS_DISTRO` where they are left out, and how far discovery is to reach.
+        """Read options, `ROS_DOMAIN_ID` and `ROS_DISTRO` where they are left out, and the range of discovery.
 
         Raises:
-            LinkError: there is no such option, or it cannot have this value.
+            LinkError: there is no such option, or its value is invalid.
         """
         variables = os.environ if environment is None else environment
         check_options("dds", options, _DDS_OPTIONS)
@@ -146,9 +146,9 @@ class DdsSettings:
         return cls(domain_id(options, variables), distro, _paths(options), is_local, peers)
 
     def cyclone_configuration(self) -> str | None:
-        """Return what Cyclone DDS is to be told of that, as XML; None where its defaults will do.
+        """Return the configuration for Cyclone DDS, as XML; None where its defaults will do.
 
-        Without multicast, as on most loopback interfaces, participants find each other by asking port after port.
+        Without multicast, as on most loopback interfaces, participants find each other by trying port after port.
 
         Example:
             >>> DdsSettings(0, None).cyclone_configuration() is None
@@ -158,7 +158,7 @@ class DdsSettings:
             return None
         peers = "".join(f"<Peer address='{escape(address)}'/>" for address in ("localhost", *self.peers))
         general = ""
-        if self.is_local and self.peers:  # as rmw_cyclonedds_cpp: nobody is looked for but on these computers
+        if self.is_local and self.peers:  # as in rmw_cyclonedds_cpp: discovery on these computers only
             general = "<General><AllowMulticast>false</AllowMulticast></General>"
         elif self.is_local:
             interface = '<NetworkInterface address="127.0.0.1" multicast="true"/>'
@@ -168,17 +168,17 @@ class DdsSettings:
         return f"<CycloneDDS><Domain>{general}{discovery}</Domain></CycloneDDS>"
 
 
-#: What ROS_AUTOMATIC_DISCOVERY_RANGE may say, since Iron (rmw: rmw_automatic_discovery_range_t).
+#: The values of ROS_AUTOMATIC_DISCOVERY_RANGE, since Iron (rmw: rmw_automatic_discovery_range_t).
 _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
 
 
 def _discovery(variables: Mapping[str, str]) -> tuple[bool, bool]:
-    """Return whether nobody is looked for in the network, and whether computers that are named are asked all the same.
+    """Return whether discovery is limited to this machine, and whether the named peers are discovered, too.
 
     Raises:
-        LinkError: nobody is to be discovered at all, or there is no such range.
+        LinkError: discovery is off, or there is no such range.
     """
-    if variables.get("ROS_LOCALHOST_ONLY", "").strip() == "1":  # Humble's, which goes before the range
+    if variables.get("ROS_LOCALHOST_ONLY", "").strip() == "1":  # Humble's, which takes precedence over the range
         return True, False
     name = "ROS_AUTOMATIC_DISCOVERY_RANGE"
     told = variables.get(name, "").strip().upper()
@@ -192,7 +192,7 @@ def _discovery(variables: Mapping[str, str]) -> tuple[bool, bool]:
 
 @dataclass(frozen=True, slots=True)
 class RosbridgeAddress:
-    """Where a rosbridge is, as `robot = "rosbridge://host:9090?option=value"` says it, and what it need not be asked.
+    """The address of a rosbridge, `robot = "rosbridge://host:9090?option=value"`, with facts about its robot.
 
     Attributes:
         host: name or number of the robot's computer.
@@ -201,7 +201,7 @@ class RosbridgeAddress:
         generation: of the robot's ROS, 1 or 2; None to ask the robot.
         distro: the robot's distribution; None to ask the robot.
         types: files and folders with further message types.
-        security: how the connection is secured; `rosbridge+tls://` and `wss://` are of TLS.
+        security: how the connection is secured; `rosbridge+tls://` and `wss://` use TLS.
 
     Example:
         >>> RosbridgeAddress.parse("rosbridge://robot?distro=humble").uri
@@ -222,10 +222,10 @@ class RosbridgeAddress:
 
     @classmethod
     def parse(cls, text: str) -> RosbridgeAddress:
-        """Take an address apart.
+        """Parse an address.
 
         Raises:
-            LinkError: it cannot be an address, or there is no such option, or it cannot have this value.
+            LinkError: the address is invalid, there is no such option, or its value is invalid.
         """
         try:
             parts = urlsplit(text)
@@ -248,7 +248,7 @@ class RosbridgeAddress:
 
     @property
     def place(self) -> str:
-        """Host and port, as an address has them."""
+        """Host and port, as in the address."""
         return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
 
     @property

@@ -1,4 +1,4 @@
-"""The time of a graph that lives by a simulation: what is published on `/clock`."""
+"""The time of a graph with a simulation: what is published on `/clock`."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ _TOPIC = "/clock"
 _TYPE = "rosgraph_msgs/Clock"
 #: How long, in real seconds, the clock may stand still before a sleep on it is given up.
 _PATIENCE = 5.0
-#: A clock that goes back by more than this, s, began again; less are messages that overtook each other.
+#: A clock that goes back by more than this was reset, s; by less, messages overtook each other.
 _RESET = 0.5
-#: A clock that went back, regained this part of it in one step, and goes back again within so long, s, is that of two
-#: nodes: a simulator that was reset and then stood still for a moment does the first two.
+#: A clock that goes back, regains this share of that in one step, and goes back again within this time, s, is published
+#: by two nodes: a simulator that was reset and then stood still for a moment does only the first two.
 _REGAINED = 0.5
 _TOGETHER = 5.0
 
 
 class GraphClock:
-    """A clock that shows what the graph's own clock showed last; it must be started before it is used.
+    """A clock that shows the last time on the graph's own clock; it must be started before it is used.
 
-    Where two nodes tell the time, the run fails, and from then on what the later one tells is not believed.
+    Where two nodes publish the time, the run fails, and from then on the later one is ignored.
 
     Attributes:
-        is_simulated: always: a graph publishes its time because it is not that of the world.
+        is_simulated: always true: a graph publishes its time because that is not the real time.
 
     Example:
         >>> from robot_runner.testing import FakeClock, FakeRobotLink
@@ -55,10 +55,10 @@ class GraphClock:
         self._subscription = link.subscribe(_TOPIC, _TYPE, self._take)
 
     def start(self) -> None:
-        """Return once it shows the graph's time.
+        """Return once the clock shows the graph's time.
 
         Raises:
-            LinkError: it is not published.
+            LinkError: the time is not published.
         """
         with self._changed:
             if not self._changed.wait_for(lambda: self._is_known, _PATIENCE):
@@ -69,15 +69,15 @@ class GraphClock:
                 )
 
     def now(self) -> float:
-        """Return the seconds that the graph's clock showed last; never goes back, also where a simulator is reset."""
+        """Return the last time on the graph's clock, s; never goes back, even if a simulator is reset."""
         return self._now
 
     def shown(self) -> float:
-        """Return the seconds that were told last; after a reset, those of the simulator's new time."""
+        """Return the time that was published last, s; after a reset, the simulator's new time."""
         return self._shown
 
     def sleep(self, seconds: float) -> None:
-        """Block until this many seconds of the graph's clock have gone by; negative counts as zero.
+        """Block until this many seconds have passed on the graph's clock; negative counts as zero.
 
         Raises:
             LinkError: the graph's clock stands still.
@@ -96,7 +96,7 @@ class GraphClock:
                     )
 
     def close(self) -> None:
-        """End the subscription; what it shows stays."""
+        """End the subscription; the clock keeps its last time."""
         self._subscription.close()
 
     def _take(self, message: Message) -> None:
@@ -109,7 +109,7 @@ class GraphClock:
                 return
             is_new = step < -_RESET and self._goes_back(-step)
             self._has_regained = self._has_regained or regains
-            if step < -_RESET:  # from where it stands, time goes on with the simulator's new one
+            if step < -_RESET:  # `now` goes on from its last time, with the steps of the simulator's new one
                 self._offset = self._now - shown
             self._shown = shown
             self._now = max(self._now, shown + self._offset)
@@ -119,7 +119,7 @@ class GraphClock:
             raise self._several(-step)
 
     def _goes_back(self, by: float) -> bool:
-        """Note that time went back by so much, s; return whether that shows for the first time that several tell it."""
+        """Note that time went back by this much, s; return whether that is the first sign of several publishers."""
         before, self._went_back, self._went_back_at = self._went_back_at, by, time.monotonic()
         is_new = self._has_regained and self._went_back_at - before < _TOGETHER and not self._are_several
         self._are_several, self._has_regained = self._are_several or is_new, False
@@ -127,7 +127,7 @@ class GraphClock:
 
     def _several(self, step: float) -> LinkError:
         tellers: Sequence[GraphEndpoint] = ()
-        with suppress(LinkError):  # a graph that does not tell them
+        with suppress(LinkError):  # a graph whose nodes cannot be listed
             tellers = self._link.publishers(_TOPIC)
         who = enumerated(sorted(map(str, tellers))) if len(tellers) > 1 else "more than one node"
         problem = f"{who} tell the graph's time: it goes back and forth by {step:.3f} s"

@@ -1,4 +1,4 @@
-"""The one link to a robot on a graph: names, messages, subscriptions and the last stop, over any transport."""
+"""The link to a robot on a graph, over any transport: names, messages, subscriptions, and the stop at the end."""
 
 from __future__ import annotations
 
@@ -45,31 +45,31 @@ _logger = logging.getLogger(__name__)
 _Received = TypeVar("_Received")
 _Kept = TypeVar("_Kept", Advertised, Opened)
 
-#: How long it may take until goals are cancelled and robots told to stand still, s: some seconds for each that hangs.
+#: The timeout for cancelling goals and commanding robots to stand still, s: each that hangs takes some seconds.
 _STOPPING_SECONDS = 20.0
 
 
 class GraphLink:
-    """A link to one robot of a graph; what differs between client libraries is the transport's.
+    """A link to one robot of a graph; the transport below it hides how client libraries differ.
 
-    It owns the full names within the robot's namespace, the completion of messages by their types, all publishers,
-    subscriptions and offers until they are closed in reverse order, the deadline of `wait_for`, and the last stop:
-    where it published a velocity, it publishes zero before it leaves. A callback that raises does not end its
-    subscription, and fails the run at once, whatever the transport. Where no run is going on, it is raised where the
-    callback is called from or, on a transport with threads of its own, logged and raised by `close`. What else its
-    methods raise stands in `core.links.robot`, whose `RobotLink` it is.
+    The link resolves names within the robot's namespace, completes messages by their types, keeps the deadline of
+    `wait_for`, and closes its publishers, subscriptions and offers in reverse order. Where it published a velocity, it
+    publishes zero before it leaves. An exception in a callback does not end the subscription, and fails the run at
+    once. Outside a run, it propagates to the caller of the callback or, on a transport with threads of its own, is
+    logged and raised by `close`. The other exceptions of its methods are documented at the protocol,
+    `core.links.robot.RobotLink`.
 
     Args:
         connect: joins the graph.
         namespace: the robot's, such as `/alice`.
-        is_simulated: whether there is a simulation behind it for certain.
+        is_simulated: whether the robot is known to be simulated.
 
     Attributes:
-        namespace: what relative names are below: empty, or `/alice`.
-        parameter_server: that of ROS 1's master; None in ROS 2, whose nodes have their parameters themselves.
+        namespace: the prefix of relative names: empty, or `/alice`.
+        parameter_server: that of ROS 1's master; None in ROS 2, where each node holds its parameters.
 
     Raises:
-        LinkError: the namespace cannot be one, or the graph cannot be joined.
+        LinkError: the namespace is not valid, or the graph cannot be joined.
 
     Example:
         ```python
@@ -96,16 +96,16 @@ class GraphLink:
 
     @property
     def is_simulated(self) -> bool:
-        """Whether there is a simulation behind it for certain; `connect.is_simulation` asks a graph for its signs."""
+        """Whether the robot is known to be simulated; `connect.is_simulation` looks for signs of that on the graph."""
         return self._is_simulated
 
     @property
     def encoding(self) -> Encoding:
-        """How the bytes of raw messages are laid out."""
+        """The encoding of raw messages."""
         return self._transport.encoding
 
     def publish(self, topic: str, message_type: str, message: Message, *, qos: Qos = Qos.DEFAULT) -> None:
-        """Publish one message; at first use of a topic, once the subscribers that are there already are reached."""
+        """Publish one message; at the first on a topic, wait until the existing subscribers are connected."""
         name = self._name(topic)
         advertised = self._advertised.get((name, qos)) or self._advertise(name, message_type, message, qos)
         advertised.command(name)
@@ -113,33 +113,33 @@ class GraphLink:
             check_type(name, message_type, [advertised.message_type])
         complete = completed(advertised.shape, message, where=name)
         with advertised.sending():
-            self._check_open(name)  # another thread may have closed it meanwhile: the last command is to stand still
+            self._check_open(name)  # another thread may have closed the link: nothing may follow the stop command
             try:
                 advertised.send(name, complete)
             except Exception as error:
-                if isinstance(error, LinkError) or not self._transport.has_threads:  # there, callbacks are called in it
+                if isinstance(error, LinkError) or not self._transport.has_threads:  # there, it may be a callback's
                     raise
                 raise as_link_error(error, where=name, what="the message cannot be published") from error
 
     def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT, is_commanded: bool = True) -> bool:
-        """Return whether the subscribers of a topic that are there would receive what is published, once they do."""
+        """Wait until the existing subscribers of a topic are connected, and return whether they are."""
         name = self._name(topic)
         advertised = self._advertise(name, message_type, {}, qos)
         if is_commanded:
             advertised.command(name)
         check_type(name, message_type, [advertised.message_type])
-        return advertised.publisher.reach()  # also who subscribed since it was advertised first
+        return advertised.publisher.reach()  # also subscribers since it was first advertised
 
     def subscribe(
         self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None
     ) -> Subscription:
-        """Have `callback` called with each message of the topic."""
+        """Call `callback` with each message of the topic."""
         return self._subscribe(topic, message_type, lambda reception: callback(reception.message()), qos, is_raw=False)
 
     def subscribe_raw(
         self, topic: str, message_type: str, callback: Callable[[RawMessage], None], *, qos: Qos | None = None
     ) -> Subscription:
-        """Have `callback` called with the bytes of each message of the topic; as `subscribe` in all else."""
+        """Call `callback` with the bytes of each message of the topic; otherwise as `subscribe`."""
         return self._subscribe(topic, message_type, lambda reception: callback(reception.raw()), qos, is_raw=True)
 
     def wait_for(
@@ -204,7 +204,7 @@ class GraphLink:
         *,
         accept: Callable[[Message], bool] | None = None,
     ) -> Subscription:
-        """Offer an action until it is closed; `execute` carries a goal out in a thread of its own."""
+        """Offer an action until it is closed; `execute` is called in a thread of its own for each goal."""
         name, plain, dialect = self._name(action), plain_type(action_type), self._transport.actions
 
         def serve(opened: Opened) -> Subscription:
@@ -217,7 +217,7 @@ class GraphLink:
         return self._open(name, action_type, serve)
 
     def check_message(self, name: str, type_name: str, message: Message, *, is_goal: bool = False) -> None:
-        """See that a message of a topic, or a goal of an action, follows its definition; nothing is sent.
+        """Check that a message of a topic, or a goal of an action, follows its definition; nothing is sent.
 
         Raises:
             LinkError: it does not, or there is no such type.
@@ -227,7 +227,7 @@ class GraphLink:
         completed(shape, message, where=self._name(name))
 
     def topics(self) -> Mapping[str, str]:
-        """Return the type of each topic that is published or subscribed, by full name; `*` where nothing tells it."""
+        """Return the type of each published or subscribed topic by full name; `*` where it is not known."""
         self._check_open("the graph")
         own = {opened.name: plain_type(opened.type_name) for opened in list(self._opened)}
         return {name: told or own.get(name, "*") for name, told in self._transport.topics().items()}
@@ -248,27 +248,27 @@ class GraphLink:
         return sorted(name for name in self._transport.nodes() if not is_hidden(name))
 
     def publishers(self, topic: str) -> Sequence[GraphEndpoint]:
-        """Return who publishes a topic, this link included; nobody where there is no such topic."""
+        """Return the publishers of a topic, this link included; none where there is no such topic."""
         return list(self._transport.publishers(self._name(topic)))
 
     def subscribers(self, topic: str) -> Sequence[GraphEndpoint]:
-        """Return who subscribes a topic, this link included; nobody where there is no such topic."""
+        """Return the subscribers of a topic, this link included; none where there is no such topic."""
         return list(self._transport.subscribers(self._name(topic)))
 
     def definition(self, message_type: str) -> str:
-        """Return the text of a type's definition, followed by the types that it is made of."""
+        """Return the text of a type's definition, followed by those of the types of its fields."""
         return self._transport.types.definition(message_type)
 
     def halt(self) -> None:
-        """Command zero wherever a velocity was commanded, and have goals end; `close` waits, and tells what fails."""
+        """Command zero wherever a velocity was commanded, and cancel goals; only `close` waits and reports failures."""
         halt_all(driven_of(dict(self._advertised)))
-        if self._transport.has_threads:  # else no robot moves while another one is awaited
+        if self._transport.has_threads:  # without threads, no robot moves while the program waits for another
             self._goals.ask_for_ends()
 
     def close(self) -> None:
-        """Cancel its goals, stop the robot if it was driven, end all that was opened, and leave; once.
+        """Cancel the link's goals, stop the robot if it was driven, close what was opened, and leave the graph; once.
 
-        Where another thread is closing it, the main thread waits until the robot was told to stand still.
+        Where another thread is closing the link, the main thread waits until the stop was commanded.
         """
         this = threading.current_thread()
         with self._books:
@@ -276,12 +276,12 @@ class GraphLink:
             self._closing_it = self._closing_it or this
             opened, advertised = list(self._opened), list(self._advertised.items())
         if was_closed:
-            if this is threading.main_thread() and this is not self._closing_it:  # the process may end then
+            if this is threading.main_thread() and this is not self._closing_it:  # the process may end after this
                 self._is_stopped.wait(_STOPPING_SECONDS)
             return
         do_all(
             [
-                self._goals.close,  # before the last stop: what executes a goal may drive
+                self._goals.close,  # before the stop: the execution of a goal may drive the robot
                 partial(stop_all, driven_of(dict(advertised))),
                 self._is_stopped.set,
                 *(each.close for _, each in reversed(advertised)),
@@ -301,14 +301,14 @@ class GraphLink:
             raise link_closed(where)
 
     def _keep(self, name: str, open_it: Callable[[], _Kept], note: Callable[[_Kept], object]) -> _Kept:
-        """Open what is to be closed with the link, and note it; that takes seconds on some graphs.
+        """Open something that is closed with the link, and register it; this takes seconds on some graphs.
 
         Raises:
             LinkError: the link was closed meanwhile.
         """
         try:
             opened = open_it()
-        except Exception as error:  # what the client library says of a graph that was left is of no use
+        except Exception as error:  # the client library's error on a graph that was left does not help
             if isinstance(error, LinkError) or not self._is_closed:
                 raise
             raise link_closed(name) from error
@@ -378,9 +378,9 @@ class GraphLink:
         return receive
 
     def _fails_run(self, opened: Opened, fault: Exception, what: str) -> bool:
-        """Fail the run, if there is one, for what a callback raised; once for each, not a hundred times a second."""
+        """Fail the run, if there is one, for a callback's exception, but only once for each subscription or offer."""
         opened.fault_count += 1
-        # A callback that was at work while its subscription ended may trip over what its owner has closed.
+        # A callback that was running when its subscription ended may fail because its owner has closed something.
         if not opened.is_open or self._is_closed:
             return False
         if opened.fault_count == 1:

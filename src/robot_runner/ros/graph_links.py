@@ -1,4 +1,4 @@
-"""The links to robots on a ROS graph, as entry points announce them: each is imported only when it is asked for."""
+"""The kinds of links to robots on a ROS graph, for entry points: each is imported only when it is used."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from robot_runner.ros.graph_clock import GraphClock
 
 
 def check_installed(packages: Iterable[str], *, way: str, extra: str) -> None:
-    """See that packages can be imported that a way to reach a robot takes; none is imported by asking.
+    """Check that the packages that a kind of link needs are installed; none is imported.
 
     Raises:
-        LinkError: some cannot be.
+        LinkError: some are not.
 
     Example:
         >>> check_installed(["json"], way="over DDS", extra="dds")
@@ -42,7 +42,7 @@ def check_installed(packages: Iterable[str], *, way: str, extra: str) -> None:
 
 
 _DOMAIN = "ROS_DOMAIN_ID"
-#: Which option of a link names its graph, and by which variable programs of ROS join it.
+#: For each kind, the option that names the graph, and the variable by which programs of ROS join it.
 _JOINED_BY = MappingProxyType(
     {"ros1": ("master", "ROS_MASTER_URI"), "ros2": ("domain", _DOMAIN), "dds": ("domain", _DOMAIN)}
 )
@@ -53,18 +53,18 @@ _GRAPH = "graph"
 
 @dataclass(frozen=True, slots=True)
 class GraphLinkKind:
-    """One way to a ROS graph: a kind of robot link, announced by an entry point.
+    """A kind of robot link to a ROS graph, named by an entry point.
 
-    Each method raises a `LinkError` where the name of the robot cannot be one; what opens something, where the graph
-    cannot be reached.
+    Each method raises a `LinkError` where the name of the robot is not valid; those that open something, also where the
+    graph cannot be reached.
 
     Attributes:
         description: in one line.
-        module: where it is opened, and asked what stands in its way (`findings`); imported once it is asked for.
+        module: has the opener and the checks (`findings`); imported at first use.
         opener: the function that opens it.
         takes_address: whether it has an address, and no options.
-        client: the modules that take long to import, and that `module` imports only where they are asked for.
-        is_slow_to_join: whether who has just joined the graph is not heard at once: DDS has to discover it.
+        client: modules that take long to import, which `module` imports only where they are needed.
+        is_slow_to_join: whether a new participant is not heard at once, because DDS has to discover it.
     """
 
     description: str
@@ -76,39 +76,39 @@ class GraphLinkKind:
 
     @property
     def is_simulated(self) -> bool:
-        """Never: a graph does not tell what is behind it; `is_simulation` asks for signs."""
+        """Return False: a graph does not tell whether its robot is simulated; `is_simulation` looks for signs."""
         return False
 
     def findings(self, name: RobotName) -> list[Finding]:
-        """Return what stands in the way of reaching a robot of this name; nothing is opened by asking."""
+        """Return findings that prevent a link to a robot of this name; nothing is opened."""
         _clock_of(name)
         findings: list[Finding] = self._opening(name).findings(_without_clock(name))
         return findings
 
     def begin_look(self, name: RobotName, needs: Mapping[str, Sequence[GraphNeed]]) -> Callable[[], Sequence[Finding]]:
-        """Begin to look whether the graph has what plugins need, and return what waits for the findings."""
+        """Begin to check whether the graph has what plugins need; return a function that waits for the findings."""
         begin: Callable[..., Callable[[], Sequence[Finding]]]
         begin = import_module("robot_runner.ros.graph_look").begin_look
         return begin(name, needs)
 
     def graph_of(self, name: RobotName) -> str:
-        """Return what tells the graph of a robot from any other: its domain, its master, or its rosbridge."""
+        """Return what identifies the robot's graph: its domain, its master, or its rosbridge."""
         graph: str = import_module("robot_runner.ros.graph_addresses").graph_of(name.graph)
         return graph
 
     def program_variables(self, name: RobotName, *, is_here: bool) -> Mapping[str, str]:
-        """Return the domain, or the master where it is not another computer that may have another address for it."""
+        """Return the variable of the domain or master; no master for another computer, as addresses may differ."""
         option, variable = _JOINED_BY.get(name.link, ("", ""))
         is_known = option in name.options and (is_here or variable == _DOMAIN)
         return {variable: name.options[option]} if is_known else {}
 
     def input_files(self, name: RobotName) -> Iterable[InputFile]:
-        """Return the definitions of messages that its options name."""
+        """Return the files with message definitions that the options name."""
         query = (name.address or "").partition("?")[2]
         for path in _definitions(dict(parse_qsl(query)) if query else name.options):
             there = input_file(path)
             inside = [each for each in there.rglob("*.*") if each.suffix in SUFFIXES]
-            with suppress(LinkError):  # that there are none is told where they are read
+            with suppress(LinkError):  # missing files are reported where they are read
                 inside += naming_files(there)
             yield InputFile(path, tuple(inside))
 
@@ -133,10 +133,10 @@ class GraphLinkKind:
         return link
 
     def open_clock(self, name: RobotName, *, resources: Resources, seed: int) -> Clock:
-        """Return the graph's clock where the run lives by it, else this machine's.
+        """Return the graph's clock where the run follows it, else this machine's.
 
         Raises:
-            LinkError: the option `clock` cannot have its value, or the graph cannot be reached or tells no time.
+            LinkError: the option `clock` is not valid, or the graph cannot be reached or publishes no time.
         """
         del seed
         if not self.follows_graph_clock(name):
@@ -145,10 +145,10 @@ class GraphLinkKind:
         return resources.open("graph clock", partial(_started, link, clock_fix(name)))
 
     def follows_graph_clock(self, name: RobotName) -> bool:
-        """Whether a run lives by the time on `/clock`: as its option `clock` says, else as the graph of ROS 1 does.
+        """Whether a run follows the time on `/clock`: as the option `clock` says, else as the graph of ROS 1 does.
 
         Raises:
-            LinkError: the option cannot have its value, or there is no master to ask.
+            LinkError: the option is not valid, or no master answers.
         """
         chosen = _clock_of(name)
         if chosen is not None or name.link != "ros1":
@@ -164,14 +164,14 @@ class GraphLinkKind:
 
 
 class _FoundRobot:
-    """The name `auto`: stands for whichever robot is found from here, and never for the simulation."""
+    """The name `auto`: the first robot that is found from this machine, but never the simulation."""
 
     description = (
         "what is found: a ROS that is sourced, a ROS 1 master, a rosbridge, ROS 2 over DDS; never the simulation"
     )
 
     def found_robot(self) -> FoundRobot:
-        """Return the robot that is there.
+        """Return the robot that was found.
 
         Raises:
             LinkError: none is found.
@@ -179,7 +179,7 @@ class _FoundRobot:
         return import_module("robot_runner.ros.ros_environment").found_robot()  # type: ignore[no-any-return]
 
 
-# What the entry points of this room name.
+# The objects that entry points name.
 ROS1 = GraphLinkKind("ROS 1 with rospy", "robot_runner.ros.ros1_link", "open_ros1_link", client=("rospy",))
 ROS2 = GraphLinkKind(
     "ROS 2 with rclpy", "robot_runner.ros.ros2_link", "open_ros2_link", client=("rclpy",), is_slow_to_join=True
@@ -214,7 +214,7 @@ GRAPH_LINKS: Mapping[str, GraphLinkKind] = MappingProxyType(
 
 
 def clock_fix(name: RobotName) -> str:
-    """Return what to do where a run is to live by `/clock` and nobody publishes it.
+    """Return the advice for a run that follows `/clock` where no node publishes it.
 
     Example:
         >>> from robot_runner.core.links.robot_name import RobotName
@@ -227,10 +227,10 @@ def clock_fix(name: RobotName) -> str:
 
 
 def follows_graph_clock(robot: str | None) -> bool:
-    """Whether a run with the robot of this name lives by the time that its graph publishes.
+    """Whether a run with the robot of this name follows the time that its graph publishes.
 
     Raises:
-        LinkError: the name cannot be one, or there is no master to ask.
+        LinkError: the name is not valid, or no master answers.
     """
     name = None if robot is None else RobotName.parse(robot)
     kind = None if name is None else GRAPH_LINKS.get(name.link)
@@ -238,7 +238,7 @@ def follows_graph_clock(robot: str | None) -> bool:
 
 
 def _definitions(options: Mapping[str, str]) -> Sequence[Path]:
-    if "types" not in options:  # as nearly always: what takes them apart imports much
+    if "types" not in options:  # the usual case: the parser of the option imports much
         return ()
     named: Sequence[Path] = import_module("robot_runner.ros.graph_addresses").named_definitions(options)
     return named

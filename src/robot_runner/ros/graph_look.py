@@ -1,7 +1,7 @@
-"""A look at a robot's graph before anything is executed: whether what plugins need is there.
+"""Check before anything is executed whether a robot's graph has what plugins need.
 
-It is taken in a process of its own, because the libraries of ROS and DDS start threads, which the process that forks
-runs may not have. Nothing is published, called or moved by looking.
+The check has a process of its own, because the libraries of ROS and DDS start threads, which the process that forks
+runs must not have. It publishes, calls and moves nothing.
 """
 
 from __future__ import annotations
@@ -37,28 +37,28 @@ from robot_runner.ros.sole_control import (
     subscriber_type_findings,
 )
 
-#: How long a look may take in all, s: a client library takes one or two to import and to join the graph on a laptop.
+#: The timeout of the whole check, s: on a laptop, importing a client library and joining the graph takes one or two.
 _SECONDS = 11.0
-#: How long who looks may take to leave the graph where that was too long, s: killed, Fast DDS leaves its shared memory.
+#: The timeout for leaving the graph after that, s: Fast DDS leaves its shared memory behind when it is killed.
 _LEAVING = 2.0
-#: How long what is missing may take to be discovered, s; a ROS 1 master and a rosbridge know at once.
+#: How long discovery may take, s; a ROS 1 master and a rosbridge know their graph at once.
 _DISCOVERY = {"ros2": LONGEST_DISCOVERY, "dds": 1.0}
 _PERIOD = 0.1
-#: What is on a graph without any robot: topics that the client libraries and the rosbridge bring.
+#: Topics of client libraries and of the rosbridge, which are on a graph without any robot.
 _INFRASTRUCTURE = frozenset(
     {"/rosout", "/rosout_agg", "/parameter_events", "/client_count", "/connected_clients", "/clock"}
 )
 _LISTED = 5
-#: How long a node may take to tell of its parameters, s; it is one of many questions.
+#: The timeout for a node's answer about its parameters, s; a check may ask many nodes.
 _PARAMETER_SECONDS = 1.5
 _SERVICES = frozenset({GraphPart.SERVICE, GraphPart.PARAMETERS})
-#: How the names of services begin that are there without any robot: a rosbridge's, and those of this very look.
+#: Prefixes of services that are on a graph without any robot: the rosbridge's, and those of this check.
 _BRIDGE = ("/rosapi", "/rosbridge", "/robot_runner")
 _ROBOT = "robot"
 
 
 def begin_look(name: RobotName, needs: Mapping[str, Sequence[GraphNeed]]) -> Callable[[], list[Finding]]:
-    """Begin to look, and return what waits for the findings; see `LooksAtGraph`."""
+    """Begin the check, and return a function that waits for the findings; see `LooksAtGraph`."""
     asked = {
         "robot": {"link": name.link, "options": dict(name.options), "address": name.address},
         "needs": {where: [asdict(need) for need in wanted] for where, wanted in needs.items()},
@@ -106,9 +106,9 @@ def _not_looked_at(why: str, fix: str = "") -> Finding:
 
 
 def look_at(name: RobotName, needs: Mapping[str, Sequence[GraphNeed]]) -> list[Finding]:
-    """Join the graph, look, and leave it.
+    """Join the graph, check it, and leave it.
 
-    A graph that cannot be joined is an error where anything of it is needed; whatever else could not be looked at is a
+    A graph that cannot be joined is an error where anything on it is needed. Whatever else cannot be checked is a
     warning that says why.
     """
     try:
@@ -134,11 +134,11 @@ def _misfits(link: GraphLink, needs: Mapping[str, Sequence[GraphNeed]]) -> Itera
 
 
 def _patiently(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]], seconds: float) -> list[Finding]:
-    """Look until nothing is missing, but no longer than it takes to discover what is on the graph."""
+    """Repeat the check until nothing is missing, for as long as discovery may take."""
     deadline = time.monotonic() + seconds
     while True:
         found = list(_findings(link, needs))
-        # That there is no robot at all is no error where nothing of it is needed, and may be mended by waiting as well.
+        # Also wait for the robot where nothing of it is needed, and its absence is no error.
         if not any(each.is_error or each.where == _ROBOT for each in found) or time.monotonic() > deadline:
             return found
         time.sleep(_PERIOD)
@@ -159,7 +159,7 @@ def _findings(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]]) -> I
 
 
 def _has_offers(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]]) -> bool:
-    """Whether services or actions are needed and a robot offers any: one that publishes nothing yet may be there."""
+    """Whether services or actions are needed and a robot offers any, which may publish nothing yet."""
     wanted = {need.part for each in needs.values() for need in each}
     if GraphPart.ACTION in wanted and link.actions():
         return True
@@ -167,10 +167,10 @@ def _has_offers(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]]) ->
 
 
 def need_findings(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:
-    """Yield what is missing, of another type, or not alone on a graph; names are full.
+    """Yield findings on a need that is missing, of another type, or not alone on a graph; names are full.
 
     Raises:
-        LinkError: the graph cannot be asked.
+        LinkError: the graph does not answer.
     """
     need = replace(need, types=tuple(map(plain_type, need.types)))
     match need.part:
@@ -212,7 +212,7 @@ def _subscribed(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Fin
 def _parameters(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:
     if not isinstance(link, RobotLink):
         return
-    # One that offers nothing yet is asked again by `_patiently`: to wait for each would take longer than a look may.
+    # `_patiently` asks a node without services again: waiting here for each would take longer than the whole check may.
     is_seen = any(name.startswith(f"{need.name}/") for name in link.services())
     access = parameters_of(link, timeout=_PARAMETER_SECONDS if is_seen else _PERIOD)
     values = {name: from_json(stored) for name, stored in json.loads(need.values).items()}
@@ -228,7 +228,7 @@ def _parameters(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Fin
 
 
 def offer_findings(what: str, offered: Mapping[str, str], need: GraphNeed, where: str) -> Iterator[Finding]:
-    """Yield that a `service` or an `action` is missing, or of another type; names are full."""
+    """Yield a finding where a `service` or an `action` is missing, or of another type; names are full."""
     if need.name not in offered:
         yield _missing(f"there is no {what} {need.name!r}", offered, need, where)
         return
@@ -249,7 +249,7 @@ def _wanted(need: GraphNeed) -> str:
 
 
 def _main() -> None:
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # whoever waits no longer has us leave the graph
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # leave the graph when the caller has given up
     asked = json.load(sys.stdin)
     needs = {
         where: [GraphNeed(**{**each, "part": GraphPart(each["part"]), "types": tuple(each["types"])}) for each in some]

@@ -1,4 +1,4 @@
-"""What a graph link asks of the client library below it, and the errors that all transports raise alike."""
+"""The interface between a graph link and the client library below it, and the errors that all transports share."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
     from robot_runner.ros.action_calls import ActionDialect
 
-#: How long it takes at most until a graph of ROS 2 is known to who has just joined it, s. On Fast DDS (seen with 2.14,
-#: packets captured) a process answers a newcomer before that hears it in every second try, and tells of itself again
-#: after 3 s; which node has what comes by another message, which is repeated after 3 s, too.
+#: The longest time that a new participant of ROS 2 takes to discover the graph, s. On Fast DDS (seen with 2.14, packets
+#: captured) a process answers a new participant before that listens in every second try, and announces itself again
+#: after 3 s; which endpoints a node has comes by another message, which is repeated after 3 s, too.
 LONGEST_DISCOVERY = 7.5
 
 
@@ -27,20 +27,20 @@ class GraphTypes(Protocol):
     """The message and service types that a transport knows; each method raises a `LinkError` for an unknown type."""
 
     def shape(self, message_type: str) -> Shape:
-        """Return what a message type is made of."""
+        """Return the fields of a message type."""
 
     def request(self, service_type: str) -> Shape:
-        """Return what the request of a service type is made of."""
+        """Return the fields of a service type's request."""
 
     def response(self, service_type: str) -> Shape:
-        """Return what the response of a service type is made of."""
+        """Return the fields of a service type's response."""
 
     def definition(self, message_type: str) -> str:
-        """Return the text of a type's definition, followed by the types that it is made of."""
+        """Return the text of a type's definition, followed by those of the types of its fields."""
 
 
 class Reception(Protocol):
-    """One message as it arrived; it is decoded or encoded only where a subscriber asks for that form."""
+    """A received message; it is decoded or encoded only where a subscriber asks for that form."""
 
     def message(self) -> Message:
         """Return the message as a mapping."""
@@ -79,13 +79,13 @@ class TopicPublisher(Protocol):
         """Publish a message that has every field of its type."""
 
     def reach(self) -> bool:
-        """Return whether the subscribers that are there would receive what is published, once they do; False if late.
+        """Wait until the existing subscribers are connected; return False if they are not in time.
 
-        A subscriber that asks for more than this publisher offers is not counted.
+        A subscriber whose QoS requests more than this publisher offers is not counted.
         """
 
     def flush(self, seconds: float) -> None:
-        """Return once the reachable subscribers have what was published; raise a `LinkError` where one refuses it."""
+        """Return once the connected subscribers have the messages; raise a `LinkError` where one does not take them."""
 
     def close(self) -> None:
         """Leave the topic."""
@@ -95,14 +95,14 @@ class TopicSubscription(Protocol):
     """A subscription of one topic."""
 
     def explain(self) -> str:
-        """Say what to do where no message came: one imperative, or nothing; raise a `LinkError` for a known cause."""
+        """Return advice where no message came: one imperative, or nothing; raise a `LinkError` for a known cause."""
 
     def close(self) -> None:
         """Leave the topic."""
 
 
 class ClosedBy(NamedTuple):
-    """A subscription or an offer that ends by calling a function, and says `advice` where no message came."""
+    """A subscription or an offer that is closed by calling a function; `advice` is for where no message came."""
 
     leave: Callable[[], object]
     advice: str = ""
@@ -117,16 +117,16 @@ class ClosedBy(NamedTuple):
 
 
 class Transport(Protocol):
-    """The primitives that a client library gives to a `GraphLink`, which owns all else.
+    """The primitives of a client library, on which a `GraphLink` builds everything else.
 
-    Names are full, types are spelt without a generation, messages to be sent have every field of their type. Each
-    method raises a `LinkError` where the graph does not allow it.
+    Names are full, types are spelt for both generations alike (`std_msgs/String`), messages to be sent have every field
+    of their type. Each method raises a `LinkError` where the graph does not allow the operation.
 
     Attributes:
         types: the types that can be sent and received.
-        encoding: how the bytes of raw messages are laid out.
-        has_threads: whether callbacks are called from a thread of the transport, where nobody sees what they raise.
-        actions: how the graph speaks of actions.
+        encoding: of raw messages.
+        has_threads: whether callbacks are called from a thread of the transport, where no caller sees their exceptions.
+        actions: the graph's protocol of actions.
     """
 
     @property
@@ -142,21 +142,21 @@ class Transport(Protocol):
     def actions(self) -> ActionDialect: ...  # noqa: D102 - see above
 
     def advertise(self, topic: str, message_type: str, qos: Qos) -> TopicPublisher:
-        """Return a publisher, once the subscribers that are there already are reached."""
+        """Return a publisher, once the existing subscribers are connected."""
 
     def subscribe(
         self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
     ) -> TopicSubscription:
-        """Have `receive` called with each message; `is_raw` says which form of it will be asked for."""
+        """Call `receive` with each message; `is_raw` says which form will be asked for."""
 
     def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
         """Call a service and return its response; `timeout` is in seconds."""
 
     def serve(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> Subscription:
-        """Offer a service; a request at which `answer` raises is refused where the graph has a way to say so."""
+        """Offer a service; where `answer` raises, the request fails if the graph's protocol has a way to say so."""
 
     def topics(self) -> Mapping[str, str]:
-        """Return the type of each topic by full name; an empty text where the graph does not tell."""
+        """Return the type of each topic by full name; an empty text where it is not known."""
 
     def services(self) -> Mapping[str, str]:
         """Return the type of each service by full name."""
@@ -165,20 +165,20 @@ class Transport(Protocol):
         """Return the full names of the nodes."""
 
     def publishers(self, topic: str) -> Iterable[GraphEndpoint]:
-        """Return who publishes a topic."""
+        """Return the publishers of a topic."""
 
     def subscribers(self, topic: str) -> Iterable[GraphEndpoint]:
-        """Return who subscribes a topic."""
+        """Return the subscribers of a topic."""
 
     def wait(self, event: threading.Event, seconds: float) -> None:
-        """Wait for an event that a callback sets, for so long at most; raise a `LinkError` if the graph is lost."""
+        """Wait at most `seconds` for an event that a callback sets; raise a `LinkError` if the graph is lost."""
 
     def close(self) -> None:
         """Leave the graph."""
 
 
 def is_hidden(name: str) -> bool:
-    """Whether a name is one that ROS 2 hides: its lists of nodes and topics leave it out, and so does rosapi.
+    """Whether ROS 2 hides a name: its lists of nodes and topics leave it out, and so does rosapi.
 
     Example:
         >>> is_hidden("/navigate_to_pose/_action/status"), is_hidden("/odom")
@@ -188,16 +188,16 @@ def is_hidden(name: str) -> bool:
 
 
 def receive_clock(clock: Clock) -> Callable[[], int]:
-    """Return what stamps raw messages, in ns: this machine's time, or a simulation's where the run has one."""
+    """Return a function that gives the stamps of raw messages, ns: this machine's time, or the run's simulated one."""
     if not is_simulated_time(clock):
         return time.time_ns
-    # What the simulation tells, as stamps do: a run's clock goes on where a simulator is reset.
+    # The time that the simulation publishes, as stamps are: a run's clock goes on where a simulator is reset.
     shown: Callable[[], float] = getattr(clock, "shown", clock.now)
     return lambda: int(shown() * 1e9)
 
 
 def is_simulated_time(clock: Clock) -> bool:
-    """Whether a clock is a simulation's; every other clock follows this machine's time, also where it is wrapped.
+    """Whether a clock is a simulation's; every other clock follows this machine's time, also a wrapped one.
 
     Example:
         >>> from robot_runner.core.events.context import SystemClock
@@ -208,10 +208,10 @@ def is_simulated_time(clock: Clock) -> bool:
 
 
 def check_type(topic: str, wanted: str, found: Iterable[str], *, owner: str = "") -> None:
-    """Refuse a topic that already carries another type; `owner` is the node that has it, where that is known.
+    """Refuse a topic that already has another type; `owner` is the node that uses it, where that is known.
 
     Raises:
-        LinkError: one of them is another.
+        LinkError: a type differs.
     """
     for true in found:
         if plain_type(true) != plain_type(wanted):
@@ -222,18 +222,18 @@ def check_type(topic: str, wanted: str, found: Iterable[str], *, owner: str = ""
 
 
 def silent_publishers(names: Iterable[str]) -> str:
-    """Say what to do where these nodes publish a topic and nothing came."""
+    """Return the advice where these nodes publish a topic and no message came."""
     return f"Look whether {', '.join(sorted(set(names)))}, which publishes it, is alive and reachable from here."
 
 
 def nobody_publishes(topic: str, known: Iterable[str]) -> str:
-    """Say what to do where nobody publishes a topic; `known` are the topics that are published."""
+    """Return the advice where no node publishes a topic; `known` are the published topics."""
     near = nearest(topic, [name for name in known if name != topic])
     return f"Nobody publishes {topic!r}: " + (f"did you mean {near!r}?" if near else "start the node that does.")
 
 
 def link_closed(where: str) -> LinkError:
-    """Return the error that something is to be done over a link that was closed."""
+    """Return the error for an operation on a closed link."""
     return LinkError("the link was closed", where=where, fix="Use it before the run ends.")
 
 
@@ -244,7 +244,7 @@ def wrong_service_type(service: str, true: str, wanted: str) -> LinkError:
 
 
 def already_offered(name: str, owner: str = "another node", *, what: str = "service") -> LinkError:
-    """Return the error that a service or action of this name is there already."""
+    """Return the error that a service or action of this name exists already."""
     fix = "End the other node, or give the robots namespaces of their own."
     return LinkError(f"{owner} offers the {what} {name!r} already", where=name, fix=fix)
 

@@ -1,7 +1,7 @@
-"""What nodes were like before a run changed them, in a file that outlives the run.
+"""The settings of nodes before a run changed them, in a file that outlives the run.
 
-It is written before anything is set, and goes once everything is as before: as long as it is there, a run is at work or
-was killed, and whoever comes next can put things right.
+The file is written before anything is set, and removed once everything is restored. As long as it exists, a run is in
+progress or was killed, and the next one can restore the settings.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ Settings: TypeAlias = "Mapping[str, Mapping[str, ParameterValue]]"
 #: The fields of /proc/<pid>/stat behind the program's name, from man 5 proc_pid_stat.
 _STATE, _STARTED = 0, 19
 _DEAD = "ZX"
-#: Where they are kept, among what is known on this computer: of processes of others nothing is seen from here.
+#: The folder of these files, on this computer: the processes of another cannot be checked from here.
 _FOLDER = "settings"
-#: The files of runs of this process that go on: with `RunProcess.IN_PROCESS` one process executes several.
+#: The files of runs that this process is executing: with `RunProcess.IN_PROCESS` there may be several.
 _in_care: set[Path] = set()
 
 
 @dataclass(frozen=True, slots=True)
 class KeptSettings:
-    """What is in one file.
+    """The content of one file.
 
     Attributes:
-        kind: what they are settings of, such as `parameters`.
+        kind: the kind of settings, such as `parameters`.
         robot: of the experiment, as its config names it.
         plugin: the name of the plugin that set them.
-        before: what there was, by full names of nodes.
-        wanted: what was set.
-        owner: the process that puts it back, and when it was started.
-        graph: of the robot, which may be named in several ways: `ros2`, `dds:domain=0,distro=humble`.
+        before: the values before the run, by full names of nodes.
+        wanted: the values that the run set.
+        owner: the process that restores them, and when it was started.
+        graph: of the robot, since robots of one graph may be named `ros2` or `dds:domain=0,distro=humble`.
     """
 
     kind: str
@@ -61,7 +61,7 @@ class KeptSettings:
 
     @classmethod
     def of_this_process(cls, kind: str, robot: str, plugin: str, before: Settings, wanted: Settings) -> KeptSettings:
-        """Return what this process keeps."""
+        """Return an object whose owner is this process."""
         return cls(kind, robot, plugin, before, wanted, (os.getpid(), _started(os.getpid())))
 
     @property
@@ -78,7 +78,7 @@ class KeptSettings:
         return not started or _started(pid) != started
 
     def write(self) -> None:
-        """Write the file, and have it reach the disk.
+        """Write the file, and sync it to the disk.
 
         Raises:
             StorageError: it cannot be written.
@@ -97,34 +97,34 @@ class KeptSettings:
         _in_care.add(self.path)
 
     def give_up(self) -> None:
-        """Leave the file to whoever comes next, once it is clear that all cannot be put back now."""
+        """Leave the file to the next run, as not everything can be restored now."""
         _in_care.discard(self.path)
 
     def remove(self) -> None:
-        """Let go of the file, once all is as before."""
+        """Remove the file, once everything is restored."""
         _in_care.discard(self.path)
         with suppress(StorageError):  # a simulated robot's was never written
             remove(self.path)
 
 
 def left_settings(kind: str, robot: str | None) -> list[KeptSettings]:
-    """Return what runs that were killed have left changed on this robot; nothing is changed by asking.
+    """Return the settings that killed runs have left changed on this robot; nothing is changed.
 
-    A file that cannot be read is passed over: it is of another version, or a stranger's.
+    A file that cannot be read is skipped: another version or another program wrote it.
     """
     graph = None if robot is None else graph_of(robot)
     return [each for each in _read_all() if each.kind == kind and each.graph == graph and each.is_left]
 
 
 def as_json(settings: Settings) -> dict[str, dict[str, Any]]:
-    """Return settings as JSON can hold them."""
+    """Return settings in a form that JSON can hold."""
     return {node: {name: to_json(value) for name, value in values.items()} for node, values in settings.items()}
 
 
 def _read_all() -> Iterator[KeptSettings]:
     try:
         paths = sorted(state_folder(_FOLDER).glob("*.json"))
-    except StorageError:  # who has no home has left nothing
+    except StorageError:  # a user without a home folder has left nothing
         return
     for path in paths:
         with suppress(StorageError, KeyError, TypeError, ValueError, AttributeError):

@@ -12,7 +12,7 @@ from robot_runner.ros.node_services import call_node
 
 
 class LifecycleState(IntEnum):
-    """The states of lifecycle_msgs/State: four in which a node stays, and those on the way from one to another."""
+    """The states of lifecycle_msgs/State: four primary states, and the transition states between them."""
 
     UNKNOWN = 0
     UNCONFIGURED = 1
@@ -28,11 +28,11 @@ class LifecycleState(IntEnum):
 
     @property
     def label(self) -> str:
-        """What ROS calls it, such as `inactive`."""
+        """The name that ROS has for it, such as `inactive`."""
         return self.name.lower().replace("_", "")
 
 
-#: The states that a node can be brought to and back from, in their order.
+#: The states that a node can be brought to and back from, in this order.
 SETTLED = (LifecycleState.UNCONFIGURED, LifecycleState.INACTIVE, LifecycleState.ACTIVE)
 _UP = ("configure", "activate")
 _DOWN = ("cleanup", "deactivate")
@@ -44,7 +44,7 @@ def state_of(link: RobotLink, node: str, *, timeout: float = 5.0) -> LifecycleSt
     Args:
         link: to the robot, on ROS 2.
         node: its name, relative to the robot's namespace unless it begins with `/`.
-        timeout: how long its answer may take, s.
+        timeout: of its answer, s.
 
     Raises:
         LinkError: there is no managed node of this name, it does not answer in time, or the graph is one of ROS 1.
@@ -58,7 +58,7 @@ def state_of(link: RobotLink, node: str, *, timeout: float = 5.0) -> LifecycleSt
 
 
 def change_state(link: RobotLink, node: str, transition: str, *, timeout: float = 10.0) -> LifecycleState:
-    """Have a managed node make a transition, such as `activate`, and return the state that it is in afterwards.
+    """Request a transition of a managed node, such as `activate`, and return its state afterwards.
 
     Args:
         link: to the robot, on ROS 2.
@@ -86,7 +86,7 @@ def change_state(link: RobotLink, node: str, transition: str, *, timeout: float 
 
 
 def bring_to(link: RobotLink, node: str, state: str | LifecycleState, *, timeout: float = 10.0) -> None:
-    """Bring a managed node to a state by the transitions that lead there; do nothing where it is in it.
+    """Bring a managed node to a state by the transitions that lead there; do nothing if it is in that state.
 
     Args:
         link: to the robot, on ROS 2.
@@ -111,7 +111,7 @@ def bring_to(link: RobotLink, node: str, state: str | LifecycleState, *, timeout
 
 
 def named_state(state: str | LifecycleState, *, where: str) -> LifecycleState:
-    """Return the state of this name that a node can be brought to.
+    """Return the state of this name; it must be one that a node can be brought to.
 
     Raises:
         LinkError: there is none.

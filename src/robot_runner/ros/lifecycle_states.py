@@ -1,4 +1,4 @@
-"""The system that brings managed nodes to a state for each run, and back to the one that they were in."""
+"""The system that brings managed nodes to a state for each run, and back to their former state."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from robot_runner.core.plugin import Circumstances
     from robot_runner.ros.parameter_values import ParameterValue
 
-#: What the state of a node is called among its settings.
+#: The key of a node's state among its settings.
 _STATE = "state"
 
 
@@ -33,7 +33,7 @@ class Lifecycle(RestoredSettings):
         timeout: how long each transition may take, s.
 
     Raises:
-        PluginError: there are no states, a name cannot be one, or there is no such state.
+        PluginError: there are no states, a name is not valid, or there is no such state.
 
     Example:
         >>> Lifecycle({"/slam": "active"}).settings
@@ -64,7 +64,7 @@ class Lifecycle(RestoredSettings):
             raise PluginError(f"{error.where}: {error.problem}", where=self.name, fix=error.fix) from error
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Yield that nodes of ROS 1 have no life cycle, and what stands in the way of any settings."""
+        """Yield an error on ROS 1, whose nodes have no life cycle, and the findings for settings of all kinds."""
         yield from super().check(circumstances)
         if (circumstances.robot or "").partition(":")[0].strip() == "ros1":
             yield ros1_has_none(f"plugin {self.name}").as_finding()

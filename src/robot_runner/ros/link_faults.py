@@ -1,4 +1,4 @@
-"""Faults of a link that is used or closed: of whichever kind, each is told, and keeps nothing else from being done."""
+"""Errors of links: turned into a `LinkError`, and collected where all steps have to be done in spite of them."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from robot_runner.core.errors import LinkError
 
 
 def as_link_error(error: Exception, *, where: str, what: str = "") -> LinkError:
-    """Return an error of whichever kind a client library raises as one that has a place and a remedy.
+    """Return any exception of a client library as a `LinkError`, which has a place and a fix.
 
     Args:
-        error: what was raised.
+        error: the exception.
         where: the topic or action.
-        what: what has failed, before what the library says of it; empty for nothing.
+        what: what has failed, put before the library's message; may be empty.
 
     Example:
         >>> print(as_link_error(RuntimeError("the context is not valid"), where="/cmd_vel"))
@@ -27,11 +27,11 @@ def as_link_error(error: Exception, *, where: str, what: str = "") -> LinkError:
 
 
 def do_all(steps: Iterable[Callable[[], object]]) -> None:
-    """Do each of these, whatever the ones before have raised, and raise it afterwards.
+    """Do all steps, also after one has raised, and raise its exception afterwards.
 
     Raises:
-        BaseException: what was raised first, and what matters most therefore. Of several link errors it is one that has
-            the findings of all; what else was raised is added as notes.
+        BaseException: the first exception, as the most important step comes first. Several link errors become one with
+            all their findings; the other exceptions are added as notes.
     """
     faults: list[BaseException] = []
     for step in steps:

@@ -1,4 +1,4 @@
-"""Turns messages between plain mappings and the objects of a `rosbags` type store, with converters made once a type."""
+"""Converts messages between plain mappings and objects of a `rosbags` type store; converters are made once a type."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
     Converter = Callable[[Any], Any]
 
-#: What a type without fields holds in a type store, because IDL allows no empty structure.
+#: The field in a type store of a type without fields, because IDL allows no empty structure.
 FILLER = "structure_needs_at_least_one_member"
 
 #: Arrays of these are `bytes` in a mapping, as in the client libraries of ROS.
@@ -18,7 +18,7 @@ OCTETS = frozenset({"uint8", "byte", "char", "octet"})
 
 
 class NodeKind:
-    """What a field is in a type store: the numbers of `rosbags.interfaces.Nodetype`."""
+    """The kinds of fields in a type store: the numbers of `rosbags.interfaces.Nodetype`."""
 
     BASIC = 1
     TYPE = 2
@@ -27,7 +27,7 @@ class NodeKind:
 
 
 class MessageCodec:
-    """Converters of the types of one store, each made when its type is first met.
+    """Converters for the types of one store, each made at the first use of its type.
 
     Example:
         >>> from rosbags.typesys import Stores, get_typestore
@@ -38,10 +38,10 @@ class MessageCodec:
     """
 
     def __init__(self, store: Typestore, *, signed_bytes: bool = False) -> None:
-        """Make one without converters.
+        """Make a codec without converters.
 
         Args:
-            store: whose objects these are.
+            store: the type store of the objects.
             signed_bytes: whether `byte` is an int8, as in ROS 1 and in type stores, and not an octet, as in ROS 2.
         """
         self._store = store

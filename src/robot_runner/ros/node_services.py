@@ -12,22 +12,22 @@ from robot_runner.core.words import enumerated
 
 
 class NodeNotReadyError(LinkError):
-    """A node is not there, or is on its way to another state: one that was just started may need a moment."""
+    """A node is not there, or is between two states: a node that was just started may need a moment."""
 
 
 def full_node(link: RobotLink, node: str) -> str:
-    """Return the full name of a node that is named relative to a link's namespace; `/` stays what it is.
+    """Return the full name of a node whose name may be relative to the link's namespace; `/` stays `/`.
 
     Raises:
-        LinkError: it cannot be a name.
+        LinkError: the name is not valid.
     """
     return node if node == "/" else full_name(getattr(link, "namespace", ""), node)
 
 
 def call_node(link: RobotLink, node: str, service_type: str, request: Message, *, what: str, timeout: float) -> Any:
-    """Call one of the services that nodes of a kind offer, and return its response; for errors, `what` says which kind.
+    """Call a service that nodes of a kind offer, and return its response; `what` names the kind in errors.
 
-    The service of the type `rcl_interfaces/GetParameters` is called `get_parameters`.
+    The name of the service follows from its type: `get_parameters` for `rcl_interfaces/GetParameters`.
 
     Raises:
         NodeNotReadyError: no node of this name offers it; the nearest is named.
@@ -47,7 +47,7 @@ def call_node(link: RobotLink, node: str, service_type: str, request: Message, *
 
 
 def _nodes_with(link: RobotLink, service: str) -> set[str] | None:
-    """Return the nodes that offer a service of this name; None where the graph cannot be asked."""
+    """Return the nodes that offer a service of this name; None where the graph does not answer."""
     with suppress(LinkError):
         return {name.rpartition("/")[0] for name in link.services() if name.endswith(f"/{service}")}
     return None

@@ -1,4 +1,4 @@
-"""A bag as the readers of rosbags give it, topic by topic: what cannot be read of one topic keeps no other away."""
+"""A bag, read by rosbags topic by topic: a topic that cannot be read does not affect the others."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ if TYPE_CHECKING:
 _INSTALL = "Install it: pip install 'robot-runner[bag]'."
 #: Separates the definitions of several files of IDL, as rosbag2 writes them into MCAP.
 _RULE = "=" * 80 + "\n"
-#: Lines such as `#include`, which the parser of rosbags does not know; what they name is written beside.
+#: Lines such as `#include`, which the parser of rosbags does not know; the bag has the included definitions anyway.
 _DIRECTIVE = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
 
 
 class OpenedBag:
-    """The reader of a bag, and the types that its messages have; it is closed as a context manager.
+    """The reader of a bag, and the types of its messages; a context manager.
 
-    rosbags has a reader of both generations, too (`AnyReader`). It refuses a bag for one definition that it cannot
-    parse, and of a folder it passes over messages whose QoS `metadata.yaml` tells otherwise than the file.
+    rosbags has a reader for both generations, too (`AnyReader`). It refuses a bag for one definition that it cannot
+    parse, and in a folder it skips messages whose QoS differs between `metadata.yaml` and the file.
 
     Args:
         path: a `.bag`, `.mcap` or `.db3` file, or the folder of a bag of ROS 2.
 
     Attributes:
-        encoding: of its messages, which tells its generation of ROS.
+        encoding: of its messages; it follows from the generation of ROS.
         connections: of rosbags; a topic may have several.
-        store: the types that the bag defines; of ROS 2 those of Humble where it defines none.
-        faults: by type, why its definition cannot be used.
+        store: the types that the bag defines, or those of Humble where a bag of ROS 2 defines none.
+        faults: why a definition cannot be used, by type.
         count: how many messages there are.
         begin_ns, end_ns: when its first and its last message were recorded, ns since the epoch; 0 of an empty bag.
 
     Raises:
-        PluginError: the library that reads it is not installed.
-        Exception: it cannot be read; which errors those are depends on what rosbags has unpack its bytes.
+        PluginError: the library that reads the bag is not installed.
+        Exception: the bag cannot be read; the class depends on the library with which rosbags unpacks it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -63,7 +63,7 @@ class OpenedBag:
             self.store: Typestore = self._types()
             self.count: int = self._reader.message_count
             self.begin_ns: int = self._reader.start_time if self.count else 0
-            # rosbags' end lies one nanosecond behind the last message.
+            # The end in rosbags is one nanosecond after the last message.
             self.end_ns: int = self._reader.end_time - 1 if self.count else 0
             undoing.pop_all()
 
@@ -74,7 +74,7 @@ class OpenedBag:
     def messages(self, connections: Iterable[Any]) -> Iterator[tuple[Any, int, bytes]]:
         """Yield connection, time in ns since the epoch, and bytes of each message, in their order."""
         wanted = [each for connection in connections for each in self._as_filed(connection)]
-        if wanted:  # none would be taken for all
+        if wanted:  # rosbags would take an empty list for all
             yield from self._reader.messages(wanted)
 
     def deserialised(self, message_type: str, data: bytes) -> object:
@@ -83,9 +83,9 @@ class OpenedBag:
         return (self.store.deserialize_cdr if is_cdr else self.store.deserialize_ros1)(data, message_type)
 
     def _as_filed(self, connection: Any) -> list[Any]:
-        """Return a connection that `metadata.yaml` tells of as the files of the folder have it.
+        """Return the connections in the files of the folder for one from `metadata.yaml`.
 
-        Readers of folders find a connection in the files by its QoS, too.
+        The reader of a folder identifies a connection in the files by its QoS, too.
         """
         storages = getattr(self._reader.storage, "storages", None) if self.encoding is Encoding.CDR else None
         if storages is None:
@@ -98,7 +98,7 @@ class OpenedBag:
         return found
 
     def _types(self) -> Typestore:
-        """Return the types that the bag defines, and note those that it does not."""
+        """Return the types that the bag defines, and record the faults of the others."""
         from rosbags.interfaces import MessageDefinitionFormat  # noqa: PLC0415  # an extra
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415  # an extra
 

@@ -1,4 +1,4 @@
-"""What a graph link has opened: the topics that it publishes, and its subscriptions and offers."""
+"""The topics that a graph link publishes, and its subscriptions and offers."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import Message, Qos
     from robot_runner.ros.graph_transport import TopicPublisher
 
-#: How long the last command, to stand still, may take to reach the robot, s: a robot two hops of Wi-Fi away takes it
-#: within tenths, and a run must not hang on one that is switched off.
+#: The timeout for the stop command to reach the robot, s: over two hops of Wi-Fi it takes tenths of a second, and a run
+#: must not hang on a robot that is switched off.
 _STOPPING_SECONDS = 2.0
 
 
@@ -31,7 +31,7 @@ class Advertised:
     """A topic that this link publishes with one QoS.
 
     Attributes:
-        is_commanded: whether velocities are commanded there, as far as is known.
+        is_commanded: whether velocities are known to have been commanded on it.
     """
 
     message_type: str
@@ -42,18 +42,18 @@ class Advertised:
 
     @property
     def drives(self) -> bool:
-        """Whether it commands a velocity, which a robot carries out until the next one."""
+        """Whether it commands velocities, each of which a robot executes until the next one."""
         return self.message_type in VELOCITIES
 
     def command(self, topic: str) -> None:
-        """Take down that velocities are commanded there, if it has these, and tell who stands by for this process."""
+        """Note that velocities are commanded on the topic, if its type has them, and tell the standby process."""
         if self.drives and not self.is_commanded:
             self.is_commanded = True
             tell_commanded(topic, self.message_type)
 
     @contextmanager
     def sending(self) -> Iterator[None]:
-        """While it lasts, no other thread sends on the topic; one that is stuck is not waited for for long."""
+        """Keep other threads from sending on the topic for a while; wait only briefly for one that hangs."""
         is_ours = self._sending.acquire(timeout=_STOPPING_SECONDS)
         try:
             yield
@@ -62,7 +62,7 @@ class Advertised:
                 self._sending.release()
 
     def send(self, topic: str, message: Message) -> None:
-        """Publish a message that has every field, and note a command, so that it is told from those of others."""
+        """Publish a complete message, and record a command, to distinguish it from those of other nodes."""
         if self.drives:
             note_sent(topic, planar(velocity_of(self.message_type, message)))
         elif is_watched(topic):
@@ -83,10 +83,10 @@ class Advertised:
             self.send(topic, completed(self.shape, {}, where=topic))
 
     def see_taken(self, topic: str) -> None:
-        """See that the last command was taken.
+        """Check that the subscribers received the last command.
 
         Raises:
-            LinkError: nobody takes it, or the client library fails at it.
+            LinkError: they did not, or the client library fails.
         """
         with _telling(topic):
             self.publisher.flush(_STOPPING_SECONDS)
@@ -94,7 +94,7 @@ class Advertised:
 
 @contextmanager
 def _telling(topic: str) -> Iterator[None]:
-    """While this lasts, whatever fails is an error that a robot could not be told to stand still."""
+    """Turn exceptions into the error that a robot could not be commanded to stand still."""
     try:
         yield
     except Exception as error:
@@ -104,27 +104,27 @@ def _telling(topic: str) -> Iterator[None]:
 
 
 def driven_of(advertised: Mapping[tuple[str, Qos], Advertised]) -> list[tuple[str, Advertised]]:
-    """Return the topics on which velocities are commanded, or may have been, the last one first."""
+    """Return the topics on which velocities are, or may have been, commanded, the last one first."""
     return [(topic, each) for (topic, _), each in reversed(list(advertised.items())) if each.drives]
 
 
 def halt_all(driven: Iterable[tuple[str, Advertised]]) -> None:
-    """Command zero on each of these topics, whatever fails at another, and wait for nothing.
+    """Command zero on each of these topics, even if another one fails, without waiting.
 
-    Closing a link may wait for a robot that is out of reach, and no other one is to drive on meanwhile.
+    Closing a link may wait for a robot that is out of reach, and no other robot may drive on meanwhile.
     """
     for topic, advertised in driven:
-        with suppress(Exception):  # it is commanded once more as the link is closed, and told then
+        with suppress(Exception):  # closing the link repeats the command, and reports the error
             advertised.command_zero(topic)
 
 
 def stop_all(driven: Sequence[tuple[str, Advertised]]) -> None:
-    """Command zero on each of these topics, and then see that it is taken: no robot drives on while another is awaited.
+    """Command zero on all of these topics, then check that it was received, so that no robot drives on meanwhile.
 
-    Where nobody is known to have commanded, it is not awaited: who subscribes there may be gone, and that is no fault.
+    A topic without a known command is not checked: its subscriber may be gone, which is no fault.
 
     Raises:
-        LinkError: nobody takes one of the others, or the client library fails at it.
+        LinkError: a command was not received on one of the others, or the client library fails.
     """
     told: list[tuple[str, Advertised]] = []
 
@@ -151,7 +151,7 @@ class Opened:
         self._closing = threading.Lock()
 
     def close(self) -> None:
-        """Receive no more; closing twice does nothing."""
+        """End the subscription or offer; closing twice does nothing."""
         with self._closing:
             was_open, self.is_open = self.is_open, False
         if was_open:

@@ -1,7 +1,7 @@
-"""Lists, describes, reads and changes the parameters of nodes, whichever generation of ROS they are of.
+"""Lists, describes, reads and changes the parameters of nodes, in both generations of ROS.
 
-A node of ROS 2 answers for its own parameters by six services (design.ros2.org, ROS 2 parameters). In ROS 1 they stand
-in the parameter server of the master, where a node has looked them up, mostly when it was started.
+A node of ROS 2 offers six services for its parameters (design.ros2.org, ROS 2 parameters). In ROS 1 the parameter
+server of the master holds them, and a node reads them, mostly when it is started.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from robot_runner.ros.parameter_values import (
     normal,
 )
 
-#: ROS 1: XML-RPC has whole numbers of 32 bits.
+#: The range of whole numbers in XML-RPC, and so in ROS 1.
 _INT32 = range(-(2**31), 2**31)
 _DECLARED = "Look what it has: ros2 param list."
 
@@ -34,7 +34,7 @@ _DECLARED = "Look what it has: ros2 param list."
 class ParameterAccess(Protocol):
     """The parameters of the nodes of a graph. Names of nodes are relative to the robot's namespace or begin with `/`.
 
-    Each method raises a `LinkError` where there is no such node or parameter, naming the nearest, and where the node
+    Each method raises a `LinkError` where there is no such node or parameter (it names the nearest), and where the node
     does not answer in time.
     """
 
@@ -48,10 +48,10 @@ class ParameterAccess(Protocol):
         """Return the values that these parameters have; None for one without a value."""
 
     def objections(self, node: str, values: Mapping[str, Any]) -> Sequence[LinkError]:
-        """Return why these values cannot be set, as far as that is known beforehand; nothing is set by asking."""
+        """Return errors for values that are known not to be accepted; nothing is set."""
 
     def change(self, node: str, values: Mapping[str, Any]) -> None:
-        """Set parameters of a node; None takes the value of one away.
+        """Set parameters of a node; None removes a value.
 
         Raises:
             LinkError: one is read-only, of another kind or out of its limits, and nothing is set; or the node refuses
@@ -60,7 +60,7 @@ class ParameterAccess(Protocol):
 
 
 class ParameterServer(Protocol):
-    """The parameter server of ROS 1: parameters by full names, whoever they are for."""
+    """The parameter server of ROS 1: all parameters, by full names."""
 
     def parameter_names(self) -> Sequence[str]:
         """Return the full names of all parameters."""
@@ -80,7 +80,7 @@ def parameters_of(link: RobotLink, *, timeout: float = 5.0) -> ParameterAccess:
 
     Args:
         link: to the robot; relative names of nodes are below its namespace.
-        timeout: how long each answer of a node may take, s.
+        timeout: of each answer of a node, s.
 
     Example:
         >>> from robot_runner.testing import FakeClock, FakeRobotLink, ParameterNode
@@ -96,7 +96,7 @@ def parameters_of(link: RobotLink, *, timeout: float = 5.0) -> ParameterAccess:
 
 
 def all_at_once(errors: Sequence[LinkError], *, where: str) -> None:
-    """Raise what several errors say as one; nothing where there is none.
+    """Raise several errors as one; do nothing if there is none.
 
     Raises:
         LinkError: there is an error.
@@ -109,7 +109,7 @@ def all_at_once(errors: Sequence[LinkError], *, where: str) -> None:
 
 
 class NodeParameters:
-    """The parameters of nodes of ROS 2, asked of the nodes themselves."""
+    """The parameters of nodes of ROS 2, over the services of the nodes."""
 
     def __init__(self, link: RobotLink, timeout: float = 5.0) -> None:
         self._link = link
@@ -125,7 +125,7 @@ class NodeParameters:
         self._check_known(node, names, [int(each["type"]) for each in told])
         found = {name: _description(name, each) for name, each in zip(names, told, strict=True)}
         vague = [name for name, each in found.items() if each.kind is ParameterKind.NOT_SET]
-        for name, value in (self.values(node, vague) if vague else {}).items():  # rclpy of Foxy tells no kind
+        for name, value in (self.values(node, vague) if vague else {}).items():  # rclpy of Foxy omits the kind
             found[name] = replace(found[name], kind=kind_of(value))
         return found
 
@@ -136,11 +136,11 @@ class NodeParameters:
         return {name: from_wire(each) for name, each in zip(names, told, strict=True)}
 
     def objections(self, node: str, values: Mapping[str, Any]) -> list[LinkError]:
-        """Return why these values cannot be set, as far as the node tells beforehand; nothing is set by asking."""
+        """Return errors for values that do not fit the node's descriptions; nothing is set."""
         return self._checked(node, values)[1]
 
     def change(self, node: str, values: Mapping[str, Any]) -> None:
-        """Set parameters of a node, all of which are looked at before."""
+        """Set parameters of a node, after all of them were checked."""
         wire, errors = self._checked(node, values)
         all_at_once(errors, where=self._full(node))
         results = self._call(node, "SetParameters", {"parameters": wire})["results"]
@@ -151,7 +151,7 @@ class NodeParameters:
         all_at_once(refused, where=self._full(node))
 
     def _checked(self, node: str, values: Mapping[str, Any]) -> tuple[list[dict[str, Any]], list[LinkError]]:
-        """Return what is sent to the node, and what speaks against it."""
+        """Return the parameters as they are sent to the node, and errors for those that cannot be set."""
         described = self.described(node, list(values))
         wire, errors = [], []
         for name, value in values.items():
@@ -166,7 +166,7 @@ class NodeParameters:
         return call_node(self._link, node, kind, request, what=what, timeout=self._timeout)
 
     def _check_known(self, node: str, names: Sequence[str], kinds: Sequence[int]) -> None:
-        """See that the node has these parameters: rclcpp answers nothing at all where it lacks one, rclpy `not set`."""
+        """Check that the node has these parameters: if one is missing, rclcpp returns nothing, rclpy `not set`."""
         if len(kinds) == len(names) and ParameterKind.NOT_SET not in kinds:
             return
         there = self.names(node)
@@ -193,9 +193,9 @@ class NodeParameters:
 
 
 class ServerParameters:
-    """The parameters of nodes of ROS 1, which stand below their names in the master's parameter server.
+    """The parameters of nodes of ROS 1, below the names of the nodes in the master's parameter server.
 
-    A node that runs takes them where it lets itself be changed by dynamic_reconfigure.
+    A running node accepts them if it uses dynamic_reconfigure.
     """
 
     def __init__(self, link: RobotLink, server: ParameterServer, timeout: float = 5.0) -> None:
@@ -204,27 +204,27 @@ class ServerParameters:
         self._timeout = timeout
 
     def names(self, node: str) -> list[str]:
-        """Return the names of what is set for a node, sorted; `/` is what is set for all."""
+        """Return the names of the parameters that are set for a node, sorted; for all nodes if it is `/`."""
         prefix = self._key(node, "")
         return sorted(name.removeprefix(prefix) for name in self._server.parameter_names() if name.startswith(prefix))
 
     def described(self, node: str, names: Sequence[str]) -> dict[str, ParameterDescription]:
-        """Return the kind of each of these parameters; a parameter server knows no more."""
+        """Return the kind of each of these parameters, which is all that a parameter server knows."""
         return {
             name: ParameterDescription(name, kind_of(value), may_change_kind=value is None)
             for name, value in self.values(node, names).items()
         }
 
     def values(self, node: str, names: Sequence[str]) -> dict[str, ParameterValue]:
-        """Return the values that are set; None where nothing is, and the node takes its own default."""
+        """Return the values that are set; None where none is, and the node uses its default."""
         return {name: self._value(self._key(node, name)) for name in names}
 
     def objections(self, node: str, values: Mapping[str, Any]) -> list[LinkError]:
-        """Return why these values cannot be set; nothing is set by asking."""
+        """Return errors for values that cannot be set; nothing is set."""
         return self._fitted(node, values)[1]
 
     def change(self, node: str, values: Mapping[str, Any]) -> None:
-        """Set parameters for a node; None has it take its own default when it starts the next time."""
+        """Set parameters for a node; with None it uses its default at the next start."""
         fits, errors = self._fitted(node, values)
         all_at_once(errors, where=node)
         for key, value in fits.items():
@@ -235,7 +235,7 @@ class ServerParameters:
         _reconfigure(self._link, fits, timeout=self._timeout)
 
     def doubts(self, node: str, names: Sequence[str]) -> list[tuple[str, str]]:
-        """Return what may make a change vain, each with a remedy: names that nobody has set, a node that is running."""
+        """Return reasons why a change may have no effect, each with a fix: a name that is not set, a running node."""
         there, full = self.names(node), full_node(self._link, node)
         found = []
         for name in names:
@@ -271,8 +271,8 @@ class ServerParameters:
         return None if value is None else normal(value, where=key)
 
 
-# Running nodes of ROS 1 take parameters where they let themselves be changed by dynamic_reconfigure: such a node offers
-# a service below the name of its parameters, takes what it can, and writes what it has then into the parameter server.
+# A running node of ROS 1 accepts parameters if it uses dynamic_reconfigure: it offers a service below the name of its
+# parameters, accepts what it can, and then writes its values into the parameter server.
 # Source: wiki.ros.org/dynamic_reconfigure.
 
 _RECONFIGURE = "dynamic_reconfigure/Reconfigure"
@@ -286,13 +286,13 @@ _CONFIG_FIELDS = {
 
 
 def _reconfigurable(link: RobotLink, keys: Iterable[str]) -> set[str]:
-    """Return those of the parameters, by full names, whose node takes them while it runs."""
+    """Return the parameters, by full names, that their node accepts while it runs."""
     services = link.services()
     return {key for key in keys if services.get(_service_of(key)) == _RECONFIGURE}
 
 
 def _reconfigure(link: RobotLink, values: Mapping[str, ParameterValue], *, timeout: float) -> None:
-    """Have running nodes take values, by the full names of parameters; nodes that take none while they run are left.
+    """Set parameters of running nodes, by full names; nodes without dynamic_reconfigure are skipped.
 
     Raises:
         LinkError: a node does not answer in time, or `dynamic_reconfigure` is not installed where rospy needs it.
@@ -312,7 +312,7 @@ def _service_of(key: str) -> str:
 
 
 def _fitting_server(value: Any, kind: ParameterKind, key: str) -> ParameterValue:
-    """Return a value of the kind that is there, or a number for a number: the server itself knows no kinds."""
+    """Return a value of the kind of the present one, or a number for a number: the server itself checks no kinds."""
     given = normal(value, where=key)
     numbers = isinstance(given, int) and given not in _INT32
     if numbers or (isinstance(given, list) and any(isinstance(each, int) and each not in _INT32 for each in given)):

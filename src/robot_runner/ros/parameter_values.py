@@ -1,4 +1,4 @@
-"""The values that a parameter of a node may have: nine kinds, and what ROS 2 makes of each on the wire."""
+"""The values that a parameter of a node may have: nine kinds, and their messages in ROS 2."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 
 from robot_runner.core.errors import LinkError
 
-#: What a parameter may be; None for one that is declared and has no value yet.
+#: The value of a parameter; None for one that is declared and has no value yet.
 ParameterValue: TypeAlias = bool | int | float | str | bytes | list[bool] | list[int] | list[float] | list[str] | None
 
 _INT64 = range(-(2**63), 2**63)
@@ -35,7 +35,7 @@ class ParameterKind(IntEnum):
 
     @property
     def words(self) -> str:
-        """What to call it."""
+        """Its name for people."""
         return self.name.lower().replace("_", " ")
 
 
@@ -57,15 +57,15 @@ _ARRAYS: dict[ParameterKind, ParameterKind] = {
 
 @dataclass(frozen=True, slots=True)
 class ParameterDescription:
-    """What a node tells of one of its parameters.
+    """The description that a node gives of one of its parameters.
 
     Attributes:
         name: of the parameter.
         kind: of its values.
-        is_read_only: whether it can be set only where the node is started.
+        is_read_only: whether it can be set only when the node is started.
         may_change_kind: whether it takes values of any kind.
         limits: the least and the greatest value of a number; None where the node names none.
-        text: what it is for, in the words of the node's author.
+        text: the description by the node's author.
     """
 
     name: str
@@ -77,7 +77,7 @@ class ParameterDescription:
 
 
 def normal(value: Any, *, where: str) -> ParameterValue:
-    """Return a value as a parameter has it: numbers of NumPy, tuples and byte arrays become Python's own.
+    """Return a value in a type that parameters have: numbers of NumPy, tuples and byte arrays are converted.
 
     Raises:
         LinkError: no parameter can have this value.
@@ -110,7 +110,7 @@ def kind_of(value: ParameterValue) -> ParameterKind:
 
 
 def fitted(value: Any, kind: ParameterKind, *, where: str) -> ParameterValue:
-    """Return a value as one of this kind, where nothing is lost by it: a whole number may stand for a double.
+    """Convert a value to this kind where nothing is lost: a whole number may stand for a double.
 
     Raises:
         LinkError: it is of another kind.
@@ -147,7 +147,7 @@ def same_value(one: ParameterValue, other: ParameterValue) -> bool:
 
 
 def as_wire(value: ParameterValue, kind: ParameterKind | None = None) -> dict[str, Any]:
-    """Return a value as a rcl_interfaces/ParameterValue; `kind` tells that of an empty list."""
+    """Return a value as a rcl_interfaces/ParameterValue; `kind` is needed for an empty list."""
     kind = kind_of(value) if kind is None or value is None else kind
     return {"type": int(kind)} if value is None else {"type": int(kind), _FIELDS[kind]: value}
 
@@ -167,7 +167,7 @@ def from_wire(message: Mapping[str, Any]) -> ParameterValue:
 
 
 def to_json(value: ParameterValue) -> Any:
-    """Return a value as JSON can hold it, so that `from_json` makes the same of it again.
+    """Return a value in a form that JSON can hold, from which `from_json` restores it.
 
     Example:
         >>> to_json(b"ab"), to_json([0.5]), to_json(float("inf"))
@@ -217,7 +217,7 @@ def _array(values: Iterable[Any], given: Any, where: str) -> Any:
 
 
 def _instead(value: ParameterValue, kind: ParameterKind) -> str:
-    """Return the value of the right kind that is probably meant."""
+    """Return the value of the right kind that was probably meant."""
     if kind is ParameterKind.INTEGER and isinstance(value, float) and value.is_integer():
         return f": {int(value)}"
     if kind is ParameterKind.STRING and value is not None:

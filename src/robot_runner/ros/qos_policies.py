@@ -1,4 +1,4 @@
-"""What the QoS profiles of ROS ask for and offer, whatever the client library: reliability, durability, depth."""
+"""The policies of the QoS profiles of ROS, for all client libraries: reliability, durability, depth."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from typing import NamedTuple
 
 from robot_runner.core.links.robot import Qos
 
-#: How many messages wait for a slow subscriber, each; 0 is as many as come (rmw/qos_profiles.h of ROS 2).
+#: The depth of each profile: how many messages are queued for a slow subscriber; 0 is no limit (rmw/qos_profiles.h).
 DEPTHS: Mapping[Qos, int] = MappingProxyType(
     {Qos.DEFAULT: 10, Qos.SENSOR_DATA: 5, Qos.RELIABLE: 0, Qos.TRANSIENT_LOCAL: 1}
 )
-#: How much of a topic is kept while a callback runs, where the user names no profile: a second of 1 kHz.
+#: The depth of a subscription without a profile: one second at 1 kHz, for callbacks that take long.
 KEPT = 1000
 
 
 class Policies(NamedTuple):
-    """What a publisher offers, or a subscription asks for.
+    """The policies that a publisher offers, or a subscription requests.
 
     Attributes:
-        is_reliable: whether messages that are lost are sent again.
-        is_kept: whether the last ones are there for later subscribers.
-        depth: how many messages wait; 0 is as many as come.
+        is_reliable: whether lost messages are sent again.
+        is_kept: whether later subscribers get the last messages (durability).
+        depth: how many messages are queued; 0 is no limit.
     """
 
     is_reliable: bool
@@ -31,7 +31,7 @@ class Policies(NamedTuple):
 
     @property
     def profile(self) -> Qos:
-        """The profile of ROS that comes nearest.
+        """The nearest profile of ROS.
 
         Example:
             >>> str(Policies(is_reliable=False, is_kept=False).profile)
@@ -42,7 +42,7 @@ class Policies(NamedTuple):
         return Qos.DEFAULT if self.is_reliable else Qos.SENSOR_DATA
 
     def shortfall(self, offered: Policies) -> str | None:
-        """Say which policy of an offer is less than what is asked for here, or return None if none is.
+        """Return the policy in which an offer is less than what is requested here, or None.
 
         The rules are those of DDS 1.4, 2.2.3, for the policies that the profiles of ROS set.
 
@@ -57,25 +57,25 @@ class Policies(NamedTuple):
         return None
 
 
-#: What every publisher offers at least.
+#: The policies that every publisher satisfies.
 WEAKEST = Policies(is_reliable=False, is_kept=False)
 
 
 def offered_by(qos: Qos) -> Policies:
-    """Return what a publisher of a profile offers."""
+    """Return the policies that a publisher with this profile offers."""
     return Policies(qos is not Qos.SENSOR_DATA, qos is Qos.TRANSIENT_LOCAL, DEPTHS[qos])
 
 
 def asked_by(qos: Qos) -> Policies:
-    """Return what a subscription of a profile asks for."""
-    # Of what is kept it is the last message of each publisher: the depth of a reader is that of them all.
+    """Return the policies that a subscription with this profile requests."""
+    # A transient local subscription gets the last message of each publisher: its depth must be enough for all of them.
     return offered_by(qos)._replace(depth=KEPT) if qos is Qos.TRANSIENT_LOCAL else offered_by(qos)
 
 
 def adapted(offers: Sequence[Policies], *, alone: bool) -> Policies:
-    """Return what a subscription asks for that all of these publishers satisfy, as strong as they allow.
+    """Return the strongest policies that a subscription may request of all these publishers.
 
-    Where there is none yet, `alone` says whether it is to be reliable.
+    Where there is no publisher yet, `alone` says whether the subscription is reliable.
     """
     is_reliable = all(offer.is_reliable for offer in offers) if offers else alone
     return Policies(is_reliable, is_reliable and bool(offers) and all(offer.is_kept for offer in offers))

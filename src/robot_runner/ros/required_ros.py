@@ -1,4 +1,4 @@
-"""The ROS that an experiment requires, compared with each that is found."""
+"""Compare the ROS that an experiment requires with those that are found."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ if TYPE_CHECKING:
 
 _ON_SIMULATED = "or execute it on the embedded robot: --set robot=simulated"
 _ANY = (None, "any")
-#: The generation that each link speaks; a rosbridge may have either behind it.
+#: The generation of ROS of each link; a rosbridge may be of either.
 _GENERATIONS = {"ros1": 1, "ros2": 2, "dds": 2}
 #: The generation whose client library each link imports.
 _CLIENTS = {"ros1": 1, "ros2": 2}
-#: The links that take no ROS on this machine.
+#: The links that need no ROS on this machine.
 _WITHOUT_ROS = ("dds", "rosbridge", "rosbridge+tls", "wss")
 #: How long the check waits for a master, s.
 _MASTER_SECONDS = 2.0
 
 
 def ros_findings(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> Iterator[Finding]:
-    """Yield what stands between an experiment and the ROS that it needs; some plugins name a computer of the robot."""
+    """Yield findings on the ROS that an experiment needs, here and on robot's computers that its plugins name."""
     try:
         name = None if parameters.robot is None else RobotName.parse(parameters.robot)
-    except LinkError:  # a finding of the link's
+    except LinkError:  # the link's own checks report it
         return
     yield from _other_generation(name)
     yield from check_required_ros(where, parameters, name, sorted(set(_hosts(plugins)), key=str))
 
 
 def _other_generation(name: RobotName | None) -> Iterator[Finding]:
-    """Yield that the other generation's packages stand in the way: both call their message packages the same."""
+    """Yield an error where packages of the other generation are imported instead: both name message packages alike."""
     sourced, needed = find_ros(), None if name is None else _CLIENTS.get(name.link)
     if name is not None and sourced is not None and needed not in {None, sourced.version}:
         problem = f"robot is {name.link!r}, and ROS {sourced.version} is sourced in this shell"
@@ -59,7 +59,7 @@ def _hosts(plugins: Sequence[Plugin]) -> Iterator[tuple[str, Path | None]]:
 def check_required_ros(
     where: str, parameters: Parameters, robot: RobotName | None, hosts: Sequence[tuple[str, Path | None]]
 ) -> Iterator[Finding]:
-    """Yield what speaks against the ROS that is required, here and on the robot's computers; those have ssh configs."""
+    """Yield findings where the required ROS is not found, here or on the robot's computers, given with ssh configs."""
     if parameters.required_ros_version is None:
         return
     yield from _Check(where, parameters, robot).findings(hosts)
@@ -92,7 +92,7 @@ class _Check:
         yield from self._of_robot(found, hosts)
 
     def _of_robot(self, found: list[RosEnvironment], hosts: Sequence[tuple[str, Path | None]]) -> Iterator[Finding]:
-        """Yield what speaks against the ROS of the robot itself."""
+        """Yield findings on the ROS of the robot itself."""
         fix = f"Reach a robot that has {self._wanted}, {_ON_SIMULATED}."
         told: list[RosEnvironment] = []
         try:
@@ -100,7 +100,7 @@ class _Check:
             if self._link == "ros1" and self._robot is not None:
                 told = [ros_of_master(Master(self._robot.options.get("master"), timeout=_MASTER_SECONDS))]
         except LinkError:
-            pass  # what is wrong with its name, or that there is no master, is a finding of the link's
+            pass  # the link's own checks report a wrong name or a missing master
         yield from self._mismatch(told, fix)
         found += told
         if self._distro in _ANY:
@@ -117,7 +117,7 @@ class _Check:
             yield self._untold(found)
 
     def _mismatch(self, there: Sequence[RosEnvironment], fix: str) -> Iterator[Finding]:
-        """Yield a finding where none of those that one place has is what is required."""
+        """Yield a finding where a place has no ROS of the required kind."""
         right = [each for each in there if self._version in {"any", each.version}]
         if there and not right:
             problem = f"the experiment requires {self._wanted}, and ROS {there[0].version} is found ({there[0].source})"
@@ -151,7 +151,7 @@ class _Check:
 
 
 def _told(robot: RobotName | None) -> list[RosEnvironment]:
-    """Return the ROS that the robot's name says it has."""
+    """Return the ROS that the robot's name implies."""
     if robot is None:
         return []
     if robot.address is not None:

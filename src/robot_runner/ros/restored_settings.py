@@ -1,4 +1,4 @@
-"""What systems share that change nodes of the robot's graph for a run, and put back afterwards what was there."""
+"""The base of systems that change settings of nodes for a run, and restore the former values afterwards."""
 
 from __future__ import annotations
 
@@ -23,30 +23,30 @@ from robot_runner.ros.robot_system import OfTheRobot, check_numbers
 
 _log = logging.getLogger(__name__)
 
-#: How often a node is looked for that is not there yet, s.
+#: How often a missing node is looked for, s.
 _LOOK = 0.1
-#: The plugin that puts back each kind of settings: an experiment without it has not imported it.
+#: The plugin that restores each kind of settings, by name: an experiment without it does not import it.
 PUT_BACK_BY = MappingProxyType({"parameters": "RosParameters", "states": "Lifecycle"})
 _BY_HAND = "Set it by hand, or restart the node."
 
 
 class RestoredSettings(OfTheRobot, System):
-    """Sets something of nodes before the mission, sees that they have it, and puts back what was there.
+    """Sets values of nodes before the mission, checks that the nodes have them, and restores the former values.
 
-    What was there is written to a file first (`kept_settings`). The run puts it back at its end, whether it failed or
-    not; where the run was killed, the process that stands by for this does; where that was killed as well, the next run
-    with a plugin of this class on this robot.
+    The former values are first written to a file (`kept_settings`). The run restores them at its end, also when it
+    failed. If the run was killed, its standby process does so; if that was killed as well, the next run with a plugin
+    of this class on this robot.
 
     Args:
-        settings: what is to be set, by node and by name.
+        settings: the values to be set, by node and by name.
         name: tells several instances apart; the class's name if left out.
         namespace: which robot, where there are several.
         patience: how long a node may take to appear on the graph before a run starts, s.
-        timeout: how long each answer of a node may take, s.
+        timeout: of each answer of a node, s.
 
     Attributes:
-        kind: what is set, in the plural; names the file of raw data.
-        settings: what is to be set.
+        kind: the kind of settings, in the plural; names the file of raw data.
+        settings: the values to be set.
     """
 
     kind: ClassVar[str]
@@ -65,20 +65,20 @@ class RestoredSettings(OfTheRobot, System):
         self._facts: dict[str, dict[str, dict[str, Any]]] = {}
 
     def read(self, link: RobotLink, node: str, names: Sequence[str]) -> Mapping[str, ParameterValue]:
-        """Return what a node has; raises a `LinkError` where it cannot be asked."""
+        """Return the values of a node; raise a `LinkError` where it does not answer."""
         raise NotImplementedError
 
     def write(self, link: RobotLink, node: str, values: Mapping[str, ParameterValue]) -> None:
-        """Set what a node is to have; raises a `LinkError` where it does not take it."""
+        """Set values of a node; raise a `LinkError` where it does not accept them."""
         raise NotImplementedError
 
     def doubts(self, link: RobotLink, settings: Settings) -> Iterable[tuple[str, str]]:
-        """Yield what may make the settings vain, each with a remedy; nothing, if not overridden."""
+        """Yield reasons why the settings may have no effect, each with a fix; none, if not overridden."""
         del link, settings
         return ()
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Yield that there is no robot, and what runs that were killed have left changed on it."""
+        """Yield findings: there is no robot, or killed runs have left its settings changed."""
         where = f"plugin {self.name}"
         if circumstances.robot is None:
             problem = f"the plugin sets {self.kind} of a robot's nodes, and the experiment names none"
@@ -90,10 +90,10 @@ class RestoredSettings(OfTheRobot, System):
             yield Finding.warning(where, _left(kept), "They are put back before the first run.")
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Set what the run is to have, and see that the nodes have it.
+        """Set the values of the run, and check that the nodes have them.
 
         Raises:
-            LinkError: a node is not there, does not take it, or has something else afterwards.
+            LinkError: a node is not there, does not accept a value, or has another one afterwards.
         """
         self._kept, self._is_set, self._facts = None, False, {}
         link = connect_robot(context, namespace=self.namespace)
@@ -103,7 +103,7 @@ class RestoredSettings(OfTheRobot, System):
             context.warn(problem, fix=fix)
         before = self._awaited(context, link, wanted)
         self._kept = KeptSettings.of_this_process(self.kind, str(context.robot), self.name, before, wanted)
-        if not is_simulated(context.robot):  # which ends with its run
+        if not is_simulated(context.robot):  # a simulated robot ends with its run
             self._kept.write()
         self._note(context, "before", before)
         for node, values in wanted.items():
@@ -115,10 +115,10 @@ class RestoredSettings(OfTheRobot, System):
         self._is_set = True
 
     def stop_run(self, context: RobotRunnerContext) -> None:
-        """Put back what was there before the run; what somebody else has changed in it makes the run doubtful.
+        """Restore the values from before the run; warn of those that somebody else has changed during it.
 
         Raises:
-            LinkError: a node cannot be asked, or does not take it.
+            LinkError: a node does not answer, or does not accept a value.
         """
         kept = self._kept
         if kept is None:
@@ -130,7 +130,7 @@ class RestoredSettings(OfTheRobot, System):
         kept.remove()
 
     def make_safe(self, context: RobotRunnerContext) -> None:
-        """Put back what a run that was killed has left, or one that could not; what cannot be, stays in its file."""
+        """Restore settings that a run could not restore, as it was killed or failed; what fails stays in its file."""
         kept = [*([self._kept] if self._kept is not None else []), *left_settings(self.kind, context.robot)]
         self._kept = None
         for each in kept:
@@ -153,10 +153,10 @@ class RestoredSettings(OfTheRobot, System):
     def _restore(
         self, link: RobotLink, kept: KeptSettings, context: RobotRunnerContext | None
     ) -> Iterator[tuple[str, str]]:
-        """Put back what was there, node by node, the last one first; yield what is not put back, with a remedy.
+        """Restore the former values, node by node, the last one first; yield what is not restored, with a fix.
 
-        Where the run's own `context` is given, all is put back. What a dead run left is put back only where it is as
-        that run set it: somebody else may have changed it since, or started the node again.
+        Where the run's own `context` is given, all values are restored. Those of a dead run are restored only where
+        they are still as that run set them: somebody else may have changed them since, or restarted the node.
         """
         errors: list[LinkError] = []
         for node, before in reversed(list(kept.before.items())):
@@ -203,7 +203,7 @@ class RestoredSettings(OfTheRobot, System):
                 yield f"{name} of {node} was {was!r} before the run, and is {found_value!r} now", _BY_HAND
 
     def _awaited(self, context: RobotRunnerContext, link: RobotLink, wanted: Settings) -> Settings:
-        """Return what there is before the run, as soon as the nodes are there."""
+        """Return the values before the run, as soon as the nodes are there."""
         deadline = context.clock.now() + self.patience
         while True:
             try:
@@ -226,7 +226,7 @@ class RestoredSettings(OfTheRobot, System):
         return found
 
     def _note(self, context: RobotRunnerContext, when: str, settings: Settings) -> None:
-        """Keep in the raw data what the settings are at a moment of the run."""
+        """Write the settings at a moment of the run to the raw data."""
         for node, values in settings.items():
             for name, value in values.items():
                 self._facts.setdefault(node, {}).setdefault(name, {})[when] = to_json(value)
@@ -235,9 +235,9 @@ class RestoredSettings(OfTheRobot, System):
 
 
 def left_findings(where: str, robot: str, plugins: Sequence[Plugin]) -> Iterator[Finding]:
-    """Yield that nodes of this robot are as a run set them that was killed.
+    """Yield a finding where nodes of this robot still have the settings of a killed run.
 
-    An experiment with a plugin of the kind puts them back itself, and says so.
+    An experiment with a plugin of the kind restores them itself, and has its own finding.
     """
     cared_for = {plugin.kind for plugin in plugins if isinstance(plugin, RestoredSettings)}
     for kind in PUT_BACK_BY.keys() - cared_for:
@@ -257,7 +257,7 @@ def _is_among(value: ParameterValue, *others: ParameterValue) -> bool:
 
 
 def _differences(wanted: Settings, found: Settings) -> Iterator[tuple[str, str, ParameterValue, ParameterValue]]:
-    """Yield where nodes have something else than they should: node, name, both values."""
+    """Yield node, name, wanted and found value of each setting that differs."""
     for node, values in wanted.items():
         for name, value in values.items():
             if not same_value(value, found[node][name]):

@@ -1,4 +1,4 @@
-"""What all systems that operate a robot on a graph have alike: what they claim, and that there must be a robot."""
+"""The base of systems that operate a robot on a graph: their claims, and the checks that they share."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _Kept = TypeVar("_Kept")
 
 
 def check_numbers(where: str, *, may_be_zero: bool = False, **parameters: object) -> None:
-    """See that parameters are finite numbers above 0, or not below it.
+    """Check that parameters are finite numbers above 0, or not below it.
 
     Raises:
         PluginError: one is not.
@@ -42,10 +42,10 @@ def check_numbers(where: str, *, may_be_zero: bool = False, **parameters: object
 
 
 def check_standard_message(name: str, type_name: str, message: Message, *, is_goal: bool = False) -> None:
-    """See that a message or a goal is as ROS 2 defines it without any graph, and so for the embedded robot.
+    """Check a message or a goal against the definitions of ROS 2 that are built in, as the embedded robot uses them.
 
     Raises:
-        LinkError: it is not, or there is no such type.
+        LinkError: it does not follow its definition, or there is no such type.
     """
     from robot_runner.ros.type_catalogue import TypeCatalogue  # noqa: PLC0415  # it takes the extra `ros`
 
@@ -54,10 +54,10 @@ def check_standard_message(name: str, type_name: str, message: Message, *, is_go
 
 
 def misfits(check_message: Callable[..., None], need: GraphNeed, where: str) -> Iterator[Finding]:
-    """Yield an error for each goal or message of a need that is not as its type is defined.
+    """Yield an error for each goal or message of a need that does not follow its definition.
 
-    Each has a place of its own below `where`: what an experiment starts later does not mend it. A message is checked by
-    `check_standard_message`, or by the method of a link to a graph.
+    Each has a place of its own below `where`, as nothing that the experiment starts later can mend it. `check_message`
+    is `check_standard_message`, or the method of a link to a graph.
     """
     is_goal = need.part is GraphPart.ACTION
     for sent in need.sent:
@@ -70,28 +70,28 @@ def misfits(check_message: Callable[..., None], need: GraphNeed, where: str) -> 
 
 @runtime_checkable
 class TakesCommands(Protocol):
-    """A kind of link whose robots subscribe the same topics, whatever is on a graph."""
+    """A kind of link whose robots all subscribe the same topics."""
 
     command_topics: Mapping[str, str]
 
 
 class OfTheRobot:
-    """What claims nothing for a run but its robot, as the experiment itself does."""
+    """A plugin that claims nothing but the robot, which the experiment itself claims."""
 
     def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself beside the robot: nothing."""
+        """Return the claims beside the robot: none."""
         del robot
         return ()
 
 
 class RobotSystem(OfTheRobot, System):
-    """A system that operates the experiment's robot, whichever it is."""
+    """A system that operates the experiment's robot, of any kind."""
 
-    #: What it does, for the finding that no robot is named.
+    #: What the system does, for the finding that no robot is named.
     does: ClassVar[str] = "operates a robot"
-    #: A robot that it can operate, for the same.
+    #: A robot that the system can operate, for the same finding.
     for_example: ClassVar[str] = "simulated"
-    #: Of its robot on the graph, where there are several.
+    #: The namespace of the robot on the graph, where there are several.
     namespace: str = ""
 
     def stand_by(self, context: RobotRunnerContext) -> None:
@@ -99,9 +99,9 @@ class RobotSystem(OfTheRobot, System):
         join_beforehand(context, namespace=self.namespace)
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no robot; on the embedded one, topics and messages that it does not take.
+        """Return findings: no robot; for the embedded one, topics and messages that it does not accept.
 
-        A graph is looked at itself, and messages are compared with its own definitions.
+        On a graph, the check of that graph compares messages with the definitions there.
         """
         if circumstances.robot is not None and is_simulated(circumstances.robot):
             for need in self.required_graph(circumstances):
@@ -116,7 +116,7 @@ class RobotSystem(OfTheRobot, System):
             )
 
     def started(self, kept: _Kept | None) -> _Kept:
-        """Return what `start_run` has kept for the mission.
+        """Return the object that `start_run` has kept for the mission.
 
         Raises:
             PluginError: the run was not started.
@@ -129,7 +129,7 @@ class RobotSystem(OfTheRobot, System):
     def publish_values(
         self, context: RobotRunnerContext, values: Sequence[MeasureValue] | None, *, is_simulated: bool
     ) -> None:
-        """Publish a value for each measure; none where they are None, as the mission did not take place."""
+        """Publish a value for each measure; nothing where `values` is None, as the mission did not take place."""
         origin = Origin.SIMULATED if is_simulated else Origin.MEASURED
         if values is None:
             context.doubt("the mission did not take place", fix="Look at the run's log.")

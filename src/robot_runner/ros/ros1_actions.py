@@ -1,4 +1,4 @@
-"""Actions as ROS 1's actionlib has them: five topics below the action's name, and states that are told again and again.
+"""Actions of ROS 1's actionlib: five topics below the action's name, and states that are published periodically.
 
 Source: wiki.ros.org/actionlib/DetailedDescription, and the client and server of actionlib.
 """
@@ -47,22 +47,22 @@ _STATES: Mapping[int, GoalStatus] = MappingProxyType(
         9: GoalStatus.ABORTED,
     }
 )
-#: What is told of each: of several numbers with one meaning the first.
+#: The number to publish for each status: of several with one meaning, the first.
 _NUMBERS: Mapping[GoalStatus, int] = MappingProxyType(
     {GoalStatus.UNKNOWN: 0, **{status: number for number, status in reversed(list(_STATES.items()))}}
 )
-#: How often a server tells its states, s, and for how long those of goals that are over: as actionlib's does.
+#: How often a server publishes its states, s, and for how long after a goal is over: as in actionlib.
 _STATUS_PERIOD, _STATUS_SECONDS = 0.2, 5.0
-#: A server that told no states for so long is gone, s: actionlib's own limit.
+#: A server that publishes no states for so long counts as gone, s: actionlib's own limit.
 _SILENCE = 5.0
-#: How long a server that is not there is waited for, s; a node that starts up takes as long.
+#: How long a missing server is waited for, s: as long as a node takes to start.
 _PATIENCE = 1.5
-#: How long a result may come after the state that says that there is one, s.
+#: How long after the final state a result may arrive, s.
 _RESULT_SECONDS = 3.0
 
 
 def ros1_action_types(types: GraphTypes, action_type: str) -> ActionTypes:
-    """Look up among the types of its topics what an action is made of; raise a `LinkError` where there are none."""
+    """Return the parts of an action's type, from the types of its topics; raise a `LinkError` for an unknown type."""
     try:
         parts = ("Goal", "Result", "Feedback")
         return ActionTypes(*(part_of(types.shape(f"{action_type}Action{part}"), part.lower()) for part in parts))
@@ -78,12 +78,12 @@ class Ros1Actions:
         self._transport = transport
 
     def types(self, action_type: str) -> ActionTypes:
-        """Return what an action is made of."""
+        """Return the parts of an action's type."""
         return ros1_action_types(self._transport.types, action_type)
 
     def actions(self) -> dict[str, str]:
-        """Return the type of each action whose states somebody tells, and whose goals somebody takes, by full name."""
-        # By what the server publishes: of what it subscribes, the graph may not know the type.
+        """Return the type of each action whose states are published and whose goals are subscribed, by full name."""
+        # From the topics that the server publishes: the graph may not know the types of those that it subscribes.
         topics = self._transport.topics()
         return {
             name: kind.removesuffix(_RESULT_ENDING)
@@ -94,20 +94,20 @@ class Ros1Actions:
         }
 
     def client(self, action: str, action_type: str, timeout: float) -> _Client:
-        """Return what sends goals to an action, once its server is there."""
+        """Return a client of an action, once its server is there."""
         await_action(self.actions, action, action_type, min(timeout, _PATIENCE))
         client = _Client(self._transport, action, action_type)
         client.await_server(timeout)
         return client
 
     def serve(self, action: str, action_type: str, server: GoalServer) -> Subscription:
-        """Have goals executed by a server of this link."""
+        """Let a server of this link execute goals."""
         if action in self.actions():
             raise already_offered(action, what="action")
         return _Served(self._transport, action, action_type, server)
 
     def _is_served(self, name: str) -> bool:
-        # A rosbridge server goes on to publish, for 10 s, what a client of it has left; it subscribes nothing any more.
+        # A rosbridge server stays a publisher for 10 s after its client has left, but ends subscriptions at once.
         asked = self._transport
         return bool(list(asked.publishers(name + _STATUS))) and bool(list(asked.subscribers(name + _GOAL)))
 
@@ -125,7 +125,7 @@ class _Client:
         self._heard_at = time.monotonic()
         self._open = ExitStack()
         try:
-            # The states last: once they come, the server has had the time to find the others.
+            # The states last: once they arrive, the server has had the time to connect to the others.
             for name, kind, take in (
                 (_RESULT, f"{action_type}ActionResult", self._take_result),
                 (_FEEDBACK, f"{action_type}ActionFeedback", self._take_feedback),
@@ -139,7 +139,7 @@ class _Client:
             raise
 
     def await_server(self, timeout: float) -> None:
-        """Wait until the server tells its states; raise a `LinkError` where it does not in time."""
+        """Wait until the server publishes its states; raise a `LinkError` where it does not in time."""
         self._transport.wait(self._heard, timeout)
         if not self._heard.is_set():
             self.close()
@@ -160,7 +160,7 @@ class _Client:
             fix = "Look at the log of its node: it may be busy, or not active yet."
             raise GoalRejectedError("the action server rejects the goal", where=self._action, fix=fix)
         if sent.status in {GoalStatus.UNKNOWN, GoalStatus.ACCEPTED}:
-            self._publish_cancel(sent)  # it must not begin when nobody waits for it any more
+            self._publish_cancel(sent)  # a goal without a caller must not begin later
             is_waiting = sent.status is GoalStatus.ACCEPTED
             problem = "leaves the goal waiting" if is_waiting else "does not answer"
             fix = "Look whether it is busy with another goal, or give a longer timeout."
@@ -171,7 +171,7 @@ class _Client:
         self._cancel.flush(timeout)
 
     def is_served(self) -> bool:
-        # A server that is killed stays in the master's books; it is silent.
+        # A killed server stays registered at the master, but is silent.
         return time.monotonic() - self._heard_at < _SILENCE and bool(
             list(self._transport.publishers(self._action + _STATUS))
         )
@@ -191,12 +191,12 @@ class _Client:
                 status = _STATES.get(told["status"], GoalStatus.UNKNOWN)
                 goal.note(status)
                 if goal.is_abandoned and not status.is_over:
-                    self._publish_cancel(goal)  # it was taken after its deadline: nobody waits for it
+                    self._publish_cancel(goal)  # accepted after its deadline: no caller waits for it
                 if status.is_over and status is not GoalStatus.REJECTED:
                     self._expect_result(goal, told["text"])
 
     def _expect_result(self, goal: SentGoal, text: str) -> None:
-        """Give a result up that does not come after the state that says that there is one."""
+        """End the goal as lost if its result does not arrive in time after the final state."""
         with self._lock:
             if goal.key in self._expected or goal.key not in self._goals:
                 return
@@ -236,7 +236,7 @@ class _Client:
 
 
 class _Served:
-    """An action that is offered: its five topics, until it is closed."""
+    """An offered action: its five topics, until it is closed."""
 
     def __init__(self, transport: Transport, action: str, action_type: str, server: GoalServer) -> None:
         self._server = server
@@ -247,7 +247,7 @@ class _Served:
         self._is_closed = threading.Event()
         self._open = ExitStack()
         try:
-            with self._taking:  # a goal may come as soon as it is subscribed, and its states are told on a later topic
+            with self._taking:  # a goal may arrive before the topic of its states exists
                 self._begin(transport, action, action_type)
         except Exception:
             server.close()
@@ -317,7 +317,7 @@ class _Served:
         self.tell_status(self._server.executions)
 
     def _forget_stamps(self) -> None:
-        """Keep the stamps of those goals that are still told: a server may live for months."""
+        """Drop the stamps of goals whose states are no longer published: a server may live for months."""
         with self._lock:
             told = {key for key, _ in self._rejected}
         told |= {each.key for each in self._server.executions}

@@ -1,4 +1,4 @@
-"""Opens a link over ROS 1, and says what stands in its way; nothing of ROS is loaded before."""
+"""Opens a link over ROS 1, and checks whether it can be opened; nothing of ROS is imported before."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _CHECKING_SECONDS = 2.0
 
 
 def findings(name: RobotName) -> list[Finding]:
-    """Return what stands in the way of reaching a robot of this name over ROS 1; nothing is opened by asking."""
+    """Return findings that prevent a link to a robot of this name over ROS 1; nothing is opened."""
     if importlib.util.find_spec("rospy") is None:
         return [rospy_missing("rospy").as_finding()]
     try:
@@ -44,7 +44,7 @@ def open_ros1_link(options: Mapping[str, str], clock: Clock, namespace: str = ""
 
 
 def follows_graph_clock(options: Mapping[str, str]) -> bool:
-    """Whether the nodes of the graph live by the time on `/clock`: its parameter `/use_sim_time`.
+    """Whether the nodes of the graph follow the time on `/clock`: its parameter `/use_sim_time`.
 
     Raises:
         LinkError: there is no such option, or no master.
@@ -56,7 +56,7 @@ def master_of(options: Mapping[str, str], *, timeout: float = 3.0) -> Master:
     """Return the master that the options name.
 
     Raises:
-        LinkError: there is no such option, or it cannot be the address of a master.
+        LinkError: there is no such option, or its value is not a valid address.
     """
     check_options("ros1", options, _OPTIONS)
     return Master(options.get("master"), timeout=timeout)

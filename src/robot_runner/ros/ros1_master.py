@@ -1,4 +1,4 @@
-"""The ROS 1 master, asked over XML-RPC with a deadline; it takes no ROS to be installed.
+"""A client of the ROS 1 master, over XML-RPC with a deadline; no ROS need be installed.
 
 Source: wiki.ros.org/ROS/Master_API and wiki.ros.org/ROS/Parameter Server API.
 """
@@ -17,7 +17,7 @@ from xml.parsers.expat import ExpatError
 
 from robot_runner.core.errors import LinkError
 
-#: Where a master is, unless ROS_MASTER_URI says otherwise.
+#: The master's address, unless ROS_MASTER_URI says otherwise.
 DEFAULT_MASTER = "http://localhost:11311"
 _CALLER = "/robot_runner"
 _SUCCESS = 1
@@ -49,7 +49,7 @@ def master_address(uri: str) -> tuple[str, int]:
     """Return the host and the port of a master.
 
     Raises:
-        LinkError: the URI cannot be that of a master.
+        LinkError: the URI is not valid.
 
     Example:
         >>> master_address("http://robot:11311/")
@@ -73,12 +73,12 @@ def master_address(uri: str) -> tuple[str, int]:
 class Master:
     """A master, which may be on another computer.
 
-    Each question has a deadline, and raises a `LinkError` where there is no master or node, where it does not answer in
-    time, and where the master refuses to set or to take away a parameter.
+    Each request has a deadline, and raises a `LinkError` where there is no master or node, where it does not answer in
+    time, and where the master refuses to set or to delete a parameter.
 
     Args:
-        uri: None for what ROS_MASTER_URI says.
-        timeout: how long an answer may take, s.
+        uri: None for that in ROS_MASTER_URI.
+        timeout: of an answer, s.
 
     Raises:
         LinkError: the URI cannot be that of a master.
@@ -94,24 +94,24 @@ class Master:
         self._timeout = timeout
 
     def check(self) -> None:
-        """See that it answers."""
+        """Check that the master answers."""
         self._ask("getPid")
 
     def parameter(self, name: str) -> Any:
-        """Return a parameter of its parameter server, or None where it is not set."""
+        """Return a parameter of the parameter server, or None where it is not set."""
         code, _, value = self._answer("getParam", name)
         return value if code == _SUCCESS else None
 
     def set_parameter(self, name: str, *, value: Any) -> None:
-        """Set a parameter of its parameter server."""
+        """Set a parameter of the parameter server."""
         self._ask("setParam", name, value)
 
     def delete_parameter(self, name: str) -> None:
-        """Take a parameter away."""
+        """Delete a parameter."""
         self._ask("deleteParam", name)
 
     def parameter_names(self) -> list[str]:
-        """Return the full names of all parameters of its parameter server."""
+        """Return the full names of all parameters of the parameter server."""
         return list(self._ask("getParamNames"))
 
     def topic_types(self) -> dict[str, str]:
@@ -128,17 +128,17 @@ class Master:
         return uri if code == _SUCCESS else None
 
     def pid_of(self, node: str) -> int | None:
-        """Return the number of a node's process, as the node tells it itself, or None where there is no such node."""
+        """Return the process id of a node, as the node reports it, or None where there is no such node."""
         uri = self.uri_of(node)
         return None if uri is None else Master(uri, timeout=self._timeout).pid()
 
     def uri_of(self, node: str) -> str | None:
-        """Return where a node answers, or None where there is no such node."""
+        """Return the URI of a node, or None where there is no such node."""
         code, _, uri = self._answer("lookupNode", node)
         return uri if code == _SUCCESS else None
 
     def forget(self, node: str) -> None:
-        """Take away all that a node has registered, in its name: one that was killed does not do so itself.
+        """Unregister everything of a node, in its name: a killed node does not do so itself.
 
         Source: wiki.ros.org/ROS/Master_API; `rosnode cleanup` does the same.
         """
@@ -153,7 +153,7 @@ class Master:
             self._answer("unregisterService", name, self.service(name) or "", caller=node)
 
     def is_serving(self, node: str, topic: str, listener: str) -> bool:
-        """Whether a node that publishes a topic sends it to another one, as it tells itself; a node of ours too.
+        """Whether a node that publishes a topic says that it sends it to another node; works for our nodes, too.
 
         Source: wiki.ros.org/ROS/Slave_API, getBusInfo.
         """
@@ -161,15 +161,15 @@ class Master:
             uri = self.uri_of(node)
             connections = () if uri is None else Master(uri, timeout=self._timeout).connections()
             return any(each[1] == listener and each[2] == "o" and each[4] == topic for each in connections)
-        except (LinkError, IndexError, TypeError):  # it is gone, or tells it in another way
+        except (LinkError, IndexError, TypeError):  # the node is gone, or answers in another form
             return False
 
     def connections(self) -> list[Any]:
-        """Return what a node tells of its connections: number, other side, direction (`o` is out), transport, topic."""
+        """Return the connections of a node: number, other side, direction (`o` is out), transport, topic of each."""
         return list(self._ask("getBusInfo"))
 
     def pid(self) -> int:
-        """Return the number of the process that answers; a node answers this question as a master does."""
+        """Return the id of the process that answers; a node has this method, too."""
         return int(self._ask("getPid"))
 
     def _ask(self, method: str, *arguments: Any) -> Any:
@@ -212,5 +212,5 @@ class _Transport(xmlrpc.client.Transport):
 
     def make_connection(self, host: Any) -> HTTPConnection:
         connection = HTTPConnection(host, timeout=self._timeout)
-        self._connection = host, connection  # where it is found when it is to be closed
+        self._connection = host, connection  # where `close` looks for it
         return connection

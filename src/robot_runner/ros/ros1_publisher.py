@@ -1,4 +1,4 @@
-"""A publisher of rospy's: complete before anybody hears of it, and asked whether what it sent has left."""
+"""A publisher of rospy: configured before it is registered, and able to tell whether its messages were sent."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ from robot_runner.ros.ros1_types import as_message
 
 _logger = logging.getLogger(__name__)
 
-#: How long those who are on a topic already may take to connect to a new publisher or subscriber, s.
+#: The timeout for existing nodes to connect to a new publisher or subscriber, s.
 CONNECTING = 2.0
-#: How long what was published last may take to leave before its publisher is gone, s.
+#: The timeout for sending the last message before a publisher is closed, s.
 _CLOSING_SECONDS = 0.5
-#: How long a message may take to leave where rospy does not tell whether it has, s.
+#: How long to wait for a message to be sent where rospy does not tell whether it was, s.
 _UNTOLD_SECONDS = 0.2
-#: For how long after it has connected a subscriber may still connect anew, s. A node of rospy does wherever the master
-#: tells it twice of a publisher, as where one begins and another one is killed, and loses what it had not read by then.
+#: For how long after connecting a subscriber may reconnect, s. A node of rospy does so when the master announces a
+#: publisher twice, as when one begins and another is killed, and loses the messages that it has not read by then.
 _SETTLING = 1.0
-#: How often a queue is looked at until it is empty, s.
+#: How often it is checked whether a queue is empty, s.
 POLL = 0.002
 
 
 class Publisher:
-    """Publishes one topic; a subscriber that is there already receives the first message.
+    """Publishes one topic; an existing subscriber receives the first message.
 
     Args:
-        rospy: itself, as this process has joined the graph.
+        rospy: the module, after this process has joined the graph.
         topic: its full name.
         cls: rospy's class of its messages.
         qos: how they are delivered.
-        subscribers: who is there, as the master tells.
+        subscribers: returns the subscribers that the master knows.
 
     Raises:
         LinkError: it cannot be registered.
@@ -56,7 +56,7 @@ class Publisher:
         self._cls = cls
         self._arrivals = _Arrivals()
         self._rospy = rospy
-        self._most = 0  # subscribers that were connected at a time
+        self._most = 0  # the largest number of subscribers connected at a time
         self._publisher = within(partial(self._register, qos), where=topic, doing="registering the publisher")
         try:
             self.reach()
@@ -90,10 +90,10 @@ class Publisher:
         check_running(self._rospy.is_shutdown, self._topic)
 
     def flush(self, seconds: float) -> None:
-        """Return once those that are connected have what was published, as far as this machine can know.
+        """Return once the messages were sent to the connected subscribers, as far as this machine can know.
 
         Raises:
-            LinkError: one does not take it, or is there and not connected any more; or rospy was shut down.
+            LinkError: a subscriber does not receive them, or has lost its connection; or rospy was shut down.
         """
         deadline = time.monotonic() + seconds
         connections = list(self._publisher.impl.connections)
@@ -105,24 +105,24 @@ class Publisher:
             if is_idle is None:
                 time.sleep(_UNTOLD_SECONDS)
         check_running(getattr(self._rospy.core, "is_shutdown_requested", self._rospy.is_shutdown), self._topic)
-        # rospy tells that a connection breaks with the next message alone, and forgets it then.
+        # rospy notices a broken connection only at the next message, and removes it then.
         broken = {each.endpoint_id for each in connections if getattr(each, "_error", None) is not None}
         count = self._publisher.get_num_connections()
         if broken or count < self._most:
-            there = {each.node for each in self._subscribers()}  # one that left is at no master
+            there = {each.node for each in self._subscribers()}  # a node that left is not registered any more
             if broken & there or count < len(there):
                 names = enumerated(sorted(broken & there or there))
                 raise self._not_taken(f"not all of its subscribers are connected any more: {names}")
 
     def close(self) -> None:
         """Leave the topic."""
-        with suppress(Exception):  # a subscriber that takes nothing must not keep us
+        with suppress(Exception):  # a subscriber that receives nothing must not block closing
             self.flush(_CLOSING_SECONDS)
         within(self._publisher.unregister, where=self._topic, doing="leaving the topic")
 
     def reach(self) -> bool:
-        """Return whether all subscribers are connected, once they are, and have been long enough to remain so."""
-        subscribers = len(list(self._subscribers()))  # who is dead would not connect
+        """Wait until all subscribers are connected, for long enough not to reconnect; return whether they are."""
+        subscribers = len(list(self._subscribers()))  # without dead nodes, which would not connect
         deadline = time.monotonic() + CONNECTING
         while self._publisher.get_num_connections() < subscribers:
             left = deadline - time.monotonic()
@@ -138,10 +138,10 @@ class Publisher:
 
 
 class _Arrivals:
-    """Tells that a subscriber has connected; rospy calls it.
+    """Notices when a subscriber connects; rospy calls it.
 
     Attributes:
-        last: when the last one did, on the steady clock, s.
+        last: when the last one connected, on the monotonic clock, s.
     """
 
     def __init__(self) -> None:
@@ -153,7 +153,7 @@ class _Arrivals:
         self._arrived.set()
 
     def peer_unsubscribe(self, *_: object) -> None:
-        """Do nothing: rospy calls it, too."""
+        """Do nothing; rospy requires this method."""
 
     def wait(self, timeout: float) -> None:
         self._arrived.wait(timeout)
@@ -161,10 +161,10 @@ class _Arrivals:
 
 
 def _is_idle(connection: Any) -> bool | None:
-    """Return whether rospy has handed all of a connection's messages to the system; None where that is not told.
+    """Return whether rospy has handed all messages of a connection to the system; None where that is not known.
 
-    Its thread takes the whole queue and then sends it, so an empty queue says too little: it must wait for more. One
-    without a queue, of a publisher of the config's own, or of another version of rospy does not tell.
+    rospy's thread takes the whole queue and then sends it. So an empty queue is not enough: the thread must be waiting,
+    too. It is not known without a queue, as of a config's own publisher, or in another version of rospy.
     """
     try:
         waiters = connection._cond_data_available._waiters  # noqa: SLF001 - rospy tells it nowhere else

@@ -1,4 +1,4 @@
-"""Calls services of ROS 1 with a deadline, which rospy's own proxy has not.
+"""Calls services of ROS 1 with a deadline, which rospy's own proxy lacks.
 
 Source of the protocol: wiki.ros.org/ROS/TCPROS and wiki.ros.org/ROS/Connection Header.
 """
@@ -19,12 +19,12 @@ from robot_runner.ros.graph_transport import service_timeout, wrong_service_type
 
 _LENGTH = struct.Struct("<I")
 _CALLER = "/robot_runner"
-#: What tells a service of another type, in the words of rospy and roscpp.
+#: The words by which errors of rospy and roscpp show that a service has another type.
 _SIGNS_OF_ANOTHER_TYPE = ("md5sum", "datatype")
 
 
 class _Connection:
-    """A connection to a service on which nothing waits beyond a moment."""
+    """A connection to a service that raises once its deadline has passed."""
 
     def __init__(self, uri: str, timeout: float) -> None:
         parts = urlsplit(uri)
@@ -33,12 +33,12 @@ class _Connection:
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def send(self, data: bytes) -> None:
-        """Send bytes with their length before them."""
+        """Send bytes, preceded by their length."""
         self._keep_deadline()
         self._socket.sendall(_LENGTH.pack(len(data)) + data)
 
     def block(self) -> bytes:
-        """Receive bytes that have their length before them."""
+        """Receive bytes that are preceded by their length."""
         return self.exactly(_LENGTH.unpack(self.exactly(_LENGTH.size))[0])
 
     def exactly(self, count: int) -> bytes:
@@ -109,7 +109,7 @@ def _connected(name: str, uri: str, timeout: float) -> Iterator[_Connection]:
 
 
 def _greet(connection: _Connection, fields: Mapping[str, str]) -> dict[str, str]:
-    """Send the header of a connection and return the other side's."""
+    """Send the connection header and return that of the other side."""
     header = {"callerid": _CALLER, **fields}
     connection.send(b"".join(_field(f"{name}={value}".encode()) for name, value in header.items()))
     return _fields(connection.block())

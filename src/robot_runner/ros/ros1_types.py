@@ -1,4 +1,4 @@
-"""Messages of ROS 1 to and from plain mappings; their types are the Python classes that ROS generates."""
+"""Converts messages of ROS 1 to and from plain mappings; their types are the Python classes that ROS generates."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def message_class(message_type: str) -> Any:
 
 @lru_cache
 def _class_from_text(message_type: str) -> Any:
-    """Return a class made of a definition that is known without ROS, as of actions; None where there is none."""
+    """Return a class generated from a built-in definition, such as of actions; None where there is none."""
     try:
         from robot_runner.ros.type_catalogue import TypeCatalogue  # noqa: PLC0415  # it takes rosbags, an extra
 
@@ -51,10 +51,10 @@ def _class_from_text(message_type: str) -> Any:
 
 
 def _generated(message_type: str, text: str) -> Any:
-    """Return the class that genpy makes of a definition.
+    """Return the class that genpy generates from a definition.
 
-    genpy imports each type from a folder of its own on Python's path, and has `atexit` remove it: a run's process ends
-    without that. Nobody needs the folder once the type is imported, so it is removed at once.
+    genpy imports each type from a temporary folder, which `atexit` removes; but the process of a run ends without that.
+    As the folder is not needed once the type is imported, it is removed at once.
     """
     dynamic: Any = import_module("genpy.dynamic")
     folders: list[str] = []
@@ -87,7 +87,7 @@ def _is_type(found: Any, name: str) -> bool:
 
 @lru_cache
 def shape_of(cls: Any) -> Shape:
-    """Return what a message class, or the class of a request or response, is made of."""
+    """Return the fields of the class of a message, request or response."""
     return Shape(cls._type, tuple(_field(*each) for each in zip(cls.__slots__, cls._slot_types, strict=True)))
 
 
@@ -117,8 +117,8 @@ def _plain(field: Field, value: Any) -> Any:
 
 
 def as_message(cls: Any, complete: Mapping[str, Any]) -> Any:
-    """Return the message of ROS that a mapping with every field is; `robot_runner.ros.shapes.completed` makes one."""
-    message = cls.__new__(cls)  # its own initialisation fills every field with a default first
+    """Return a mapping with every field, such as `robot_runner.ros.shapes.completed` makes, as a message of ROS."""
+    message = cls.__new__(cls)  # without `__init__`, which fills every field with a default first
     for name, convert in _conversions(cls):
         setattr(message, name, complete[name] if convert is None else convert(complete[name]))
     return message
@@ -126,7 +126,7 @@ def as_message(cls: Any, complete: Mapping[str, Any]) -> Any:
 
 @lru_cache
 def _conversions(cls: Any) -> tuple[tuple[str, Callable[[Any], Any] | None], ...]:
-    """Return what makes each field's value of ROS; None where it is the same."""
+    """Return each field with the function that converts its value for ROS, or None where no conversion is needed."""
     return tuple((field.name, _conversion(field)) for field in shape_of(cls).fields)
 
 
@@ -150,24 +150,24 @@ def _stamp(cls: Any, value: Mapping[str, int]) -> Any:
 
 
 class Ros1Types:
-    """The types of the packages that are on Python's path; each method raises a `LinkError` for an unknown type."""
+    """The types of the packages on Python's path; each method raises a `LinkError` for an unknown type."""
 
     def shape(self, message_type: str) -> Shape:
-        """Return what a message type is made of."""
+        """Return the fields of a message type."""
         return shape_of(message_class(message_type))
 
     def request(self, service_type: str) -> Shape:
-        """Return what the request of a service type is made of."""
+        """Return the fields of a service type's request."""
         cls = service_class(service_type)
         return shape_of(cls._request_class)
 
     def response(self, service_type: str) -> Shape:
-        """Return what the response of a service type is made of."""
+        """Return the fields of a service type's response."""
         cls = service_class(service_type)
         return shape_of(cls._response_class)
 
     def definition(self, message_type: str) -> str:
-        """Return the text of a type's definition, as the generated class carries it."""
+        """Return the text of a type's definition, which the generated class contains."""
         cls = message_class(message_type)
         text: str = cls._full_text
         return text

@@ -1,6 +1,6 @@
-"""Actions as ROS 2 has them: three services and two topics, under a hidden name below the action's.
+"""Actions of ROS 2: three services and two topics, under a hidden name below the action's.
 
-Sources: design.ros2.org/articles/actions.html, and rcl_action for names, profiles and what is said when.
+Sources: design.ros2.org/articles/actions.html, and rcl_action for names, profiles and the order of messages.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ GOAL_STATES: Mapping[int, GoalStatus] = MappingProxyType(
     }
 )
 GOAL_NUMBERS: Mapping[GoalStatus, int] = MappingProxyType({status: number for number, status in GOAL_STATES.items()})
-#: action_msgs/CancelGoal: why a server does not cancel.
+#: action_msgs/CancelGoal: return codes for no error, and for a goal that is over.
 _NOT_REFUSED, _IS_OVER = 0, 3
 _REFUSALS = {1: "the server refuses", 2: "the server does not know the goal"}
 #: How long the result of a goal that is over may take, s.
@@ -58,7 +58,7 @@ def uuid_of(key: str) -> dict[str, bytes]:
 
 
 def ros2_action_types(types: GraphTypes, action_type: str) -> ActionTypes:
-    """Look up among its services and its feedback what an action is made of; raise a `LinkError` for an unknown one."""
+    """Return the parts of an action's type, from its services and feedback; raise a `LinkError` for an unknown type."""
     return ActionTypes(
         part_of(types.request(f"{action_type}_SendGoal"), "goal"),
         part_of(types.response(f"{action_type}_GetResult"), "result"),
@@ -73,7 +73,7 @@ class Ros2Actions:
         self._transport = transport
 
     def types(self, action_type: str) -> ActionTypes:
-        """Return what an action is made of."""
+        """Return the parts of an action's type."""
         return ros2_action_types(self._transport.types, action_type)
 
     def actions(self) -> dict[str, str]:
@@ -85,12 +85,12 @@ class Ros2Actions:
         }
 
     def client(self, action: str, action_type: str, timeout: float) -> _Client:
-        """Return what sends goals to an action, once its server is there."""
+        """Return a client of an action, once its server is there."""
         await_action(self.actions, action, action_type, min(timeout, LONGEST_DISCOVERY))
         return _Client(self._transport, self, action, action_type)
 
     def serve(self, action: str, action_type: str, server: GoalServer) -> Subscription:
-        """Have goals executed by a server of this link."""
+        """Let a server of this link execute goals."""
         if action in self.actions():
             raise already_offered(action, what="action")
         return _Served(self._transport, action, action_type, server)
@@ -160,7 +160,7 @@ class _Client:
                 if goal.key in self._fetched:
                     return
                 self._fetched.add(goal.key)
-            # In a thread of its own: this one receives, and the answer comes in it.
+            # In another thread: this one has to receive the answer.
             threading.Thread(target=self._fetch, args=(goal, status), name="action result", daemon=True).start()
         goal.note(status)
         if goal.is_abandoned and not status.is_over:
@@ -185,7 +185,7 @@ class _Client:
         goal.finish(ActionResult(told if told.is_over else status, answer["result"]))
 
     def _drop(self, goal: SentGoal) -> None:
-        """Cancel a goal that was accepted after its deadline: nobody waits for it."""
+        """Cancel a goal that was accepted after its deadline, as no caller waits for it."""
         try:
             self.cancel(goal, _RESULT_SECONDS)
         except LinkError as error:
@@ -202,7 +202,7 @@ class _Client:
 
 
 class _Served:
-    """An action that is offered: its services and topics, until it is closed."""
+    """An offered action: its services and topics, until it is closed."""
 
     def __init__(self, transport: Transport, action: str, action_type: str, server: GoalServer) -> None:
         self._server = server
@@ -213,7 +213,7 @@ class _Served:
             self._status = transport.advertise(action + STATUS_TOPIC, STATUS_TYPE, Qos.TRANSIENT_LOCAL)
             self._open.callback(self._status.close)
             server.connect(self)
-            # What is asked for first comes last: whoever finds it finds all of the action.
+            # Clients look for the service of goals: it is offered last, when everything else is there.
             for name, kind, answer in (
                 (_RESULT, f"{action_type}_GetResult", self._answer_result),
                 (_CANCEL, _CANCEL_TYPE, self._answer_cancel),
@@ -236,7 +236,7 @@ class _Served:
         self._status.publish({"status_list": told})
 
     def tell_result(self, execution: Execution, result: ActionResult) -> None:
-        """Do nothing: whoever asked for it is answered, because the execution is over."""
+        """Do nothing: clients that have requested the result are answered when the execution is over."""
 
     def _answer_goal(self, request: Message) -> Message:
         execution = self._server.accept(bytes(request["goal_id"]["uuid"]).hex(), request["goal"])

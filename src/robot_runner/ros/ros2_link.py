@@ -1,4 +1,4 @@
-"""Opens a link over rclpy, and says what stands in its way; nothing of ROS is loaded before."""
+"""Opens a link over rclpy, and checks whether it can be opened; nothing of ROS is imported before."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _HUMBLE = "humble"
 
 
 def findings(name: RobotName) -> list[Finding]:
-    """Return what stands in the way of reaching a robot of this name over ROS 2; nothing is opened by asking."""
+    """Return findings that prevent a link to a robot of this name over ROS 2; nothing is opened."""
     try:
         _domain(name.options)
         _check_installed()
@@ -35,10 +35,10 @@ def findings(name: RobotName) -> list[Finding]:
 def open_ros2_link(options: Mapping[str, str], clock: Clock, namespace: str = "") -> RobotLink:
     """Join the graph of a `domain`, or of ROS_DOMAIN_ID, and return the link to the robot of this namespace.
 
-    Where the run's clock is a simulation's, the node lives by the time on `/clock`.
+    Where the run's clock is a simulation's, the node follows the time on `/clock`.
 
     Raises:
-        LinkError: an option cannot have its value, no ROS 2 is sourced, or the graph cannot be joined.
+        LinkError: an option is not valid, no ROS 2 is sourced, or the graph cannot be joined.
     """
     domain = _domain(options)
     _check_installed()
@@ -56,7 +56,7 @@ def _domain(options: Mapping[str, str]) -> int | None:
 
 
 def _unfitting(ros: RosEnvironment | None, other: str) -> LinkError:
-    """Return the error that a ROS 2 is sourced whose Python is another, and the link that does without."""
+    """Return the error that the sourced ROS 2 is for another Python; it names the link that needs no rclpy."""
     distro = "" if ros is None or ros.distro is None else f" {ros.distro}"
     domain = os.environ.get("ROS_DOMAIN_ID")
     options = [f"distro={distro.strip()}"] if distro else []

@@ -1,4 +1,4 @@
-"""The one ROS 2 node of a process, shared by the links to all its robots, and what it knows of the graph."""
+"""The one ROS 2 node of a process, shared by the links to all its robots, and its view of the graph."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from robot_runner.ros.shapes import plain_type
 
 _logger = logging.getLogger(__name__)
 
-#: How long after joining a graph what is on it is told, s: DDS announces participants at once and answers to them. Fast
-#: DDS does not always: what must be there is looked for during LONGEST_DISCOVERY.
+#: How long after joining a graph its content is known, s: DDS announces participants at once and answers them. Fast DDS
+#: sometimes does not: whatever must be there is looked for during LONGEST_DISCOVERY.
 SETTLING = 1.0
-#: An executor looks whether it is to end at least this often, s.
+#: An executor checks at least this often whether it has to end, s.
 _SPIN = 0.2
 #: How long a thread may take to end, s.
 _JOIN = 5.0
-#: So many requests are answered at a time: whoever asks for the result of a goal is answered when it is over.
+#: The number of threads that answer requests: a request for the result of a goal takes one until the goal is over.
 _ANSWERING = 32
-#: How often the graph is looked at where something is waited for, s.
+#: How often the graph is polled while waiting for something, s.
 _POLL = 0.02
 
 _lock = threading.Lock()
@@ -56,16 +56,16 @@ def join_graph(domain: int | None, *, use_sim_time: bool) -> GraphNode:
 
 
 class GraphNode:
-    """A context of its own, a node in it, and the threads that spin it and call back.
+    """A separate context, a node in it, and the threads that spin it and execute callbacks.
 
-    The node is made once something is opened on it: who only looks at the graph, or stands by to stop a robot, is there
-    as a hidden node, whose name begins with an underscore. Callbacks are called from a thread that spins nothing, so
-    that they may call services. Offered services are a node of their own with an executor of several threads: one that
-    takes long to answer must keep up neither messages and responses nor other services.
+    The node is made once something is opened on it: a process that only looks at the graph, or is a standby, has only a
+    hidden node, whose name begins with an underscore. Callbacks are executed in a thread that does not spin, so that
+    they may call services. Offered services have a node of their own, with an executor of several threads: a slow
+    service must delay neither messages and responses nor other services.
 
     Attributes:
         users: how many links use it.
-        hidden: knows the graph; spins nothing.
+        hidden: the node for queries about the graph; it is not spun.
     """
 
     def __init__(self, domain: int | None, *, use_sim_time: bool, forget: Callable[[], object]) -> None:
@@ -78,10 +78,10 @@ class GraphNode:
         self._services: Any = None
         self._todo: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         try:
-            # No arguments: those of our command line mean nothing to ROS. No handlers of signals: a run has its own.
+            # Without the arguments of our command line, which are not for ROS, and without ROS' signal handlers.
             self._context.init(args=[], initialize_logging=False, domain_id=domain)
             self.hidden = self._new_node("_robot_runner", use_sim_time=False)
-        except Exception as error:  # rclpy raises what its middleware does
+        except Exception as error:  # the class depends on the middleware
             self._context.try_shutdown()
             raise LinkError(
                 f"the graph of ROS 2 cannot be joined: {error}",
@@ -113,11 +113,11 @@ class GraphNode:
             return self._services
 
     def later(self, todo: Callable[[], None]) -> None:
-        """Have something done in the thread that calls back, after what is to be done there already."""
+        """Queue a function for the thread that executes callbacks."""
         self._todo.put(todo)
 
     def until(self, claim: Callable[[], object], seconds: float) -> bool:
-        """Wait until something holds on the graph, for so long at most; return whether it does."""
+        """Wait at most `seconds` until something holds on the graph; return whether it does."""
         deadline = time.monotonic() + seconds
         while not claim():
             if time.monotonic() >= deadline:
@@ -130,7 +130,7 @@ class GraphNode:
         self.until(claim, self._joined + seconds - time.monotonic())
 
     def leave(self) -> None:
-        """Give it up; the last one to do so ends it."""
+        """Release the node; the last user ends it."""
         with _lock:
             self.users -= 1
             if self.users > 0:
@@ -190,12 +190,12 @@ class _Spinning:
                 self._executor.spin_once(timeout_sec=_SPIN)
             except ExternalShutdownException:
                 return
-            except Exception:  # of an offered service, or of an entity that was destroyed just now
+            except Exception:  # from an offered service, or an entity that was just destroyed
                 if not self._is_over.is_set():
                     _logger.exception("a callback of %s raised", self._node.get_name())
 
     def end(self) -> None:
-        """Spin no more, and take the node from the graph."""
+        """Stop spinning, and remove the node from the graph."""
         self._is_over.set()
         self._executor.wake()
         if threading.current_thread() is not self._thread:
@@ -205,7 +205,7 @@ class _Spinning:
 
 
 class Graph:
-    """What rclpy knows of a graph."""
+    """Queries about a graph, over rclpy."""
 
     def __init__(self, node: GraphNode) -> None:
         self._node = node
@@ -231,11 +231,11 @@ class Graph:
         return self._offered().get(name)
 
     def publishers(self, topic: str) -> list[Any]:
-        """Return what there is to know about the publishers of a topic: `topic_type`, `qos_profile`, node's name."""
+        """Return rclpy's information on the publishers of a topic: `topic_type`, `qos_profile`, node's name."""
         return list(self._node.hidden.get_publishers_info_by_topic(topic))
 
     def subscriptions(self, topic: str) -> list[Any]:
-        """Return the same of the subscriptions of a topic."""
+        """Return rclpy's information on the subscriptions of a topic."""
         return list(self._node.hidden.get_subscriptions_info_by_topic(topic))
 
     def endpoints(self, infos: Iterable[Any]) -> list[GraphEndpoint]:
@@ -248,12 +248,12 @@ class Graph:
         ]
 
     def _offered(self) -> dict[str, str]:
-        # Asked node by node: the list of all services has those that are merely called, too.
+        # Node by node, as the list of all services contains those that are merely called, too.
         found: dict[str, str] = {}
         for name, namespace in self._names():
             try:
                 offered = self._node.hidden.get_service_names_and_types_by_node(name, namespace)
-            except RuntimeError:  # it left the graph just now
+            except RuntimeError:  # it has just left the graph
                 continue
             found |= {service: plain_type(types[0]) for service, types in offered if types}
         return dict(sorted(found.items()))
@@ -263,7 +263,7 @@ class Graph:
 
 
 def policies_of(profile: Any) -> Policies:
-    """Return what a profile of rclpy asks for or offers."""
+    """Return the policies of a profile of rclpy."""
     return Policies(
         is_reliable=profile.reliability != ReliabilityPolicy.BEST_EFFORT,
         is_kept=profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,

@@ -1,4 +1,4 @@
-"""Messages of ROS 2 to and from plain mappings; their types are the Python classes that ROS generates."""
+"""Converts messages of ROS 2 to and from plain mappings; their types are the Python classes that ROS generates."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from robot_runner.ros.shapes import BYTE_KINDS, IDL_KINDS, UNBOUNDED, Field, Sha
 from robot_runner.ros.type_store import stored_name
 
 _OCTET = "byte"
-#: Where the class of an action has those of its parts that are not of its own definition.
+#: The attributes of an action's class with the types that its definition does not contain.
 _ACTION_STEPS = MappingProxyType(
     {
         "FeedbackMessage": "Impl.FeedbackMessage",
@@ -26,7 +26,7 @@ _ACTION_STEPS = MappingProxyType(
         "GetResult": "Impl.GetResultService",
     }
 )
-#: Between the definitions of two types in a bag.
+#: The line between the definitions of two types in a bag.
 _SEPARATOR = "=" * 80
 
 
@@ -51,13 +51,13 @@ def service_class(service_type: str) -> Any:
 
 
 def _action_part(type_name: str) -> Any:
-    """Return the class of a message or service that ROS 2 makes of an action, or None for any other."""
+    """Return the class of a message or service that ROS 2 derives from an action, or None for any other."""
     name = plain_type(type_name)
     action = whole_action(name)
     if action == name:
         return None
     found = generated_class(action, TypeKind.ACTION, _is_action)
-    part, *half = name.removeprefix(f"{action}_").split("_")  # of a service the request or the response
+    part, *half = name.removeprefix(f"{action}_").split("_")  # `half`: the request or response of a service
     for step in (*_ACTION_STEPS.get(part, part).split("."), *half):
         found = getattr(found, step)
     return found
@@ -77,7 +77,7 @@ def _is_service(found: Any, _name: str) -> bool:
 
 @lru_cache
 def shape_of(cls: Any) -> Shape:
-    """Return what a message class, or the class of a request or response, is made of."""
+    """Return the fields of the class of a message, request or response."""
     example = cls()
     names = cls.get_fields_and_field_types()
     fields = (_field(name, kind, getattr(example, name)) for name, kind in zip(names, cls.SLOT_TYPES, strict=True))
@@ -127,11 +127,11 @@ def _taken(field: Field, value: Any) -> Any:
         return [as_mapping(each) for each in value]
     if kind in BYTE_KINDS:
         return b"".join(value) if kind == _OCTET else bytes(value)
-    return value.tolist() if hasattr(value, "tolist") else list(value)  # of arrays: numpy's and the standard library's
+    return value.tolist() if hasattr(value, "tolist") else list(value)  # arrays of NumPy and of the standard library
 
 
 def as_message(cls: Any, complete: Mapping[str, Any]) -> Any:
-    """Return the message of ROS that a mapping with every field is; `robot_runner.ros.shapes.completed` makes one."""
+    """Return a mapping with every field, such as `robot_runner.ros.shapes.completed` makes, as a message of ROS."""
     message = cls()
     for field in shape_of(cls).fields:
         setattr(message, field.name, _given(field, complete[field.name]))
@@ -146,7 +146,7 @@ def _given(field: Field, value: Any) -> Any:
     if kind == _OCTET:
         return bytes([value]) if field.count is None else [bytes([each]) for each in value]
     if kind in BYTE_KINDS and isinstance(field.count, UpTo):
-        return array("B", value)  # which ROS takes as it is; it looks at each element of anything else
+        return array("B", value)  # ROS accepts an array as it is, but checks each element of anything else
     return list(value) if field.count is not None else value
 
 
@@ -154,22 +154,22 @@ class Ros2Types:
     """The types of the sourced ROS 2; each method raises a `LinkError` for an unknown type."""
 
     def shape(self, message_type: str) -> Shape:
-        """Return what a message type is made of."""
+        """Return the fields of a message type."""
         return shape_of(message_class(message_type))
 
     def request(self, service_type: str) -> Shape:
-        """Return what the request of a service type is made of."""
+        """Return the fields of a service type's request."""
         return shape_of(service_class(service_type).Request)
 
     def response(self, service_type: str) -> Shape:
-        """Return what the response of a service type is made of."""
+        """Return the fields of a service type's response."""
         return shape_of(service_class(service_type).Response)
 
     def definition(self, message_type: str) -> str:
-        """Return the text of a type's definition, followed by the types that it is made of, as bags store it.
+        """Return the text of a type's definition, followed by those of the types of its fields, as bags store it.
 
         Raises:
-            LinkError: there is no such type, or its package has no text of it.
+            LinkError: there is no such type, or its package does not contain the definition.
         """
         shape = self.shape(message_type)
         within = (f"{_SEPARATOR}\nMSG: {name}\n{_text(name)}" for name in dict.fromkeys(_within(shape)))
@@ -199,10 +199,10 @@ def _text(type_name: str) -> str:
 
 
 def _share_folder(package: str) -> Path:
-    """Return where a package keeps its definitions; a ROS 2 that pip has installed is found without being sourced.
+    """Return the folder of a package's definitions; a ROS 2 installed by pip is found without being sourced.
 
     Raises:
-        LookupError: no such package is in what is sourced.
+        LookupError: no sourced ROS 2 has the package.
     """
     if not os.environ.get("AMENT_PREFIX_PATH"):
         return Path(sys.prefix, "share", package)

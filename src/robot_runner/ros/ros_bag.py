@@ -25,7 +25,7 @@ from robot_runner.ros.robot_system import check_numbers
 from robot_runner.ros.topic_statistics import TopicProfiler, TypedTopic, robot_findings, topic_label
 
 _FIX = "Look at the bag before you use this run."
-#: How long after the mission a bag may begin before that is told, s.
+#: How long after the mission's begin a bag may begin without a warning, s.
 _LATE = 0.02
 
 
@@ -38,25 +38,24 @@ class _By(StrEnum):
 class RosBag(TopicProfiler):
     """Records topics of a robot into a bag in the plugin's folder.
 
-    `rosbag record` or `ros2 bag record` is used where it is there: on the robot's computer if a host is named, else on
-    this machine, if its environment (`ROS_MASTER_URI`, `ROS_DOMAIN_ID`) names the robot's graph; it begins when the run
-    starts, because it takes a while to. Where it is not there, and on the simulated robot, the plugin itself records
-    what this machine receives while all measure: an MCAP file of the profile of ROS 2, or a bag of ROS 1. A bag is kept
-    whole: its measures are about all of the time in which it was recorded, and are doubted where that exceeds the
-    mission by more than 1 %.
+    `rosbag record` or `ros2 bag record` is used if it is installed: on the robot's computer if a host is named, else on
+    this machine, if its environment (`ROS_MASTER_URI`, `ROS_DOMAIN_ID`) names the robot's graph. It is started at the
+    start of the run, because starting takes a while. Otherwise, and for the simulated robot, the plugin itself records
+    what this machine receives during the measurement: an MCAP file of the profile of ROS 2, or a bag of ROS 1. A bag is
+    not cut: its measures are about the whole recording, and doubted where that exceeds the mission by more than 1 %.
 
     Args:
         topics: names, relative to the robot's namespace.
         name: tells several instances apart; the class's name if left out.
         namespace: which robot, where there are several.
-        by: `auto`, or `program` or `link` to have one of the two and no other.
+        by: `auto`, or `program` or `link` to use only this one of the two.
         host: the computer to record on, as for ssh; this machine if left out.
-        setup: a file to be sourced before, such as `/opt/ros/humble/setup.bash`.
-        ssh_config: a file to take the place of the user's ssh config.
+        setup: a file to source before, such as `/opt/ros/humble/setup.bash`.
+        ssh_config: a file to use in place of the user's ssh config.
         patience: how long a topic may take to appear on the graph before a run starts, s.
 
     Raises:
-        PluginError: there are no topics, a name cannot be one, or `by` is none of the three.
+        PluginError: there are no topics, a name is not valid, or `by` is none of the three.
 
     Example:
         >>> [measure.name for measure in RosBag(["odom", "scan"]).measures]
@@ -108,14 +107,14 @@ class RosBag(TopicProfiler):
         self._problems: list[str] = []
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no robot, or a host that cannot be reached."""
+        """Return findings: there is no robot, or a host cannot be reached."""
         findings = robot_findings(self.name, circumstances)
         if self.host != LOCAL:
             findings += ssh_findings(f"plugin {self.name}", self.host, config=self.ssh_config)
         return findings
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Get ready to record, or begin to where ROS' own program does it.
+        """Prepare the recording, or begin it where ROS' own program records.
 
         Raises:
             PluginError: none of the topics is there, or the recorder cannot be started.
@@ -145,21 +144,21 @@ class RosBag(TopicProfiler):
             self._recorder = LinkRecorder(link, list(there.values()), folder)
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
-        """Begin to record."""
+        """Begin the recording."""
         self._measured_from_ns = time.time_ns()
         if isinstance(self._recorder, LinkRecorder):
             self._begun_at = context.clock.now()
             self._recorder.begin()
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
-        """Record no more."""
+        """End the recording."""
         if isinstance(self._recorder, LinkRecorder):
             self._recorder.end()
             self._note_end(context)
         self._is_simulated = self.is_of_simulation(context)
 
     def stop_run(self, context: RobotRunnerContext) -> None:
-        """Finish the bag, and weigh it."""
+        """Finish the bag, and determine its size."""
         recorder, self._recorder = self._recorder, None
         if recorder is None:
             return

@@ -1,4 +1,4 @@
-"""Finds out how a robot can be reached from here, for `robot = "auto"`; the simulation is never among what is found."""
+"""Finds out how a robot can be reached from here, for `robot = "auto"`; it never finds the simulation."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from robot_runner.core.links.ssh_command import execute, failure, gist, remedy, 
 if TYPE_CHECKING:
     from robot_runner.ros.ros1_master import Master
 
-# Which ROS there is: on this machine, on a graph of ROS 1, on a robot's computer. Each says where it was read.
+# Which ROS is there: on this machine, on a graph of ROS 1, on a robot's computer.
 
-#: The series of ros_comm, by its first two numbers, and the distribution that each was made for (index.ros.org).
-#: 1.16 is noetic's; Debian and Ubuntu ship 1.15 and 1.16 of it without a name of their own.
+#: The distribution of each series of ros_comm, by the first two numbers of its version (index.ros.org). 1.16 is
+#: noetic's; Debian and Ubuntu ship 1.15 and 1.16 without the name of a distribution.
 _SERIES = MappingProxyType({"1.12": "kinetic", "1.14": "melodic", "1.15": "noetic", "1.16": "noetic"})
 _ROS1_NAMES = ("kinetic", "lunar", "melodic", "noetic")
 _VERSION = re.compile(r"\s*(\d+\.\d+)\.")
@@ -40,7 +40,7 @@ class RosEnvironment:
 
     Attributes:
         version: the generation: 1 or 2.
-        distro: the distribution, such as `noetic`, or None where it is not told.
+        distro: the distribution, such as `noetic`, or None where it is not known.
         source: where this was read.
     """
 
@@ -64,9 +64,9 @@ _FOR_PYTHON = re.compile(r"\.cpython-3(\d+)")
 
 
 def other_python_of_rclpy() -> str | None:
-    """Return for which Python the rclpy that is found was built, such as `3.10`, where that is not this one.
+    """Return the Python version for which the rclpy on the path was built, such as `3.10`, if it is not this one.
 
-    A setup file puts its rclpy on the path of every Python; it is not imported by asking.
+    A setup file puts its rclpy on the path of every Python. It is not imported.
     """
     found = importlib.util.find_spec("rclpy")
     folders = [] if found is None else list(found.submodule_search_locations or ())
@@ -90,7 +90,7 @@ def installed_ros() -> RosEnvironment | None:
 
 
 def ros_of_master(master: Master) -> RosEnvironment:
-    """Return the ROS of a graph of ROS 1, as its launch file's start has set it: `/rosdistro` and `/rosversion`.
+    """Return the ROS of a graph of ROS 1, from the parameters that roslaunch sets: `/rosdistro` and `/rosversion`.
 
     Raises:
         LinkError: there is no such master.
@@ -109,7 +109,7 @@ def ros_of_host(host: str, *, config: Path | None = None) -> list[RosEnvironment
 
     Args:
         host: as ssh takes it.
-        config: a file to take the place of the user's ssh config.
+        config: a file to use in place of the user's ssh config.
 
     Raises:
         LinkError: it cannot be reached.
@@ -138,7 +138,7 @@ def _series(version: str) -> str | None:
     return _SERIES.get(found[1]) if found else None
 
 
-# Which ROS packages this machine has, told from the folders that a setup file puts on its paths.
+# Which ROS packages this machine has, from the folders that a setup file puts on its paths.
 
 _PATHS = ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH")
 _ROS_PACKAGES_VERSION = re.compile(rb"<version[^>]*>\s*([^<\s]+)\s*</version>")
@@ -181,9 +181,9 @@ def _version(path: Path) -> str:
 _MASTER_SECONDS = 1.0
 _BRIDGE = ("localhost", 9090)
 _BRIDGE_SECONDS = 0.5
-#: DDS needs about a second until the participants of a graph know each other.
+#: The timeout for looking at the graph over DDS, s; discovery takes about one.
 _GRAPH_SECONDS = 8.0
-#: In a process of its own: a participant of DDS starts threads, which the process that forks the runs may not have.
+#: In a process of its own: a participant of DDS starts threads, which the process that forks the runs must not have.
 _LOOK_AT_GRAPH = """
 import sys, time
 from robot_runner.core.events.context import SystemClock
@@ -199,10 +199,10 @@ sys.exit(0 if found else 1)
 
 @lru_cache(maxsize=1)
 def found_robot() -> FoundRobot:
-    """Return the first that is there, in this order: a sourced ROS, a ROS 1 master, a rosbridge on this machine, DDS.
+    """Return the first robot found over, in this order: a sourced ROS, a ROS 1 master, a rosbridge here, DDS.
 
     Raises:
-        LinkError: there is none; it says what was looked for.
+        LinkError: there is none; the message says what was looked for.
     """
     for look in _LOOKS:
         found = look()

@@ -46,23 +46,22 @@ _GRAPH_BYTES = 10_000
 class RosGraph(Profiler):
     """Counts the nodes and topics of the graph, and measures CPU and memory of the processes of chosen nodes.
 
-    The graph is looked at when the measurement starts, and again when it stops; both are kept. What is counted is that
-    of a moment, and has no value for a phase. On ROS 1 a node tells
-    the number of its process itself. ROS 2 does not tell: there a process is found by the name that the node was given
-    on its command line, as launch files do, or by the name of its program, if you say it.
+    The graph is read when the measurement starts, and again when it stops; both states are recorded. The counts are of
+    a moment, and have no value for a phase. On ROS 1 a node reports its process id. ROS 2 does not: there a process is
+    found by the name that the node was given on its command line, as launch files do, or by the name of its program, if
+    you give it.
 
     Args:
         nodes: the nodes to measure, by names that are relative to the robot's namespace unless they begin with `/`; or
-            a mapping from them to what to look for instead: the name of a program (`"component_container"`) or
-            `pid:4711`.
+            a mapping from these to the name of a program (`"component_container"`) or `pid:4711`.
         name: tells several instances apart; the class's name if left out.
-        host: the computer that the nodes run on: `localhost`, or as ssh takes it (`pi@robot`).
+        host: the computer that the nodes run on: `localhost`, or as for ssh (`pi@robot`).
         rate_hz: samples a second, Hz.
-        ssh_config: a file to take the place of your ssh config.
+        ssh_config: a file to use in place of your ssh config.
         namespace: which robot's link is used, where there are several.
 
     Raises:
-        PluginError: the rate is not positive, or the names of nodes cannot be, or would share a column.
+        PluginError: the rate is not positive, or names of nodes are not valid, or would share a column.
 
     Example:
         >>> [measure.name for measure in RosGraph(["/turtlebot3_node"]).measures]
@@ -94,7 +93,7 @@ class RosGraph(Profiler):
         self.rate_hz = rate_hz
         self.ssh_config = None if ssh_config is None else Path(ssh_config).expanduser()
         self.namespace = namespace
-        # Columns are named by the nodes, whatever their processes are found by.
+        # Columns are named by the nodes, however their processes are found.
         self.selection = Selection(tuple(f"node:{node}" for node in self.nodes))
         if len(set(self.selection.labels)) < len(self.nodes):
             fix = "Measure them with two plugins of different names."
@@ -109,12 +108,12 @@ class RosGraph(Profiler):
         self._is_simulated = False
 
     def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: the computer whose processes it measures, if any."""
+        """Return the claims: the computer whose processes are measured, if any."""
         del robot
         return (f"host:{self.host}",) if self.nodes else ()
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no robot, or nodes whose processes cannot be reached."""
+        """Return findings: there is no robot, or processes of nodes cannot be reached."""
         findings = robot_findings(self.name, circumstances)
         if not self.nodes:
             return findings
@@ -138,7 +137,7 @@ class RosGraph(Profiler):
                 link.connect()
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
-        """Look at the graph, and begin to sample the processes of its nodes."""
+        """Read the graph, and begin to sample the processes of its nodes."""
         graph = self._look(context)
         if self.nodes:
             for node, label in zip(self.nodes, self.selection.labels, strict=True):
@@ -156,7 +155,7 @@ class RosGraph(Profiler):
         self._graphs["start"] = graph
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
-        """Sample no more, and look at the graph again."""
+        """End sampling, and read the graph again."""
         sampler, self._sampler = self._sampler, None
         if sampler is not None:
             samples, sampled = sampler.stop(), Window(self._begun_at, machine_clock(context).now())
@@ -205,7 +204,7 @@ class RosGraph(Profiler):
         return connect_host(context, self.host, ssh_config=self.ssh_config)
 
     def _processes(self, context: RobotRunnerContext) -> list[str]:
-        """Return the selector of each node's process; on ROS 1 by the number that the node tells."""
+        """Return the selector of each node's process; on ROS 1 by the process id that the node reports."""
         name = None if context.robot is None else RobotName.parse(context.robot)
         master = None
         if name is not None and name.link == _ROS1:

@@ -1,4 +1,4 @@
-"""The system that sets parameters of nodes for each run, and puts back what they were."""
+"""The system that sets parameters of nodes for each run, and restores the former values."""
 
 from __future__ import annotations
 
@@ -18,21 +18,22 @@ if TYPE_CHECKING:
 
 
 class RosParameters(RestoredSettings):
-    """Sets parameters of nodes before each mission, reads back what the nodes have, and puts back what was there.
+    """Sets parameters of nodes before each mission, reads them back, and restores the former values.
 
-    What was there before, what was set, what the node had then and at the end is in `parameters.json`, in its folder of
-    raw data. A run whose node does not have what was set fails; one in which somebody else has changed it is doubtful.
+    `parameters.json` in the folder of raw data has the values before, those that were set, and those of the node right
+    afterwards and at the end. A run fails if its node has other values than those that were set; it is doubtful if
+    somebody else has changed them meanwhile.
 
     Args:
         parameters: values by node and by name. Names of nodes are relative to the robot's namespace unless they begin
-            with `/`; in ROS 1 `/` alone is what is set for all nodes. `treatment(...)` may stand for any value.
+            with `/`; in ROS 1 `/` alone is for all nodes. `treatment(...)` may stand for any value.
         name: tells several instances apart; the class's name if left out.
         namespace: which robot, where there are several.
         patience: how long a node may take to appear on the graph before a run starts, s.
-        timeout: how long each answer of a node may take, s.
+        timeout: of each answer of a node, s.
 
     Raises:
-        PluginError: there are no parameters, a name cannot be one, or no parameter can have a value.
+        PluginError: there are no parameters, a name is not valid, or no parameter can have a value.
 
     Example:
         >>> RosParameters({"/controller_server": {"FollowPath.max_vel_x": 0.22}}).settings
@@ -57,7 +58,7 @@ class RosParameters(RestoredSettings):
         self.settings = {node: self._checked(node, values) for node, values in parameters.items()}
 
     def required_graph(self, circumstances: Circumstances) -> Iterator[GraphNeed]:
-        """Yield the nodes, with the values that they are to have; `/` of ROS 1 is no node."""
+        """Yield the nodes, with the values to be set; `/` of ROS 1 is no node."""
         del circumstances
         for node, values in self.settings.items():
             if node != "/":
@@ -72,7 +73,7 @@ class RosParameters(RestoredSettings):
         parameters_of(link, timeout=self.timeout).change(node, values)
 
     def doubts(self, link: RobotLink, settings: Settings) -> Iterator[tuple[str, str]]:
-        """Yield what may make it vain to set them: in ROS 1 a node reads them when it likes."""
+        """Yield reasons why setting them may have no effect: in ROS 1 each node decides when it reads them."""
         access = parameters_of(link, timeout=self.timeout)
         if isinstance(access, ServerParameters):
             for node, values in settings.items():

@@ -20,7 +20,7 @@ from robot_runner.ros.topic_statistics import DROPPED, HeaderReader, ReceivedTop
 _FIX = "Look at the topic, with `ros2 topic hz` or `rostopic hz`, before you use this run."
 _CLOCKS_FIX = "Synchronise the clocks of the robot and of this machine, with chrony or ntpd."
 
-#: What is kept of each message, bytes.
+#: The raw data of each message, bytes.
 _LINE_BYTES = 48
 _MISSION_SECONDS = 95
 
@@ -28,17 +28,17 @@ _MISSION_SECONDS = 95
 class RosTopics(TopicProfiler):
     """Measures topics as this machine receives them: rate, bandwidth, age by header stamps, jitter, and losses.
 
-    Messages are weighed as they come, not decoded. A topic without a header has no age.
+    Messages are not decoded; their sizes are as received. A topic without a header has no age.
 
     Args:
-        topics: names, relative to the robot's namespace, each with the rate that is expected of it, Hz (None: any).
+        topics: names, relative to the robot's namespace, each with its expected rate, Hz (None: any).
         name: tells several instances apart; the class's name if left out.
         namespace: which robot, where there are several.
-        losses: whether to tell how many messages were lost, on ROS 1, whose publishers number their messages.
+        losses: whether to measure the number of lost messages, on ROS 1, whose publishers number their messages.
         patience: how long a topic may take to appear on the graph before a run starts, s.
 
     Raises:
-        PluginError: there are no topics, a name or a rate cannot be one, or two topics would have one column.
+        PluginError: there are no topics, a name or a rate is not valid, or two topics would share a column.
 
     Example:
         >>> [measure.name for measure in RosTopics({"odom": 30.0}).measures]
@@ -78,7 +78,7 @@ class RosTopics(TopicProfiler):
         self._sampled: Window | None = None
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Subscribe, so that publishers and subscriptions have found each other when the measurement starts."""
+        """Subscribe, so that publishers and subscriptions are connected when the measurement starts."""
         self._sampled, self._is_measuring = None, False
         self._received = {topic: ReceivedTopic(self._labels[topic], rate) for topic, rate in self.topics.items()}
         self._subscriptions, self._live = [], []
@@ -92,19 +92,19 @@ class RosTopics(TopicProfiler):
                 self._subscribe(link, topic, typed.message_type, context)
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
-        """Begin to count."""
+        """Begin counting."""
         self._begun_at = context.clock.now()
         self._is_measuring = True
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
-        """Count no more."""
+        """End counting."""
         if self._is_measuring:
             self._is_measuring = False
             self._sampled = Window(self._begun_at, context.clock.now())
         self._is_simulated = self.is_of_simulation(context)
 
     def stop_run(self, context: RobotRunnerContext) -> None:
-        """Unsubscribe, and write what was received."""
+        """Unsubscribe, and write the raw data."""
         subscriptions, self._subscriptions = self._subscriptions, []
         for subscription in subscriptions:
             subscription.close()
@@ -115,7 +115,7 @@ class RosTopics(TopicProfiler):
             live.close()
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
-        """Publish the measures; no value for a topic of which nothing was received."""
+        """Publish the measures; no value for a topic without messages."""
         window = context.window
         if self._sampled is None or window is None:
             context.doubt("nothing was measured: the measurement was never started", fix=_FIX)
@@ -126,7 +126,7 @@ class RosTopics(TopicProfiler):
         publish_measures(context, self.measures, lambda part: _values(heard, part), origin=origin)
 
     def _heard_in(self, window: Window) -> list[ReceivedTopic]:
-        """Return what was received in the mission; topics of which nothing was are left out."""
+        """Return the topics with messages in a window, reduced to these."""
         return [within for received in self._received.values() if (within := received.over(window)).times]
 
     def _subscribe(self, link: RobotLink, topic: str, message_type: str, context: RobotRunnerContext) -> None:
@@ -164,7 +164,7 @@ class RosTopics(TopicProfiler):
         write_quality(context.raw_data_folder / "quality.json", None, window, details, sampled=self._sampled)
 
 
-#: A percentile of several windows is not to be had from those of each.
+#: A percentile over several windows does not follow from those of each.
 _KINDS: Mapping[str, tuple[str, str, Over | None]] = {
     "Rate": ("Hz", "Messages on {topic} a second, over the measured window.", Over.MEAN),
     "Bandwidth": ("B/s", "Bytes of the messages on {topic} a second, over the measured window.", Over.MEAN),

@@ -1,9 +1,9 @@
-"""Actions of ROS 2 through a rosbridge, by the operations that rosbridge_suite has for them since 2.0.
+"""Actions of ROS 2 through a rosbridge, by the operations of rosbridge_suite since 2.0.
 
-What its servers do was read from rosbridge_library 2.0 to 3: they do not say that a goal was accepted, and those of 2.x
-say nothing of one that was rejected. So the states of the action's own topic are subscribed beside. They do not tell
-whose goal is whose: where goals of two clients cannot be told apart, ours is cancelled, and the error says so. By
-default a server takes no other operation of a connection while a goal is executed: each goal has one of its own.
+The behaviour of servers was read from rosbridge_library 2.0 to 3: they do not report that a goal was accepted, and
+those of 2.x not even that it was rejected. So the action's topic of states is subscribed, too. It does not show whose
+goal is whose: where goals of two clients cannot be distinguished, ours is cancelled, and the error says so. By default
+a server handles no other operation of a connection while a goal is executed: so each goal has a connection of its own.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ if TYPE_CHECKING:
 _logger = logging.getLogger(__name__)
 
 _REMEDY = "Have rosbridge_suite 2.0 or newer on the robot, with rosapi beside it."
-#: How long a server that is not there is waited for, and how long an action may take to be offered, s.
+#: How long a missing server is waited for, and how long offering an action may take, s.
 _PATIENCE, _OFFERING = 1.5, 3.0
 _POLL = 0.05
-#: How late the state of a goal may arrive that was accepted, s: goals of two clients within this time may be swapped.
+#: How late the state of an accepted goal may arrive, s: goals of two clients within this time may be confused.
 _AT_ONCE = 1.0
-#: How long the states of goals that were there before may take to arrive, s.
+#: How long the states of earlier goals may take to arrive, s.
 _EARLIER = 0.2
-#: How long a result may come after the state that says that there is one, s.
+#: How long after the final state a result may arrive, s.
 _RESULT_SECONDS = 5.0
 _NOT_OURS = "the goal that was accepted when ours was sent is over, and no result came: it was another client's"
 _SWAPPED = "another client sent a goal to this action at the same time, and a rosbridge does not tell which is ours"
@@ -62,7 +62,7 @@ class RosbridgeActions:
         session.on_action = self._take
 
     def types(self, action_type: str) -> ActionTypes:
-        """Return what an action is made of; a rosbridge does not tell it."""
+        """Return the parts of an action's type, which a rosbridge cannot report."""
         return ros2_action_types(self.transport.types, action_type)
 
     def actions(self) -> dict[str, str]:
@@ -71,12 +71,12 @@ class RosbridgeActions:
         return {name: self._rosapi.action_type(name) or "*" for name in sorted(names)}
 
     def client(self, action: str, action_type: str, timeout: float) -> _Client:
-        """Return what sends goals to an action, once its server is there."""
+        """Return a client of an action, once its server is there."""
         await_action(self.actions, action, action_type, min(timeout, _PATIENCE))
         return _Client(self, action, action_type, self.types(action_type))
 
     def serve(self, action: str, action_type: str, server: GoalServer) -> Subscription:
-        """Have goals executed by a server of this link."""
+        """Let a server of this link execute goals."""
         if action in self._served or action in self.actions():
             fault = already_offered(action, what="action")
             # Its action server is never destroyed, so that nobody can offer it again.
@@ -91,7 +91,7 @@ class RosbridgeActions:
         return served
 
     def withdraw(self, action: str) -> None:
-        """Hand on no more goals."""
+        """Pass on no more goals."""
         self._served.pop(action, None)
 
     def wait_for_offer(self, action: str) -> None:
@@ -120,10 +120,10 @@ class _Client:
         self._type = action_type
         self._types = types
         self._lock = threading.Lock()
-        self._sending = threading.Lock()  # one after the other: a new state is that of the goal that was sent last
+        self._sending = threading.Lock()  # one at a time, so that a new state belongs to the last goal
         self._connections: dict[str, Session] = {}
         self._known: dict[str, SentGoal | None] = {}
-        self._unnamed: deque[SentGoal] = deque()  # those of which it is not known yet what the server calls them
+        self._unnamed: deque[SentGoal] = deque()  # goals whose id on the server is not known yet
         self._latest: tuple[SentGoal, float] | None = None
         self._expected: set[str] = set()
         self._heard = threading.Event()
@@ -190,7 +190,7 @@ class _Client:
             raise fault
 
     def _lose(self, sent: SentGoal, error: LinkError) -> None:
-        """Have a goal end whose connection is lost, where the link's own is not: nobody hears what comes of it."""
+        """End a goal whose own connection is lost, as its result can no longer arrive."""
         sent.lose(error)
         with suppress(LinkError):
             self.cancel(sent, 0.0)
@@ -240,7 +240,7 @@ class _Client:
         self._heard.set()
 
     def _goal_of(self, key: str, status: GoalStatus) -> SentGoal | None:
-        """Return which goal of ours the server calls so, as far as that can be known; None where it is none."""
+        """Return our goal with this id on the server, as far as that can be known; None for another's."""
         with self._lock:
             if key in self._known:
                 return self._known[key]
@@ -256,7 +256,7 @@ class _Client:
         return goal
 
     def _give_up(self, sent: SentGoal, why: str) -> None:
-        """Have a goal end of which it is not known what the server calls it; the server does know ours by its id."""
+        """End a goal whose id on the server is not known; the rosbridge itself knows it by our id."""
         if not sent.is_over:
             with suppress(LinkError):
                 self.cancel(sent, 0.0)
@@ -270,7 +270,7 @@ class _Client:
 
 
 class _Served:
-    """An action that is offered through the server, until it is closed."""
+    """An action offered through the server, until it is closed."""
 
     def __init__(self, graph: RosbridgeActions, action: str, action_type: str, server: GoalServer) -> None:
         self._graph = graph
@@ -278,7 +278,7 @@ class _Served:
         self._type = action_type
         self._server = server
         self._lock = threading.Lock()
-        # Goals of which it is not known yet whether they are taken, and whether they are to end then.
+        # Goals that are not accepted or rejected yet, and whether they have to be cancelled then.
         self._arriving: dict[str, bool] = {}
         server.connect(self)
 
@@ -297,7 +297,7 @@ class _Served:
             self._graph.session.request({"op": "unadvertise_action", "action": self._action}, where=self._action)
 
     def take(self, operation: Mapping[str, Any]) -> None:
-        """Take a goal, or the request to cancel one."""
+        """Handle a goal, or a cancel request."""
         key = str(operation.get("id"))
         with self._lock:
             execution = self._server.find(key)
@@ -306,7 +306,7 @@ class _Served:
             elif execution is None and key in self._arriving:
                 self._arriving[key] = True
         if operation["op"] != _CANCELLING:
-            # In a thread of its own: whether it is taken may be asked of the robot, whose answers come in this one.
+            # In another thread: `accept` may call the robot, whose answers are received in this one.
             threading.Thread(target=self._accept, args=(key, operation), name="rosbridge goal", daemon=True).start()
         elif execution is not None:
             self._server.cancel(execution)

@@ -1,4 +1,4 @@
-"""Connections to a rosbridge over which services are called, so that commands wait behind none that hangs."""
+"""Separate connections to a rosbridge for service calls, so that a call that hangs does not delay commands."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from robot_runner.ros.rosbridge_session import Reply, Session
 
 
 class Callers:
-    """Calls services, each over a connection that nothing else goes over meanwhile.
+    """Calls services, each over a connection that is not used for anything else meanwhile.
 
-    By default a server of ROS 2 takes nothing more of a connection until the service has answered, and waits for ever
-    for one that hangs: a stop command would wait behind it. A connection over which one did not answer is given up.
+    By default a server of ROS 2 handles nothing else of a connection until the service has answered, and waits for ever
+    for one that hangs: a stop command would wait behind it. A connection without an answer in time is closed.
 
     Args:
         connect: opens a connection.
@@ -30,11 +30,11 @@ class Callers:
         self._is_closed = False
 
     def call(self, service: str, request: Mapping[str, Any], *, timeout: float, where: str) -> Reply:
-        """Call a service; as `calls` in all else."""
+        """Call a service; otherwise as `calls`."""
         return self.calls([(service, request)], timeout=timeout, where=where)[0]
 
     def calls(self, questions: list[tuple[str, Mapping[str, Any]]], *, timeout: float, where: str) -> list[Reply]:
-        """Call services all at once, and return what they answer, in the protocol's spelling.
+        """Call services all at once, and return their answers, in the protocol's form.
 
         Raises:
             LinkError: one of them does not answer in time, or the server cannot be reached.
@@ -43,7 +43,7 @@ class Callers:
             return caller.calls(questions, timeout=timeout, where=where)
 
     def close(self) -> None:
-        """Leave; who waits for an answer gets none."""
+        """Close all connections; pending calls get no answer."""
         with self._lock:
             self._is_closed = True
             sessions, self._idle, self._busy = [*self._idle, *self._busy], [], []

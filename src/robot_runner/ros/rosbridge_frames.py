@@ -134,12 +134,12 @@ _NOT_A_NUMBER = math.nan
 
 
 def to_protocol(shape: Shape, message: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a complete message as the protocol has it: bytes in base64, ROS 1 times as `secs` and `nsecs`."""
+    """Return a complete message in the protocol's form: bytes in base64, ROS 1 times as `secs` and `nsecs`."""
     return {field.name: _out(field, message[field.name]) for field in shape.fields}
 
 
 def from_protocol(shape: Shape, message: object, *, where: str) -> dict[str, Any]:
-    """Return a message of the protocol as ours.
+    """Return a message of the protocol as a plain mapping.
 
     Raises:
         LinkError: it is not a message of this type.
@@ -213,7 +213,7 @@ _SENDING = 5.0
 
 
 def _bounded(connection: ClientConnection) -> ClientConnection:
-    """Let no send last for ever: who is stuck in one holds up all who send after it, the last command among them."""
+    """Set a timeout for sending: a send that hangs would block all later ones, the stop command among them."""
     seconds = struct.pack("ll", int(_SENDING), int(_SENDING % 1 * 1e6))
     with suppress(OSError):  # where times have another form (32 bits), sending has no bound
         connection.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, seconds)
@@ -305,7 +305,7 @@ def _no_rosbridge(error: Exception, address: RosbridgeAddress, where: str) -> Li
 
 
 def send_errors() -> tuple[type[Exception], ...]:
-    """Return what says that a connection is gone."""
+    """Return the exceptions of a lost connection."""
     from websockets.exceptions import ConnectionClosed  # noqa: PLC0415  # an extra, loaded by now
 
     return (ConnectionClosed, OSError, EOFError)

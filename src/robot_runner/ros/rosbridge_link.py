@@ -1,4 +1,4 @@
-"""Opens a link through a rosbridge, and says what stands in its way; nothing is connected before."""
+"""Opens a link through a rosbridge, and checks whether it can be opened; nothing is connected before."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _check_installed = partial(check_installed, _PACKAGES, way="through a rosbridge"
 
 
 def findings(name: RobotName) -> list[Finding]:
-    """Return what stands in the way of reaching a robot at this address; nothing is opened by asking.
+    """Return findings that prevent a link to a robot at this address; nothing is opened.
 
     Example:
         >>> from robot_runner.core.links.robot_name import RobotName
@@ -61,7 +61,7 @@ def open_rosbridge_link(url: str, clock: Clock, namespace: str = "") -> RobotLin
     """Connect to a rosbridge, whose address `RosbridgeAddress` reads, and return the link to the robot there.
 
     Raises:
-        LinkError: it cannot be an address, a package is missing, or the rosbridge cannot be reached.
+        LinkError: the address is not valid, a package is missing, or the rosbridge cannot be reached.
     """
     address = RosbridgeAddress.parse(url)
     _check_installed()

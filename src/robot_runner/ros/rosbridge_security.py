@@ -1,4 +1,4 @@
-"""How a connection to a rosbridge is kept private, and how we say who we are: TLS, HTTP credentials and rosauth.
+"""Encryption and authentication of a connection to a rosbridge: TLS, HTTP credentials and rosauth.
 
 Secrets are read from a variable or a file when the connection is opened; the robot's address names only where they are,
 so that nothing of them reaches the run's data.
@@ -96,7 +96,7 @@ class RosbridgeSecurity:
         return bool(self.password or self.token)
 
     def check(self) -> None:
-        """See that files and secrets are there; nothing is connected."""
+        """Check that files and secrets exist; nothing is connected."""
         self.headers()
         self.authentication("here", "there")
         if self.is_tls:
@@ -121,7 +121,7 @@ class RosbridgeSecurity:
         return context
 
     def headers(self) -> dict[str, str]:
-        """Return the HTTP headers that say who we are."""
+        """Return the HTTP headers with our credentials."""
         if self.token:
             return {"Authorization": f"Bearer {_secret(self.token)}"}
         if self.password:
@@ -130,7 +130,7 @@ class RosbridgeSecurity:
         return {}
 
     def authentication(self, client: str, dest: str) -> dict[str, Any] | None:
-        """Return the operation that authenticates us by rosauth; None where that is not asked for.
+        """Return the operation that authenticates us by rosauth; None if that is not used.
 
         Source: rosauth, ros_mac_authentication.cpp: the SHA-512 of secret, client, dest, rand, t, level and end.
         """
@@ -215,7 +215,7 @@ class TurnTakingSocket(ssl.SSLSocket):
             self._sending = value
 
     def recv(self, buflen: int = 1024, flags: int = 0) -> bytes:
-        """Return what comes, whenever that is."""
+        """Receive bytes, without a timeout."""
         return self._in_turn(partial(super().recv, buflen, flags), None)
 
     def sendall(self, data: Any, flags: int = 0) -> None:

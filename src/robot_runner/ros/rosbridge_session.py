@@ -1,4 +1,4 @@
-"""A connection to a rosbridge: operations that are sent, and the answers that are awaited."""
+"""A connection to a rosbridge: it sends operations and waits for answers."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
-#: How long the server may take to answer what it answers itself, s.
+#: The timeout for answers of the server itself, s.
 ANSWER = 5.0
-#: How long, s, the server may be silent before it is asked whether it is there, how long it may think about it, and how
-#: often it is looked whether it has answered.
+#: How long, s, the server may be silent before a ping, how long it may take to answer that, and how often the answer is
+#: looked for.
 _PING_INTERVAL, _PING_TIMEOUT, _PING_LOOK = 3.0, 5.0, 0.1
-#: What the server's own node offers in each generation of ROS, as its launch file names it. One is called to learn that
-#: the server has dealt with all that was sent before: it takes operations in their order, and answers for each service,
-#: if only that there is none. rosapi, a node of its own, may hang where the server does not.
+#: A service of the server's own node in each generation of ROS, as its launch file names it. A call of it shows that
+#: the server has handled all earlier operations: it handles them in order, and answers every call, if only that there
+#: is no such service. rosapi is a node of its own, and may hang although the server does not.
 _OWN_SERVICES = ((1, "/rosbridge_websocket/get_loggers"), (2, "/rosbridge_websocket/list_parameters"))
 _OTHERWISE = "/rosapi/get_time"
 
-#: What may wait until callbacks take it, as messages and bytes; beyond it the connection is given up, and says so: to
-#: drop messages would falsify what is computed from them.
+#: How much may wait for callbacks, messages and bytes; beyond that the connection fails with an error, as dropping
+#: messages would falsify the results.
 _MOST_WAITING = 20_000
 _MOST_WAITING_BYTES = 4 * LARGEST_FRAME
 
@@ -45,7 +45,7 @@ class Reply:
 
     Attributes:
         is_good: whether the service succeeded.
-        values: its response, or what went wrong.
+        values: its response, or the error.
     """
 
     is_good: bool
@@ -59,13 +59,13 @@ class _Pending:
 
 
 class Session:
-    """A connection, with a thread that receives and one that calls back.
+    """A connection, with a thread that receives and one that executes callbacks.
 
-    What sends or waits raises a `LinkError` once the connection is lost.
+    Methods that send or wait raise a `LinkError` once the connection is lost.
 
     Args:
         address: of the rosbridge.
-        barrier: the service that is called to learn that the server has dealt with what was sent; None to find one.
+        barrier: the service that is called to learn that earlier operations were handled; None to find one.
 
     Attributes:
         barrier: that service.
@@ -74,8 +74,8 @@ class Session:
         on_request: called, in the same thread, with an operation that calls a service that is offered here.
         on_action: called, in the same thread, with an operation about a goal of an action.
         on_lost: called once with the error that the connection is lost.
-        last_words: returns what is sent to a server that does not answer any more, before the connection is given up:
-            where only its answers are lost, it hears that.
+        last_words: returns the operations that are sent to a server that no longer answers, before the connection is
+            closed: if only its answers are lost, it receives them.
 
     Raises:
         LinkError: it cannot be reached, or is no rosbridge.
@@ -92,7 +92,7 @@ class Session:
         self.generation: int | None = None
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
-        self._sending = threading.Lock()  # nothing is sent behind the last words
+        self._sending = threading.Lock()  # nothing may be sent after the last words
         self._pending: dict[str, _Pending] = {}
         self._complaints: dict[str, str] = {}
         self._waiting: set[threading.Event] = set()
@@ -129,7 +129,7 @@ class Session:
             raise self._lost
 
     def send(self, operation: dict[str, Any]) -> None:
-        """Send an operation that nothing comes back for."""
+        """Send an operation without an answer."""
         text = as_json(operation)
         try:
             with self._sending:
@@ -140,7 +140,7 @@ class Session:
             raise (self._lost or self._loss(str(error))) from error
 
     def flush(self, *, where: str) -> None:
-        """Return when the server has dealt with all that was sent.
+        """Return when the server has handled all earlier operations.
 
         Raises:
             LinkError: the server does not answer in time.
@@ -148,7 +148,7 @@ class Session:
         self.call(self.barrier, {}, timeout=ANSWER, where=where)
 
     def request(self, operation: dict[str, Any], *, where: str) -> None:
-        """Send an operation, and return when the server has dealt with it.
+        """Send an operation, and return when the server has handled it.
 
         Raises:
             LinkError: the server refuses it, or does not answer in time.
@@ -161,7 +161,7 @@ class Session:
             raise LinkError(f"the rosbridge refuses it: {complaint}", where=where, fix="Correct what it says.")
 
     def call(self, service: str, request: Mapping[str, Any], *, timeout: float, where: str = "") -> Reply:
-        """Call a service and return what it answers, in the protocol's spelling.
+        """Call a service and return its answer, in the protocol's form.
 
         Raises:
             LinkError: it does not answer in time.
@@ -169,7 +169,7 @@ class Session:
         return self.calls([(service, request)], timeout=timeout, where=where)[0]
 
     def calls(self, questions: list[tuple[str, Mapping[str, Any]]], *, timeout: float, where: str = "") -> list[Reply]:
-        """Call services all at once; as `call` in all else."""
+        """Call services all at once; otherwise as `call`."""
         names = [self._ask(service, request) for service, request in questions]
         try:
             return [
@@ -183,7 +183,7 @@ class Session:
                     self._complaints.pop(name, None)
 
     def wait(self, event: threading.Event, seconds: float) -> None:
-        """Wait for an event, for so long at most."""
+        """Wait at most `seconds` for an event."""
         with self._lock:
             self._waiting.add(event)
         try:
@@ -196,10 +196,10 @@ class Session:
             raise self._lost
 
     def later(self, todo: Callable[[], None]) -> None:
-        """Have something done in the thread that calls back, after what is to be done there already.
+        """Queue a function for the thread that executes callbacks.
 
-        Called by the thread that receives, for the frame that it has just read; where callbacks take less than comes,
-        the connection is given up before the memory is full.
+        Called by the receiving thread, for the frame that it has just read. If callbacks are slower than messages
+        arrive, the connection is closed before the memory is full.
         """
         size = self._size
         with self._lock:
@@ -212,16 +212,16 @@ class Session:
         self._todo.put((todo, size))
 
     def complaint(self, name: str) -> str | None:
-        """Return what the server has against an operation of this id, if it has sent it."""
+        """Return the server's complaint about the operation with this id, if it has sent one."""
         with self._lock:
             return self._complaints.pop(name, None)
 
     def fresh_id(self, what: str) -> str:
-        """Return a name that no operation of this session has."""
+        """Return an id that no operation of this session has."""
         return f"robot_runner:{what}:{next(self._numbers)}"
 
     def close(self) -> None:
-        """Leave; closing twice does nothing."""
+        """Close the connection; closing twice does nothing."""
         if self._is_closed:
             return
         self._is_closed = True
@@ -234,7 +234,7 @@ class Session:
                 thread.join(ANSWER)
 
     def _authenticate(self, address: RosbridgeAddress) -> None:
-        """Say who we are by rosauth, where the address names its secret; a server that refuses it hangs up."""
+        """Authenticate by rosauth if the address names a secret; a server that refuses it closes the connection."""
         operation = address.security.authentication(socket.gethostname(), address.host)
         if operation is None:
             return
@@ -250,7 +250,7 @@ class Session:
             ) from error
 
     def _greet(self, *, looks: bool) -> None:
-        """See that it speaks the protocol, and find what its own node offers."""
+        """Check that the server speaks the protocol, and find the service of its own node."""
         try:
             if not looks:
                 self.flush(where=self.where)
@@ -305,9 +305,9 @@ class Session:
             self._lose("the server closed the connection")
 
     def _keep_asking(self) -> None:
-        """Ask the server again and again whether it is there, and give the connection up where it does not answer.
+        """Ping the server periodically, and close the connection if it does not answer.
 
-        A server that is stopped or behind a network that is cut closes nothing.
+        A server that is suspended, or behind a broken network, does not close its connections.
         """
         with suppress(*send_errors()):  # it is closed: who receives tells why
             while not self._is_over.wait(_PING_INTERVAL):
@@ -323,7 +323,7 @@ class Session:
         return True
 
     def _give_up(self) -> None:
-        """Say the last words to a server that does not answer, and close the connection."""
+        """Send the last words to a server that does not answer, and close the connection."""
         can_send = self._sending.acquire(timeout=_PING_LOOK)  # else the network takes nothing more
         try:
             for operation in self.last_words() if can_send and self.is_usable else ():

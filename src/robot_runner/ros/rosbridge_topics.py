@@ -1,4 +1,4 @@
-"""A topic that a rosbridge sends here, with all that receive it, and its messages."""
+"""A topic that a rosbridge sends here, with its receivers and its messages."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _RAW_FIELDS = frozenset({"bytes", "secs", "nsecs"})
 
 @dataclass(slots=True)
 class Topic:
-    """A topic that the server sends here, and all that receive it."""
+    """A topic that the server sends here, and its receivers."""
 
     name: str
     message_type: str
@@ -37,18 +37,18 @@ class Topic:
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def join(self, receive: Callable[[Reception], None]) -> list[Reception]:
-        """Have a message handed on from now on, and return those that are kept: none of them is handed on."""
+        """Add a receiver of later messages, and return the messages that are kept, which it does not get."""
         with self._lock:
             self.receivers.append(receive)
             return list(self.kept)
 
     def leave(self, receive: Callable[[Reception], None]) -> None:
-        """Have no more handed on."""
+        """Remove a receiver."""
         with self._lock:
             self.receivers = [each for each in self.receivers if each is not receive]
 
     def hand_on(self, reception: Reception) -> None:
-        """Keep a message, and hand it on."""
+        """Keep a message, and pass it to the receivers."""
         with self._lock:
             self.kept.append(reception)
             receivers = list(self.receivers)
@@ -57,7 +57,7 @@ class Topic:
 
 
 class RosbridgeReception:
-    """One message as it came, decoded or encoded once, and only where that form is asked for."""
+    """A received message, decoded or encoded once, and only if that form is requested."""
 
     def __init__(self, types: RobotTypes, topic: Topic, message: Any, received_ns: int) -> None:
         self._types = types
@@ -84,7 +84,7 @@ class RosbridgeReception:
 
 
 def one_form(topic: str, message_type: str) -> LinkError:
-    """Return the error that messages of a type that is not known here cannot be had in both forms."""
+    """Return the error that messages of a type unknown here cannot be received in both forms."""
     return LinkError(
         f"messages of {message_type} can be received here as bytes or as messages, not as both",
         where=topic,

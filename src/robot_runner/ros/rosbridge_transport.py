@@ -1,4 +1,4 @@
-"""Topics and services over a rosbridge: one subscription and one publisher a topic, shared by all that use it here."""
+"""Topics and services over a rosbridge, with one subscription and one publisher a topic, shared by all users here."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ _CONNECTING = 1.0
 class RosbridgeTransport:
     """The primitives of a graph link over a rosbridge, which runs on the robot, from a machine without ROS.
 
-    A rosbridge fits its own subscriptions to what a topic's publishers offer; of a QoS it takes `TRANSIENT_LOCAL`, for
-    what is published.
+    A rosbridge adapts the QoS of its subscriptions to the publishers of a topic; of our QoS it supports only
+    `TRANSIENT_LOCAL`, for publishing.
 
     Raises:
-        LinkError: it cannot be reached, is not a rosbridge, or does not tell its generation of ROS.
+        LinkError: it cannot be reached, is not a rosbridge, or does not report its generation of ROS.
     """
 
     has_threads = True
@@ -111,7 +111,7 @@ class RosbridgeTransport:
     def subscribe(
         self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
     ) -> ClosedBy:
-        """Have `receive` called with each message, in the session's thread that calls back."""
+        """Call `receive` with each message, in the session's thread for callbacks."""
         self._session.check_open(topic)
         with self._lock:
             known = self._topics.get(topic)
@@ -143,7 +143,7 @@ class RosbridgeTransport:
         return from_protocol(self.types.response(service_type), reply.values or {}, where=service)
 
     def serve(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> ClosedBy:
-        """Offer a service; requests are answered in threads of their own."""
+        """Offer a service; each request is answered in a thread of its own."""
         self._session.check_open(service)
         if service in self._answers or self._rosapi.service_type(service):
             raise already_offered(service)
@@ -161,11 +161,11 @@ class RosbridgeTransport:
         return ClosedBy(partial(self._withdraw, service))
 
     def publishers(self, topic: str) -> Iterable[GraphEndpoint]:
-        """Return who publishes a topic. What the server publishes for all its clients is one."""
+        """Return the publishers of a topic; the server counts as one for all its clients."""
         return self._rosapi.endpoints("publishers", topic)
 
     def subscribers(self, topic: str) -> Iterable[GraphEndpoint]:
-        """Return who subscribes a topic; as `publishers` in all else."""
+        """Return the subscribers of a topic; otherwise as `publishers`."""
         return self._rosapi.endpoints("subscribers", topic)
 
     @property
@@ -178,22 +178,22 @@ class RosbridgeTransport:
         self._session.wait(event, seconds)
 
     def close(self) -> None:
-        """Leave; the server forgets what is published, subscribed and offered here."""
+        """Close the connection; the server removes our publishers, subscriptions and services."""
         self._session.close()
         self._callers.close()
 
     def _called(self, service: str, values: Mapping[str, Any], timeout: float) -> Reply:
-        """Call a service, in ROS 2 over a connection of its own; in ROS 1 none holds up another."""
+        """Call a service, in ROS 2 over a separate connection; in ROS 1 calls do not delay each other."""
         if self.types.generation == 1:
             return self._session.call(service, values, timeout=timeout, where=service)
         self._session.flush(where=service)  # what was sent before the call is to be dealt with before it
         return self._callers.call(service, values, timeout=timeout, where=service)
 
     def _stops(self) -> list[dict[str, Any]]:
-        """Return what commands zero on each topic on which velocities are published here."""
+        """Return the operations that command zero on each topic on which velocities are published here."""
         stops = []
         for each in list(self._publishers.values()):
-            with suppress(Exception):  # whatever fails at one robot, the others are told
+            with suppress(Exception):  # a failure at one robot must not affect the others
                 stops += [each.stop()] if each.message_type in VELOCITIES else []
         return stops
 
@@ -247,7 +247,7 @@ class RosbridgeTransport:
         if not self._answering.acquire(blocking=False):
             self._send_response(operation, {"values": "too many calls are being answered", "result": False})
             return
-        # In a thread of its own: one that takes long must hold up neither messages nor other services.
+        # In another thread: a slow service must delay neither messages nor other services.
         threading.Thread(target=self._respond, args=(operation,), name="rosbridge service", daemon=True).start()
 
     def _respond(self, operation: Mapping[str, Any]) -> None:

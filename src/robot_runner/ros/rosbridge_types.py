@@ -1,4 +1,4 @@
-"""The graph and the types behind a rosbridge, as rosapi tells them, and the types of the catalogue."""
+"""The graph and the types behind a rosbridge, from rosapi and the catalogue."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class Rosapi:
         return plain_type(_text(self._ask("action_type", {"action": action}), "type"))
 
     def confirm_publisher(self, topic: str, message_type: str) -> None:
-        """See that the server publishes a topic; without rosapi it cannot be seen.
+        """Check that the server publishes a topic; without rosapi this is not possible.
 
         The servers of today do not send the status messages of the protocol, they only write them to their log.
 
@@ -136,13 +136,13 @@ class Rosapi:
         self._confirm(topic, wanted, "the publisher", lambda: self.topic_type(topic) == wanted)
 
     def confirm_subscription(self, topic: str, message_type: str) -> None:
-        """See that the server subscribes a topic; as `confirm_publisher` in all else."""
+        """Check that the server subscribes a topic; otherwise as `confirm_publisher`."""
         wanted = plain_type(message_type)
         # Of a topic that nobody publishes, rosapi knows the name and not the type.
         self._confirm(topic, wanted, "the subscription", lambda: self.topics().get(topic) in {"", wanted})
 
     def confirm_service(self, service: str, service_type: str) -> None:
-        """See that the server offers a service; as `confirm_publisher` in all else."""
+        """Check that the server offers a service; otherwise as `confirm_publisher`."""
         wanted = plain_type(service_type)
         self._confirm(service, wanted, "the service", lambda: self.service_type(service) == wanted)
 
@@ -189,7 +189,7 @@ class Rosapi:
         return {plain_type(name): text for name, text in zip(names, texts, strict=False)}
 
     def told(self, question: str, values: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Return what rosapi answers to a question of this name."""
+        """Call a service of rosapi by its name, and return the response."""
         answer = self._ask(question, values)
         if not answer.is_good or not isinstance(answer.values, dict):
             raise LinkError(
@@ -297,20 +297,20 @@ class RobotTypes:
         return True
 
     def shape(self, message_type: str) -> Shape:
-        """Return what a message type is made of."""
+        """Return the fields of a message type."""
         self.is_known_here(message_type)
         return self._shape(self._catalogue.shape, message_type, "message_details", "msg")
 
     def request(self, service_type: str) -> Shape:
-        """Return what the request of a service type is made of."""
+        """Return the fields of a service type's request."""
         return self._shape(self._catalogue.request, service_type, "service_request_details", "srv")
 
     def response(self, service_type: str) -> Shape:
-        """Return what the response of a service type is made of."""
+        """Return the fields of a service type's response."""
         return self._shape(self._catalogue.response, service_type, "service_response_details", "srv")
 
     def definition(self, message_type: str) -> str:
-        """Return the text of a type's definition, followed by the types that it is made of."""
+        """Return the text of a type's definition, followed by those of the types of its fields."""
         try:
             return self._catalogue.definition(message_type)
         except LinkError:

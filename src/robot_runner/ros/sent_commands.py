@@ -1,4 +1,4 @@
-"""What this process has commanded lately, so that commands of others on the same topic are told from its own."""
+"""The recent commands of this process, to distinguish those of other nodes on the same topic."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _lock = threading.Lock()
 
 
 def note_sent(topic: str, command: Any) -> None:
-    """Take what is about to be commanded on a topic: a velocity, in m/s and rad/s, or a whole message.
+    """Note a command that is about to be sent on a topic: a velocity, in m/s and rad/s, or a whole message.
 
     Example:
         >>> note_sent("/cmd_vel", (0.2, 0.0))
@@ -36,22 +36,22 @@ def note_sent(topic: str, command: Any) -> None:
 
 
 def is_from_here(topic: str, command: Any) -> bool:
-    """Whether what is heard on a topic was commanded by this process within the last seconds, or was the last there."""
+    """Whether a received command was sent by this process within the last seconds, or was its last on the topic."""
     with _lock:
         return any(_is_same(sent, command) for _, sent in _lately_sent(topic))
 
 
 def _lately_sent(topic: str) -> deque[tuple[float, Any]]:
-    """Forget what can no longer be on its way back, and return the others."""
+    """Drop commands that can no longer be on their way back, and return the others."""
     sent = _sent[topic]
-    while len(sent) > 1 and sent[0][0] < time.monotonic() - _ECHO:  # the last one stays: it still holds
+    while len(sent) > 1 and sent[0][0] < time.monotonic() - _ECHO:  # the last one is kept: it is still in force
         sent.popleft()
     return sent
 
 
 @contextmanager
 def watched(topic: str) -> Iterator[None]:
-    """While it lasts, each message that this process sends on a topic is to be noted."""
+    """Have each message that this process sends on a topic noted, for a while."""
     _watched[topic] += 1
     try:
         yield
@@ -60,7 +60,7 @@ def watched(topic: str) -> Iterator[None]:
 
 
 def is_watched(topic: str) -> bool:
-    """Whether somebody wants messages of this topic noted: messages may be large, and most topics are no command."""
+    """Whether messages of this topic have to be noted: they may be large, and most topics are not for commands."""
     return _watched[topic] > 0
 
 

@@ -64,21 +64,21 @@ class SentGoal:
 
     @property
     def status(self) -> GoalStatus:
-        """What the server said last of it."""
+        """The last status from the server."""
         return self._status
 
     @property
     def fault(self) -> LinkError | None:
-        """Why nothing will come of it, where that is so."""
+        """Why there will be no result, if so."""
         return self._fault
 
     @property
     def is_over(self) -> bool:
-        """Whether there is a result, or there will be none."""
+        """Whether there is a result, or will never be one."""
         return self._is_over.is_set()
 
     def result(self, *, timeout: float) -> ActionResult:
-        """Wait until it is over and return what came of it; `timeout` is in seconds."""
+        """Wait until the goal is over and return its result; `timeout` is in seconds."""
         if not self._wait_until_over(timeout):
             problem = f"the goal is not over within {timeout:g} s: it is {self._status}"
             raise LinkError(problem, where=self.action, fix="Give a longer timeout, or cancel the goal.")
@@ -87,7 +87,7 @@ class SentGoal:
         return self._result
 
     def cancel(self, *, timeout: float = 5.0) -> None:
-        """Ask for its end and wait until it is over; `timeout` is in seconds."""
+        """Cancel the goal and wait until it is over; `timeout` is in seconds."""
         deadline = time.monotonic() + timeout
         self.ask_for_end(timeout)
         if not self._wait_until_over(timeout, deadline):
@@ -98,7 +98,7 @@ class SentGoal:
             )
 
     def ask_for_end(self, timeout: float) -> None:
-        """Ask for its end; nothing is done where it is over.
+        """Request the cancelling of the goal; do nothing if it is over.
 
         Raises:
             LinkError: the server refuses, or is gone.
@@ -124,7 +124,7 @@ class SentGoal:
             self._take_feedback(message)
 
     def finish(self, result: ActionResult) -> None:
-        """Take what came of it; the first result counts."""
+        """Set the result; only the first counts."""
         with self._lock:
             if self._result is None and self._fault is None:
                 self._result = result
@@ -132,7 +132,7 @@ class SentGoal:
         self._end()
 
     def lose(self, fault: LinkError) -> None:
-        """Take that nothing will come of it any more."""
+        """End the goal without a result."""
         with self._lock:
             if self._result is None and self._fault is None:
                 self._fault = fault

@@ -1,4 +1,4 @@
-"""What a ROS message type is made of, wherever that is known from, and the completion of messages by it."""
+"""The fields of ROS message types, from any source, and the completion of messages by them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.core.links.commanded_topics import VELOCITIES
 
 #: The least and the greatest value of each kind of whole number. `byte` and `char` are ROS 2's (an octet, a uint8); a
-#: shape of ROS 1 says `int8` for its `byte` and `uint8` for its `char`, which is what they mean there.
+#: shape of ROS 1 has `int8` and `uint8` in place of them, which is their meaning there.
 _INTEGERS: Mapping[str, tuple[int, int]] = MappingProxyType(
     {
         "byte": (0, 2**8 - 1),
@@ -22,9 +22,9 @@ _INTEGERS: Mapping[str, tuple[int, int]] = MappingProxyType(
         **{f"uint{bits}": (0, 2**bits - 1) for bits in (8, 16, 32, 64)},
     }
 )
-#: What these names mean in ROS 1; in ROS 2 they are an octet and a uint8.
+#: The meaning of these names in ROS 1; in ROS 2 they are an octet and a uint8.
 ROS1_KINDS: Mapping[str, str] = MappingProxyType({"byte": "int8", "char": "uint8"})
-#: What the interface definition language of ROS 2 calls some kinds.
+#: The names of some kinds in the interface definition language of ROS 2.
 IDL_KINDS: Mapping[str, str] = MappingProxyType(
     {"boolean": "bool", "float": "float32", "double": "float64", "octet": "byte"}
 )
@@ -65,7 +65,7 @@ class Field:
         name: of the field.
         kind: `bool`, a kind of number, text or time, or the shape of a message.
         count: None for one value, a number for an array of that many, `UpTo` for a sequence.
-        default: what it holds where it is left out; None for ROS' own: zero, an empty text, an empty sequence.
+        default: its value if left out; None for ROS' own: zero, an empty text, an empty sequence.
         limit: the most characters of a bounded text; None where there is no bound.
 
     Example:
@@ -108,7 +108,7 @@ _RENAMED: Mapping[str, str] = MappingProxyType({"tf/tfMessage": "tf2_msgs/TFMess
 
 
 def plain_type(name: str) -> str:
-    """Return the name of a type without what ROS 2 has in its middle, and as it is called today.
+    """Return the name of a type without `/msg/` and the like of ROS 2, and in its present form if it was renamed.
 
     Example:
         >>> plain_type("geometry_msgs/msg/Twist"), plain_type("std_srvs/Trigger")
@@ -121,7 +121,7 @@ def plain_type(name: str) -> str:
 
 
 def stamp_of(nanoseconds: int) -> dict[str, int]:
-    """Return a time as messages have it; `nanoseconds_of` turns it back.
+    """Return a time in the form of messages; `nanoseconds_of` is the inverse.
 
     Example:
         >>> stamp_of(2_000_000_005), nanoseconds_of({"sec": 2, "nanosec": 5})
@@ -164,7 +164,7 @@ def completed(shape: Shape, message: Mapping[str, Any], *, where: str) -> dict[s
 
 
 class _MisfitError(Exception):
-    """A value that does not fit; its path grows on the way up, so that what fits pays nothing for it."""
+    """A value that does not fit; its path is built while it propagates, so that valid messages cost nothing."""
 
     def __init__(self, problem: Callable[[str], str], fix: str) -> None:
         super().__init__()
@@ -335,7 +335,7 @@ def _misfit(given: object, fix: str) -> _MisfitError:
 
 
 def _elements(given: object) -> Sequence[object] | None:
-    """Return what an array, list or tuple holds, or None for anything else; bytes stay bytes."""
+    """Return the elements of an array, list or tuple, or None for anything else; bytes stay bytes."""
     if isinstance(given, bytes | bytearray | memoryview):
         return bytes(given)
     tolist = getattr(given, "tolist", None)  # of arrays: numpy's and the standard library's

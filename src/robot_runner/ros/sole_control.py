@@ -1,4 +1,4 @@
-"""Sees that nobody else commands a robot, and that one node tells its pose, before it moves and while it does."""
+"""Checks that no other node commands a robot, and that only one publishes its pose, before and while it moves."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ _WATCHDOG = "robot_runner_watchdog"
 
 
 class SoleControl:
-    """Watches over the topics of one robot; what it finds is told once.
+    """Watches the topics of one robot; the first finding is reported, once.
 
     Args:
         link: to the robot.
         namespace: the robot's.
-        command_topic: the topic on which it is commanded.
+        command_topic: the topic of its commands.
         where: the plugin, for errors.
-        pose_topic: the topic on which it tells its pose; None where that is of no matter.
+        pose_topic: the topic of its pose; None if that does not matter.
         types: the types that commands may have.
     """
 
@@ -61,14 +61,14 @@ class SoleControl:
         self._has_told = False
 
     def take(self, context: RobotRunnerContext, *, sole: bool) -> None:
-        """See that nobody else commands it or tells its pose, now and until `end`.
+        """Check that no other node commands the robot or publishes its pose, now and until `end`.
 
         Args:
             context: of the run.
-            sole: whether the run fails where somebody does; if not, its values are doubtful then.
+            sole: whether the run fails if another node does; if not, its values are doubtful then.
 
         Raises:
-            LinkError: somebody does now.
+            LinkError: another node does now.
         """
         if self._link.is_simulated:  # the embedded robot is alone in its world
             return
@@ -83,10 +83,10 @@ class SoleControl:
         self.begin(context.fail if sole else partial(context.doubt, fix=fix))
 
     def check(self) -> Sequence[Finding]:
-        """Return what stands in the way of moving this robot and no other: errors, and warnings.
+        """Return findings, errors and warnings, against moving this robot and no other.
 
         Raises:
-            LinkError: the graph cannot be asked.
+            LinkError: the graph does not answer.
         """
         where, commands = self._where, self._command_topic
         return [
@@ -96,10 +96,10 @@ class SoleControl:
         ]
 
     def begin(self, tell: Callable[[str], object]) -> None:
-        """Watch until `end`, from threads; `tell` is called with the first thing that is found.
+        """Watch until `end`, in threads; call `tell` with the first problem.
 
         Raises:
-            LinkError: the commands cannot be heard.
+            LinkError: the commands cannot be subscribed.
         """
         told = {each.message_type for each in self._link.subscribers(self._command_topic)}.intersection(self._types)
         # A graph that does not tell the type carries what we publish.
@@ -116,7 +116,7 @@ class SoleControl:
         self._closing.callback(self._is_over.set)
 
     def end(self) -> None:
-        """Watch no more; ending twice does nothing."""
+        """End the watch; ending twice does nothing."""
         self._closing.close()
 
     def _hearer(self, message_type: str, tell: Callable[[str], object]) -> Callable[[Message], None]:

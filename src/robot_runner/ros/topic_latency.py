@@ -1,4 +1,4 @@
-"""The profiler that measures how long software takes to answer: from a message to the one with the same stamp."""
+"""The profiler that measures the latency of software: from a message to the one with the same stamp."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from robot_runner.measuring.quality import Column, write_quality, write_samples
 from robot_runner.ros.robot_system import check_numbers
 from robot_runner.ros.topic_statistics import HeaderReader, TopicProfiler, TypedTopic, nearest_rank, topic_label
 
-#: How often we look whether the last answers have come, s.
+#: How often it is checked whether the last answers have arrived, s.
 _LOOK = 0.01
-#: So much earlier than its cause, s, may an answer be seen here before that is told: two threads receive them.
+#: By how much an answer may be received before its cause without a finding, s: two threads receive them.
 _EARLY = 0.001
-#: Which share of the answers may be received no later than their causes before that is told. Messages that wait for a
-#: busy machine are received together, in any order.
+#: The share of answers that may be received no later than their causes without a finding. Messages that wait for a busy
+#: machine are received together, in any order.
 _TOGETHER = 0.05
 _KEEP_STAMPS = "Have the node give its output the stamp of the input that it was made from."
 _LOOK_AT_GRAPH = "Look whether the node is alive and publishes there: ros2 topic info, or rostopic info."
@@ -66,19 +66,19 @@ class TopicLatency(TopicProfiler):
     """Measures the latency of software along a chain of topics, by the stamps in the headers of its messages.
 
     An answer is a message that has the stamp of its cause, as filters, detectors and estimators of ROS publish theirs.
-    Its latency is the time between the arrivals of the two on this machine, on one clock: what the stamps are of does
-    not matter, so that it is as true for a bag of last year as for a live sensor.
+    Its latency is the time between the arrivals of the two on this machine, on one clock. The clock of the stamps does
+    not matter, so that a bag of last year can be used as well as a live sensor.
 
     Args:
         cause: the topic that begins the chain, relative to the robot's namespace.
-        answers: the topics that answer, in any number; each is measured from `cause`.
+        answers: one or more topics that answer; each is measured from `cause`.
         name: tells several instances apart; the class's name if left out.
         namespace: which robot, where there are several.
-        timeout_s: how long after the mission the last answers are awaited, s.
+        timeout_s: how long to wait for the last answers after the mission, s.
         patience: how long a topic may take to appear on the graph before a run starts, s.
 
     Raises:
-        PluginError: there is no answer, a name cannot be one, or two topics would have one column.
+        PluginError: there is no answer, a name is not valid, or two topics would share a column.
 
     Example:
         >>> [measure.name for measure in TopicLatency("/scan", "/obstacles").measures][:3]
@@ -115,7 +115,7 @@ class TopicLatency(TopicProfiler):
         self._is_simulated = False
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Subscribe, so that publishers and subscriptions have found each other when the mission starts."""
+        """Subscribe, so that publishers and subscriptions are connected when the mission starts."""
         self._received = {topic: _Stamped(label) for topic, label in self._labels.items()}
         self._subscriptions = []
         link, found = self.link(context), self.found(self.topics, context)
@@ -126,7 +126,7 @@ class TopicLatency(TopicProfiler):
                 self._subscribe(link, topic, typed, context.clock)
 
     def stop_run(self, context: RobotRunnerContext) -> None:
-        """Wait for the last answers, unsubscribe, and write what was received."""
+        """Wait for the last answers, unsubscribe, and write the raw data."""
         if context.window is not None and self._subscriptions:
             deadline = context.window.end + self.timeout_s
             while context.clock.now() < deadline and self._missing(context.window):

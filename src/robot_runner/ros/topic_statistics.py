@@ -1,4 +1,4 @@
-"""What was received of one topic: times, sizes, ages and numbers of its messages, and the figures made of them."""
+"""The messages received on one topic (times, sizes, ages and sequence numbers), and the measures computed from them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from robot_runner.measuring.quality import Column, SampleQuality, quality_of
 from robot_runner.ros.robot_system import OfTheRobot
 
 _HEADERS = frozenset({"Header", "std_msgs/Header", "std_msgs/msg/Header"})
-#: How often the graph is asked for topics that are not there yet, s.
+#: How often missing topics are looked for on the graph, s.
 _LOOK = 0.1
 
 #: ROS 1: seq, secs, nsecs. ROS 2, after the four bytes of CDR's header: sec, nanosec.
@@ -50,10 +50,10 @@ class TypedTopic:
 
 
 class Stamp(NamedTuple):
-    """What the header of a message says.
+    """The header of a message.
 
     Attributes:
-        time_ns: the moment of what the message is about, ns since the epoch; None where it was left at 0.
+        time_ns: the time of the data, ns since the epoch; None where it was left at 0.
         sequence: the number that ROS 1 gives to each message of a publisher; None in ROS 2.
     """
 
@@ -72,7 +72,7 @@ def robot_findings(name: str, circumstances: Circumstances) -> list[Finding]:
 
 
 class TopicProfiler(OfTheRobot, Profiler):
-    """A profiler of what a robot publishes, which the experiment names; a run claims nothing else for it."""
+    """A profiler of topics that the experiment's robot publishes; it claims nothing else."""
 
     #: Topics may be published by nobody before the mission.
     probe_s: float | None = None
@@ -82,11 +82,11 @@ class TopicProfiler(OfTheRobot, Profiler):
     patience: float
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no robot."""
+        """Return a finding if there is no robot."""
         return robot_findings(self.name, circumstances)
 
     def found(self, names: Iterable[str], context: RobotRunnerContext) -> Mapping[str, TypedTopic | None]:
-        """Return each topic with its type; None for one that is not on the graph in time."""
+        """Return each topic with its type; None for a topic that does not appear on the graph in time."""
         link, namespace, clock = self.link(context), robot_namespace(context, self.namespace), context.clock
         wanted = {name: full_name(namespace, name) for name in names}
         deadline = clock.now() + self.patience
@@ -137,7 +137,7 @@ class HeaderReader:
         self._is_ros1 = encoding is Encoding.ROS1
 
     def read(self, data: bytes) -> Stamp:
-        """Return what the header of a message says."""
+        """Return the stamp of a message."""
         if not self.has_header or len(data) < _ROS1.size:
             return Stamp(None, None)
         if self._is_ros1:
@@ -153,12 +153,12 @@ def _first_field_type(definition: str) -> str:
     return found[1] if found else ""
 
 
-#: The measure that only ROS 1 can tell.
+#: The measure that only ROS 1 has.
 DROPPED = "Dropped"
 
 _UINT32 = 1 << 32
 
-#: One publisher that is started anew lets the numbers fall once; more often than this, there are several.
+#: The numbers fall once when a publisher is restarted; with fewer messages between falls, there are several publishers.
 _STEPS_A_FALL = 100
 
 #: Share of a window's messages beyond which those that were on their way at its end leave it open what was lost: a few
@@ -166,19 +166,19 @@ _STEPS_A_FALL = 100
 _MOST_UNDERWAY = 0.1
 _FEW = 3
 
-#: So far may a stamp lie in the future, s, before clocks are said to differ: they are never quite one.
+#: By how much a stamp may be in the future, s, before clocks count as different: they never agree exactly.
 _AHEAD = 0.001
-#: So far may it lie in the past, s, before it is taken for that of a simulation's time, or of a recording: a day.
+#: By how much a stamp may be in the past, s, before it counts as simulated or recorded time: a day.
 _ANOTHER_TIME = 86_400.0
-#: Of so many messages the rate is shown to who watches.
+#: The number of messages for the rate in the live display.
 _RECENT = 20
 
 
 def missed(sequence: Sequence[int]) -> int | None:
     """Return how many numbers of a sequence are missing; None where no publisher counts.
 
-    A publisher counts its messages, modulo 2^32. Where the numbers fall, it was started anew; where they fall time and
-    again, several publishers count each for itself, and nothing can be told.
+    A publisher counts its messages, modulo 2^32. Where the numbers fall, it was restarted; where they fall often, there
+    are several publishers with counters of their own, and losses cannot be known.
 
     Example:
         >>> missed([7, 8, 11, 12]), missed([0, 0, 0]), missed([90, 91, 0, 1]), missed([5, 900, 6, 901, 7, 902])
@@ -192,7 +192,7 @@ def missed(sequence: Sequence[int]) -> int | None:
 
 
 def nearest_rank(ordered: Sequence[float], share: float) -> float | None:
-    """Return a percentile of numbers in ascending order: the least that so large a share does not exceed.
+    """Return a percentile of ascending numbers: the least that is not exceeded by this share of them.
 
     Example:
         >>> nearest_rank([0.1, 0.2, 0.3, 0.9], 0.5), nearest_rank([], 0.99)
@@ -203,12 +203,12 @@ def nearest_rank(ordered: Sequence[float], share: float) -> float | None:
 
 @dataclass(slots=True)
 class ReceivedTopic:
-    """What was received of one topic while it was measured.
+    """The messages received on one topic during the measurement.
 
     Attributes:
         label: the topic's part of the names of measures.
-        rate: how many messages a second are expected, Hz; None for any number.
-        problem: why nothing can be received; empty where something can.
+        rate: the expected rate, Hz; None for any.
+        problem: why the topic cannot be received; empty if it can.
         times: when each message arrived, s on the run's clock.
         sizes: of each, bytes.
         ages: of each at its arrival, s; NaN where it has no stamp.
@@ -226,7 +226,7 @@ class ReceivedTopic:
     before: int | None = None
 
     def take(self, time: float, message: RawMessage, header: HeaderReader) -> None:
-        """Note a message that arrived at this time of the run's clock."""
+        """Record a message that arrived at this time of the run's clock."""
         stamp = header.read(message.data)
         self.times.append(time)
         self.sizes.append(len(message.data))
@@ -234,7 +234,7 @@ class ReceivedTopic:
         self.sequence.append(-1 if stamp.sequence is None else stamp.sequence)
 
     def over(self, window: Window) -> ReceivedTopic:
-        """Return what was received in a window; its end counts and its beginning does not, so that windows add up."""
+        """Return the messages of a window, with its end but without its beginning, so that windows add up."""
         first, last = bisect_right(self.times, window.start), bisect_right(self.times, window.end)
         times, sizes, sequence = self.times[first:last], self.sizes[first:last], self.sequence[first:last]
         before = self.sequence[first - 1] if first and self.sequence[first - 1] >= 0 else None
@@ -242,7 +242,7 @@ class ReceivedTopic:
 
     @property
     def recent_rate(self) -> float | None:
-        """How many messages a second came lately, Hz, for who watches; None of fewer than two."""
+        """The recent rate, Hz, for the live display; None with fewer than two messages."""
         recent = self.times[-_RECENT:]
         return (len(recent) - 1) / (recent[-1] - recent[0]) if len(recent) > 1 and recent[-1] > recent[0] else None
 
@@ -263,24 +263,24 @@ class ReceivedTopic:
 
     @property
     def is_of_another_time(self) -> bool:
-        """Whether a message was stamped so long ago that the stamps are a simulation's time, or a recording's."""
+        """Whether a message was stamped so long ago that the stamps are of simulated or recorded time."""
         return max(self.known_ages, default=0.0) > _ANOTHER_TIME
 
     @property
     def has_ages(self) -> bool:
-        """Whether stamps and arrivals are of one clock, as far as they show."""
+        """Whether stamps and arrivals seem to be of one clock."""
         return not (self.is_ahead or self.is_of_another_time)
 
     def quality(self, window: Window) -> SampleQuality:
         """Return how evenly the messages came over the window."""
-        # Where no rate is expected, the one that was had is taken: what is left to be doubted is its evenness.
+        # Without an expected rate, the actual one is used: then only the evenness can be doubted.
         rate = self.rate or max(len(self.times), 1) / (window.duration or 1.0)
         return quality_of(self.times, window, rate)
 
     def underway(self, window: Window) -> int:
-        """Return how many messages the publisher had sent by the window's end that had not arrived, by their rate.
+        """Estimate, from the rate, how many messages were sent but had not arrived by the window's end.
 
-        What a stamp says counts as the moment of publishing, or else the arrival.
+        The stamp, or else the arrival, counts as the time of publishing.
         """
         if len(self.times) < 2:  # noqa: PLR2004 - a rate needs two
             return 0
@@ -293,8 +293,8 @@ class ReceivedTopic:
     def dropped(self, window: Window) -> int | None:
         """Return how many messages were lost; None where it cannot be known.
 
-        That is so where nothing counts the messages, and where many were on their way when the window ended: they may
-        have been dropped, or have come later.
+        It is not known where messages have no numbers, or where many were on their way when the window ended: these may
+        have been dropped, or have arrived later.
         """
         return None if self._is_behind(window) else missed([*_known(self.before), *self.known_numbers])
 
@@ -316,7 +316,7 @@ class ReceivedTopic:
         }
 
     def columns(self) -> list[Column]:
-        """Return what is kept of each message."""
+        """Return the raw data of each message."""
         columns = [
             Column("time_s", self.times),
             Column("size_B", self.sizes, "%d"),
@@ -327,7 +327,7 @@ class ReceivedTopic:
         return [*columns, Column("sequence", [None if one < 0 else one for one in self.sequence], "%d")]
 
     def doubts(self, quality: SampleQuality) -> Iterator[str]:
-        """Yield what is doubtful, with figures."""
+        """Yield reasons for doubt, with figures."""
         if self.problem:
             yield self.problem
             return
@@ -337,7 +337,7 @@ class ReceivedTopic:
             yield f"a message was stamped {-min(self.known_ages):.3f} s after it arrived, so ages are not known"
 
     def age_doubt(self) -> str | None:
-        """Say that the stamps are of another time, or that there are none, if so."""
+        """Return the problem that the stamps are of another time, or missing; None if neither."""
         if self.times and not self.known_ages:
             return "its messages carry no stamp, so ages are not known"
         if not self.is_of_another_time:
@@ -349,7 +349,7 @@ class ReceivedTopic:
         )
 
     def loss_doubt(self, window: Window) -> str | None:
-        """Say why it is not known how many messages were lost; None where it is."""
+        """Return why the number of lost messages is not known; None if it is."""
         if not self.times or self.dropped(window) is not None:
             return None
         if not self._is_behind(window):

@@ -48,16 +48,16 @@ class Transform:
         return yaw_of(*self.rotation)
 
     def apply(self, point: Vector) -> Vector:
-        """Return where a point of the one frame is in the other."""
+        """Return the coordinates of a point of one frame in the other."""
         return _sum(_turned(self.rotation, point), self.translation)
 
     def after(self, first: Transform) -> Transform:
-        """Return what it is to do `first`, and then this; it has this transform's time."""
+        """Return the composition: `first`, then this; it has this transform's time."""
         rotation = _normalised(_product(self.rotation, first.rotation))
         return Transform(self.apply(first.translation), rotation, self.time)
 
     def inverse(self) -> Transform:
-        """Return what undoes it."""
+        """Return the inverse transform."""
         x, y, z, w = self.rotation
         back = (-x, -y, -z, w)
         x, y, z = _turned(back, self.translation)

@@ -1,4 +1,4 @@
-"""What each ROS message and service type is made of, its definition and digest, and its bytes to and fro."""
+"""The ROS message and service types: their fields, definitions and digests, and serialisation in both directions."""
 
 from __future__ import annotations
 
@@ -72,23 +72,23 @@ class TypeCatalogue:
         return TypeCatalogue(store, self._generation, {**self._defaults, **defaults})
 
     def shape(self, message_type: str) -> Shape:
-        """Return what a message type is made of."""
+        """Return the fields of a message type."""
         return self._shape(self._known(message_type))
 
     def request(self, service_type: str) -> Shape:
-        """Return what the request of a service type is made of."""
+        """Return the fields of a service type's request."""
         return self._shape(self._known_service(service_type, "Request"))
 
     def response(self, service_type: str) -> Shape:
-        """Return what the response of a service type is made of."""
+        """Return the fields of a service type's response."""
         return self._shape(self._known_service(service_type, "Response"))
 
     def definition(self, message_type: str) -> str:
-        """Return the text of a definition, with those that it is made of after it, as bags store it."""
+        """Return the text of a definition, followed by those of the types of its fields, as bags store it."""
         return self._store.generate_msgdef(self._known(message_type), ros_version=self._generation)[0]
 
     def digest(self, message_type: str) -> str:
-        """Return what tells versions of a type apart: the md5 sum of ROS 1, the type hash (RIHS01) of ROS 2."""
+        """Return the digest of a type's version: the md5 sum of ROS 1, the type hash (RIHS01) of ROS 2."""
         name = self._known(message_type)
         if self._generation == 1:
             return self._store.generate_msgdef(name, ros_version=1)[1]
@@ -119,10 +119,10 @@ class TypeCatalogue:
             ) from error
 
     def deserialise(self, message_type: str, data: bytes | memoryview, encoding: Encoding) -> dict[str, Any]:
-        """Return the message that these bytes are.
+        """Return the message from its bytes.
 
         Raises:
-            LinkError: these are not the bytes of one.
+            LinkError: the bytes are not of this type.
         """
         name = self._known(message_type)
         read = self._store.deserialize_ros1 if encoding is Encoding.ROS1 else self._store.deserialize_cdr

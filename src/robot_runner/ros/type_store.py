@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 ROS1_DISTROS = ("kinetic", "lunar", "melodic", "noetic")
 ROS2_DISTROS = ("foxy", "galactic", "humble", "iron", "jazzy", "kilted")
 
-#: What stands before each further definition where several are one text.
+#: The separator of several definitions in one text.
 _NEXT = re.compile(r"^=+\nMSG: *", re.MULTILINE)
 
-#: Whose types are meant where no distribution is named.
+#: The distribution of ROS 2 whose types are used if none is named.
 _LATEST = "jazzy"
-#: What ROS 2 has in place of the fields of a type that has none, such as one of constants only.
+#: The field in ROS 2 of a type without fields, such as one of constants only.
 _PLACEHOLDER = "structure_needs_at_least_one_member"
 
 
@@ -73,15 +73,15 @@ def given_defaults(generation: int, extra: Sequence[Path]) -> dict[tuple[str, st
 
 
 def with_definition(store: Typestore, name: str, text: str) -> tuple[Typestore, dict[tuple[str, str], Any]]:
-    """Return a store that has a message type, too, and those that it is made of; and the defaults of their fields.
+    """Return a store that also has a message type and the types of its fields, and the defaults of their fields.
 
     Args:
-        store: is left as it is.
+        store: is not changed.
         name: of the type.
-        text: its definition, with those that it is made of after it, as bags store it.
+        text: its definition, followed by those of the types of its fields, as bags store it.
 
     Raises:
-        LinkError: it cannot be read, lacks one, or has one that the store knows otherwise.
+        LinkError: the text cannot be read, lacks a definition, or has one that differs from that in the store.
     """
     rosbags = _rosbags()
     first, *others = _NEXT.split(text)
@@ -183,7 +183,7 @@ def _parsed(rosbags: Any, name: str, text: str, where: str, generation: int) -> 
 
 
 def _parts(name: str, text: str, where: str, generation: int) -> dict[str, str]:
-    """Return the text of each message that a definition is made of, by its name as stores spell it."""
+    """Return the text of each message that a definition contains, by its name as stores spell it."""
     stem, _, suffix = name.rpartition(".")
     if suffix == "msg":
         return {stored_name(stem): text}
@@ -192,7 +192,7 @@ def _parts(name: str, text: str, where: str, generation: int) -> dict[str, str]:
     pieces = split_definition(text)
     if len(pieces) == 1:
         raise LinkError("a service has no line '---'", where=where, fix="Put '---' between request and response.")
-    request, response = pieces[0], "\n---\n".join(pieces[1:])  # what is too much, the parser refuses
+    request, response = pieces[0], "\n---\n".join(pieces[1:])  # the parser refuses further parts
     return {service_part(stem, "Request"): request, service_part(stem, "Response"): response}
 
 

@@ -1,4 +1,4 @@
-"""What a robot's watchdog receives, and how it decides that the robot must stand still.
+"""The messages for a robot's watchdog, and its decision that the robot must stand still.
 
 The watchdog's nodes for real robots (`robot/`) decide in the same way; they have code of their own because they keep to
 the robot's Python. The tests hold both to one suite.
@@ -90,11 +90,11 @@ class Watchdog:
         self._moved_at: float | None = None
 
     def hear_heartbeat(self, count: int, now: float) -> None:
-        """Take a heartbeat."""
+        """Note a heartbeat."""
         self._heartbeat_at = now if count else None
 
     def hear_command(self, is_moving: bool, now: float) -> None:
-        """Take a velocity command: whether it moves the robot, or has it stand still."""
+        """Note a velocity command, and whether it moves the robot."""
         self._moved_at = now if is_moving else None
 
     def release(self) -> None:

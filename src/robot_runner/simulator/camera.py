@@ -18,9 +18,9 @@ from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
 Scene = Callable[[], tuple[mujoco.MjModel, mujoco.MjData]]
 
-#: Computed only while somebody subscribes: a picture costs a thousand times as much as a laser scan.
+#: Computed only while there are subscribers: a picture costs a thousand times as much as a laser scan.
 CAMERA_TOPICS = ("camera/image_raw", "camera/camera_info")
-#: How MuJoCo may render without a screen, tried in this order: https://mujoco.readthedocs.io/en/stable/programming/
+#: MuJoCo's ways to render off screen, tried in this order: https://mujoco.readthedocs.io/en/stable/programming/
 _WAYS = ("egl", "osmesa")
 _VARIABLE = "MUJOCO_GL"
 _FRAME = "camera_optical_frame"
@@ -30,13 +30,13 @@ _FLOOR, _WALL, _BODY, _WHEEL = (0.86, 0.88, 0.91, 1), (0.62, 0.68, 0.75, 1), (0.
 
 
 class Camera:
-    """Renders what a camera of the model sees.
+    """Renders pictures of a camera of the model.
 
     Args:
         scene: returns the model and its state at this moment.
-        number: of the camera in the model.
+        number: the number of the camera in the model.
         parameters: `camera_width` and `camera_height` of the pictures.
-        is_painted: whether the model is given our colours, having none of its own.
+        is_painted: whether the model gets our colours, as it has none.
     """
 
     def __init__(self, scene: Scene, number: int, parameters: Turtlebot3Parameters, *, is_painted: bool) -> None:
@@ -47,7 +47,7 @@ class Camera:
         self._renderer: _Renderer | None = None
 
     def open(self) -> None:
-        """Begin to render.
+        """Start the renderer.
 
         Raises:
             LinkError: this machine cannot render off screen.
@@ -75,7 +75,7 @@ class Camera:
         }
 
     def info(self, now_ns: int) -> dict[str, Any]:
-        """Return a sensor_msgs/CameraInfo of an ideal pinhole, with the names that its fields have in ROS 2."""
+        """Return a sensor_msgs/CameraInfo of an ideal pinhole camera, with the field names of ROS 2."""
         model, _ = self._scene()
         focal = self._height / 2 / math.tan(math.radians(float(model.cam_fovy[self._number])) / 2)
         x, y = self._width / 2, self._height / 2
@@ -95,7 +95,7 @@ class Camera:
 
 
 def camera_topics(clock: SimulatedClock, camera: Camera, rate: int) -> dict[str, PublishedTopic]:
-    """Return the topics of a camera by their names; nothing is rendered while nobody subscribes."""
+    """Return the topics of a camera by their names; nothing is rendered without subscribers."""
     image, info = CAMERA_TOPICS
     return {
         image: PublishedTopic(
@@ -106,7 +106,7 @@ def camera_topics(clock: SimulatedClock, camera: Camera, rate: int) -> dict[str,
 
 
 def paint(model: mujoco.MjModel) -> None:
-    """Give a world of ours its colours; physics does not look at them."""
+    """Give one of our worlds its colours, which have no effect on physics."""
     model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = (0.45,) * 3, (0.6,) * 3
     kinds = mujoco.mjtGeom
     wheel, box, cylinder = map(int, (kinds.mjGEOM_ELLIPSOID, kinds.mjGEOM_BOX, kinds.mjGEOM_CYLINDER))
@@ -118,7 +118,7 @@ def paint(model: mujoco.MjModel) -> None:
 
 
 class _Renderer:
-    """Renders one camera of one model with a graphics context of its own."""
+    """Renders one camera of one model in its own graphics context."""
 
     def __init__(self, context: Any, model: mujoco.MjModel, number: int, width: int, height: int) -> None:
         self._graphics = context
@@ -135,7 +135,7 @@ class _Renderer:
         self._pixels = np.empty((height, width, 3), dtype=np.uint8)
 
     def pixels(self, data: mujoco.MjData) -> np.ndarray[Any, np.dtype[np.uint8]]:
-        """Return what the camera sees, rows from the top, shape (height, width, 3)."""
+        """Return the camera's picture, rows from the top, shape (height, width, 3)."""
         self._graphics.make_current()
         everything = int(mujoco.mjtCatBit.mjCAT_ALL)
         mujoco.mjv_updateScene(self._model, data, self._options, None, self._camera, everything, self._scene)
@@ -145,15 +145,15 @@ class _Renderer:
 
 
 def _opened(model: mujoco.MjModel, number: int, width: int, height: int) -> _Renderer:
-    """Return a renderer by the first way that works here; the one that `MUJOCO_GL` names, where it names one."""
+    """Return a renderer by the first way that works here, or by the one in `MUJOCO_GL` if that is set."""
     given = os.environ.get(_VARIABLE)
     reasons = []
     for way in (given,) if given in _WAYS else _WAYS:
-        os.environ[_VARIABLE] = way  # MuJoCo's own library reads it, too, when a context is made
+        os.environ[_VARIABLE] = way  # MuJoCo's library reads it, too, when a context is made
         try:
             graphics = importlib.import_module(f"mujoco.{way}").GLContext(width, height)
             return _Renderer(graphics, model, number, width, height)
-        except Exception as error:  # noqa: BLE001 - each graphics library has errors of its own
+        except Exception as error:  # noqa: BLE001 - each graphics library has its own errors
             reasons.append(f"{way}: {' '.join(str(error).split()) or type(error).__name__}")
         finally:
             _restore(given)

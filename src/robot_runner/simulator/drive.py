@@ -17,7 +17,7 @@ from robot_runner.simulator.turtlebot3_parameters import Floats, Turtlebot3Param
 #: A wheel that turns faster than this (rad/s; 1.7 mm/s on the ground) moves.
 MOVING_WHEEL_SPEED = 0.05
 
-#: A motor whose set point is nearer than this (rad/s) to where it goes has gathered its speed.
+#: A motor whose set point is nearer than this (rad/s) to its target has finished accelerating.
 _SETTLED = 0.05
 
 
@@ -29,8 +29,8 @@ class DifferentialDrive:
 
     Args:
         parameters: the robot's figures.
-        physics: the world that it is in.
-        number: which of that world's bodies it is.
+        physics: of the world that it is in.
+        number: the number of its body in that world.
     """
 
     def __init__(self, parameters: Turtlebot3Parameters, physics: Physics, number: int = 0) -> None:
@@ -38,10 +38,10 @@ class DifferentialDrive:
         self._physics = physics
         self._number = number
         self._body = self._physics.body(number)
-        # Of the left and the right wheel. In Python's numbers: to NumPy two of them cost more than they are worth.
+        # Of the left and the right wheel. In Python's numbers, as NumPy is slower for only two.
         self._target = [0.0, 0.0]
-        # What the set points are ahead of the speeds by, so that the motors bear their load at the commanded speed;
-        # on a slope they hold the robot from the beginning on.
+        # The lead of the set points over the speeds, so that the motors bear their load at the commanded speed; on a
+        # slope they hold the robot from the beginning.
         self._lead = [holding_torque(parameters) / parameters.servo_gain] * 2
         self._rolling_lead = rolling_torque(parameters) / parameters.servo_gain
         self._correction = CORRECTION_STEPS / STEPS_PER_SECOND / parameters.servo_settling_time
@@ -49,7 +49,7 @@ class DifferentialDrive:
 
     @property
     def steps(self) -> int:
-        """How many steps were made since the beginning."""
+        """The number of steps since the beginning."""
         return self._physics.steps
 
     @property
@@ -58,7 +58,7 @@ class DifferentialDrive:
         return self._physics.traces[0][: self.steps + 1, self._number]
 
     def wheel_angles_at(self, step: int) -> list[float]:
-        """Return the wheels' angles in rad after so many steps, left and right."""
+        """Return the wheels' angles in rad after `step` steps, left and right."""
         angles: list[float] = self._physics.traces[0][step, self._number].tolist()
         return angles
 
@@ -80,7 +80,7 @@ class DifferentialDrive:
 
     @property
     def orientation(self) -> tuple[float, float, float, float]:
-        """The true orientation as a quaternion: x, y, z, w (ROS' order), with z upwards and not across the slope."""
+        """The true orientation as a quaternion: x, y, z, w (ROS' order); z is vertical, not normal to the slope."""
         half = -slope_angle(self._parameters) / 2
         turned = np.empty(4)
         mujoco.mju_mulQuat(turned, np.array([math.cos(half), 0.0, math.sin(half), 0.0]), self._body.pose[3:7])
@@ -89,13 +89,13 @@ class DifferentialDrive:
 
     @property
     def angular_velocity(self) -> Floats:
-        """What an ideal gyroscope reads: rad/s in the robot's frame."""
+        """The reading of an ideal gyroscope: rad/s in the robot's frame."""
         self.sense()
         return np.array(self._body.sensed[0:3])
 
     @property
     def acceleration(self) -> Floats:
-        """What an ideal accelerometer reads: m/s² in the robot's frame, gravity included."""
+        """The reading of an ideal accelerometer: m/s² in the robot's frame, including gravity."""
         self.sense()
         return np.array(self._body.sensed[3:6])
 
@@ -105,11 +105,11 @@ class DifferentialDrive:
         return bool(np.abs(self._body.wheel_speeds).max() > MOVING_WHEEL_SPEED)
 
     def sense(self) -> None:
-        """Have the inertial sensors computed from now on."""
+        """Compute the inertial sensors from now on."""
         self._physics.sense()
 
     def command(self, linear: float, angular: float) -> None:
-        """Drive at these velocities (m/s, rad/s), each limited to what the robot can do, until told otherwise."""
+        """Drive at these velocities (m/s, rad/s), each within the robot's limits, until the next command."""
         limits = self._parameters
         forward = _limited(linear, limits.max_linear_velocity)
         turning = _limited(angular, limits.max_angular_velocity) * limits.wheel_separation / 2
@@ -121,18 +121,18 @@ class DifferentialDrive:
         self._set()
 
     def advance(self, steps: int) -> None:
-        """Go on until this many steps were made since the beginning; those already made are not repeated."""
+        """Advance to this number of steps since the beginning; earlier ones are not repeated."""
         self._physics.advance(steps)
 
     def put_back(self) -> None:
-        """Stand still where the robot stood at the beginning."""
+        """Stop the robot, and put it back to its start."""
         self.command(0.0, 0.0)
         self._physics.put_back(self._number)
 
     def correct(self) -> None:
-        """Follow the load with the set points: the integral part of the servo's speed control.
+        """Adjust the set points to the load: the integral part of the servo's speed control.
 
-        While the robot gathers speed or loses it, its inertia is the greater part of the load, and is not followed.
+        During acceleration and braking most of the load is the robot's inertia, for which they are not adjusted.
         """
         lagging = self._body.lagging.tolist()
         if any(
@@ -160,7 +160,7 @@ _TURN = 2 * math.pi
 
 
 class OdometryState(NamedTuple):
-    """Where the wheels say that the robot is (m, rad) and how fast it goes (m/s, rad/s)."""
+    """The pose (m, rad) and velocity (m/s, rad/s) of the robot by its wheels."""
 
     x: float = 0.0
     y: float = 0.0
@@ -169,7 +169,7 @@ class OdometryState(NamedTuple):
     angular: float = 0.0
 
     def rolled(self, left: float, right: float, separation: float, seconds: float) -> OdometryState:
-        """Return where it is after its wheels, so far (m) apart, have rolled so far (m): it has gone along an arc."""
+        """Return the state after the wheels, `separation` (m) apart, have rolled these ways (m): along an arc."""
         way, turn = (left + right) / 2, (right - left) / separation
         heading = self.yaw + turn / 2
         return OdometryState(
@@ -182,12 +182,12 @@ class OdometryState(NamedTuple):
 
 
 class WheelOdometry:
-    """Counts encoder ticks at the odometry's rate and adds up arcs, whether or not anybody listens.
+    """Counts encoder ticks at the odometry's rate and adds up arcs, also without subscribers.
 
-    It trusts the nominal wheel radius and separation; the true ones differ a little, as on a real robot.
+    It uses the nominal wheel radius and separation; the true ones differ a little, as on a real robot.
 
     Args:
-        phases: where between two ticks the encoders stand at the start, 0..1, left and right.
+        phases: the positions of the encoders between two ticks at the start, 0..1, left and right.
     """
 
     def __init__(self, parameters: Turtlebot3Parameters, drive: DifferentialDrive, phases: tuple[float, float]) -> None:
@@ -201,10 +201,10 @@ class WheelOdometry:
         self._step = 0
         self._ticks = self._read(0)
         self._number = 1
-        self._next = self._due()  # at which step the encoders are read next
+        self._next = self._due()  # the step at which the encoders are read next
 
     def latest(self) -> OdometryState:
-        """Return the odometry at the last of its ticks that the robot's body has reached."""
+        """Return the odometry at its last tick that the robot's body has reached."""
         while self._next <= self._drive.steps:
             self._add(self._next)
             self._number += 1
@@ -212,7 +212,7 @@ class WheelOdometry:
         return self._state
 
     def restart(self) -> None:
-        """Count from zero: the robot was put back."""
+        """Count from zero, as the robot was put back."""
         self.latest()
         self._state = OdometryState()
 

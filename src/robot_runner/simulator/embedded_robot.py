@@ -1,4 +1,4 @@
-"""How the embedded robot is reached by the name `simulated`: announced by an entry point, and imported in no time."""
+"""The kind of link `simulated`, to the embedded robot: announced by an entry point, and imported quickly."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _WHERE = "robot"
 _NAME = "simulated"
 _PACKAGES = ("mujoco", "numpy")
 _SIMULATION = "robot_runner.simulator.simulated_turtlebot3"  # imports MuJoCo
-#: What a run on it imports; NumPy loads the two parts of its own at their first use only.
+#: The imports of a run on the robot; NumPy loads two of its own parts only at their first use.
 _MODULES = (
     _SIMULATION,
     "robot_runner.simulator.room_file",
@@ -43,27 +43,27 @@ _MODULES = (
 _REAL_TIME_FACTOR = "real_time_factor"
 _ROOM = "room"
 _MODEL = "model"
-#: The joints of a model's wheels, where their names do not say left and right.
+#: The options for the joints of a model's wheels, if their names do not contain left and right.
 _WHEELS = ("left", "right")
 
 
 class _EmbeddedRobot:
-    """The kind of link `simulated`. MuJoCo is imported only where something is opened."""
+    """The kind of link `simulated`. MuJoCo is imported only when a link is opened."""
 
     description = "the embedded TurtleBot3 Burger: a physics simulation with a clock of its own"
     takes_address = False
     is_simulated = True
-    #: What a TurtleBot3 subscribes, and a model with joints that are driven, with the types; a model may have either.
+    #: The command topics of a TurtleBot3, and of a model with driven joints, with their types; a model may have either.
     command_topics: Mapping[str, str] = MappingProxyType(
         {"cmd_vel": "geometry_msgs/Twist", "joint_commands": "sensor_msgs/JointState"}
     )
 
     def findings(self, name: RobotName) -> list[Finding]:
-        """Return which packages are missing, or what is wrong with an option."""
+        """Return errors for missing packages, or for invalid options."""
         missing = [package for package in _PACKAGES if importlib.util.find_spec(package) is None]
         if missing:
             return [_not_installed(missing).as_finding()]
-        if not name.options:  # to look at options imports NumPy
+        if not name.options:  # checking options imports NumPy
             return []
         try:
             simulation_options(name.options)
@@ -72,11 +72,11 @@ class _EmbeddedRobot:
         return []
 
     def input_files(self, name: RobotName) -> Iterable[InputFile]:
-        """Return the room and the model that its options name."""
+        """Return the room and the model in its options."""
         return inputs_of(*(Path(name.options[each]) if each in name.options else None for each in (_ROOM, _MODEL)))
 
     def preload(self, name: RobotName) -> None:
-        """Import MuJoCo, and what else each run of a simulated robot would import anew; nothing is opened."""
+        """Import MuJoCo and all other modules that each run of a simulated robot would import; nothing is opened."""
         del name
         for module in _MODULES:
             importlib.import_module(module)
@@ -84,7 +84,7 @@ class _EmbeddedRobot:
     def open_robot(
         self, name: RobotName, *, resources: Resources, clock: Clock, seed: int, namespace: str
     ) -> RobotLink:
-        """Open a link to the robot of this namespace; it lives by the clock of its simulation."""
+        """Open a link to the robot of this namespace, which uses the clock of its simulation."""
         del clock
         simulation = _simulation(name, resources, seed)
         from robot_runner.simulator.simulated_link import SimulatedRobotLink  # noqa: PLC0415  # it imports MuJoCo
@@ -108,12 +108,12 @@ class _EmbeddedRobot:
         return SimulatedHost(simulation, namespace=namespace)
 
 
-#: What the entry point `simulated` names.
+#: The object of the entry point `simulated`.
 EMBEDDED_ROBOT = _EmbeddedRobot()
 
 
 def inputs_of(room: Path | None, model: Path | None) -> list[InputFile]:
-    """Return what is read for a room and a model, with what the model is made of: included files, meshes, textures."""
+    """Return the files of a room and a model, with the files that it includes: other models, meshes, textures."""
     found = [] if room is None else [InputFile(room)]
     if model is not None:
         from robot_runner.simulator.mjcf_interface import parts_of_model  # noqa: PLC0415  # it imports MuJoCo
@@ -123,10 +123,10 @@ def inputs_of(room: Path | None, model: Path | None) -> list[InputFile]:
 
 
 def run_simulation(context: RobotRunnerContext) -> Simulation:
-    """Return the simulation that a run with the embedded robot lives in.
+    """Return the simulation of a run with the embedded robot.
 
     Raises:
-        LinkError: a package is missing, or an option of the robot cannot be.
+        LinkError: a package is missing, or an option of the robot is invalid.
     """
     return _simulation(RobotName.parse(context.robot or _NAME), context.resources, context.run_seed)
 
@@ -154,13 +154,13 @@ def _not_installed(missing: list[str]) -> LinkError:
 
 @dataclass(frozen=True, slots=True)
 class SimulationOptions:
-    """What `robot = "simulated:name=value,..."` says of the simulation.
+    """The options of the simulation in `robot = "simulated:name=value,..."`.
 
     Attributes:
-        parameters: what its robots are made of.
+        parameters: of its robots.
         real_time_factor: simulated seconds a real second (1.0: real time); None for as fast as the physics goes.
-        room: where they live.
-        model: what they are made of instead of a TurtleBot3; None for those.
+        room: of its robots.
+        model: of its robots; None for TurtleBot3s.
     """
 
     parameters: Turtlebot3Parameters
@@ -182,14 +182,14 @@ class SimulationOptions:
 
 
 def simulation_options(options: Mapping[str, str]) -> SimulationOptions:
-    """Return what a simulated robot with these options is made of, and how fast its time goes by.
+    """Parse the options of a simulated robot.
 
     Example:
         >>> simulation_options({"initial_charge": "40", "real_time_factor": "1"}).real_time_factor
         1.0
 
     Raises:
-        LinkError: there is no such parameter, it cannot have this value, or the room's file describes none.
+        LinkError: there is no such parameter, its value is invalid, or the room's file describes no room.
     """
     from robot_runner.simulator.room_file import read_room  # noqa: PLC0415  # it imports NumPy
     from robot_runner.simulator.rooms import DEFAULT_ROOM  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""One embedded robot on a graph: what it publishes, offers and is told."""
+"""One embedded robot on a graph: its topics, services and commands."""
 
 from __future__ import annotations
 
@@ -35,25 +35,25 @@ _logger = logging.getLogger(__name__)
 
 
 def stamp(time_ns: int) -> dict[str, int]:
-    """Return a time of ROS."""
+    """Return a time as in ROS messages."""
     seconds, nanoseconds = divmod(time_ns, _SECOND_NS)
     return {"sec": seconds, "nanosec": nanoseconds}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulatedPlace:
-    """Where and how the embedded robot is to live.
+    """The graph of the embedded robot, and the settings of its simulation.
 
     Attributes:
-        link: to the graph, as `robot` in a config has it: `ros1`, `ros2`, `dds`, or `dds:domain=7`.
+        link: to the graph, as for `robot` in a config: `ros1`, `ros2`, `dds`, or `dds:domain=7`.
         namespace: of the robot: empty, or `/alice`.
         seed: of the first simulation; each reset takes the next one.
         real_time_factor: simulated seconds a real second.
-        is_clock: whether its time is published on `/clock`, and is what stamps show; else they show this machine's.
-        has_watchdog: whether it stops once the run that drives it has fallen silent.
-        room: a file that describes where it lives; None for the usual room.
-        model: an MJCF file that describes it; None for a TurtleBot3.
-        has_camera: whether its camera's topics are there; pictures are made while somebody subscribes.
+        is_clock: whether its time is published on `/clock` and used in stamps; else stamps have this machine's time.
+        has_watchdog: whether it stops when the heartbeats of the run that drives it stop.
+        room: the file of the room; None for the default room.
+        model: the MJCF file of the robot; None for a TurtleBot3.
+        has_camera: whether it has its camera's topics; pictures are made only for subscribers.
 
     Example:
         >>> SimulatedPlace(link="dds:domain=7", namespace="/alice").real_time_factor
@@ -75,9 +75,9 @@ class GraphRobot:
     """One robot of a simulation on a graph: its topics and services, its transform and its watchdog.
 
     Args:
-        link: to the graph, in the robot's namespace; it stays the caller's to close.
-        simulation: whose robot of this namespace it is.
-        place: how it lives there.
+        link: to the graph, in the robot's namespace; the caller closes it.
+        simulation: with the robot of this namespace.
+        place: the graph and the settings.
         namespace: of the robot.
         lock: held while the simulation is used: callbacks come from threads of the link.
         has_meter: whether its power meter is opened on a terminal.
@@ -86,7 +86,7 @@ class GraphRobot:
         meter: its power meter on a terminal, if it has one.
 
     Raises:
-        LinkError: the graph cannot be reached, or such a robot is offered there already.
+        LinkError: the graph cannot be reached, or there is such a robot already.
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class GraphRobot:
             undoing.pop_all()
 
     def enter(self, simulation: Simulation) -> None:
-        """Be the robot of this simulation from now on; its topics go on."""
+        """Switch to the robot of this simulation; the topics go on."""
         self._listening.close()
         self._pictures.clear()
         self._clock = simulation.clock
@@ -137,7 +137,7 @@ class GraphRobot:
             self.meter.enter(simulation)
 
     def watch_camera(self) -> None:
-        """Have the camera's pictures made while somebody subscribes to them, and no longer."""
+        """Make the camera's pictures only while there are subscribers."""
         if not self._place.has_camera:
             return
         for name in CAMERA_TOPICS:
@@ -152,11 +152,11 @@ class GraphRobot:
                 self._pictures.pop(name).close()
 
     def put_back(self) -> None:
-        """Stand still where it stood at the beginning."""
+        """Stop the robot, and put it back to its start."""
         self._robot.put_back()
 
     def watch(self) -> None:
-        """Stop where the run that drives it has fallen silent."""
+        """Stop the robot when the heartbeats of the run that drives it have stopped."""
         if self._watchdog.must_stop(time.monotonic()):
             self._stop()
 
@@ -176,7 +176,7 @@ class GraphRobot:
         self._keep(self._link.subscribe(HEARTBEAT_TOPIC, HEARTBEAT_TYPE, self._take_heartbeat))
 
     def _show_camera(self) -> None:
-        """Publish one picture, so that the topics are seen, and that it is known whether any can be made."""
+        """Publish one picture, so that the topics are visible, and an error of the renderer is noticed."""
         for name in CAMERA_TOPICS:
             topic = self._robot.topics.get(name)
             if topic is None:
@@ -191,7 +191,7 @@ class GraphRobot:
         stamped = {**message, "header": {**message["header"], "stamp": self._stamp()}}
         if (
             message_type == _CAMERA_INFO and self._link.encoding is Encoding.ROS1
-        ):  # which writes its matrices in capitals
+        ):  # ROS 1, which names the matrices in capitals
             stamped |= {each.upper(): stamped.pop(each) for each in "dkrp"}
         self._link.publish(name, message_type, stamped, qos=qos)
         if name == "odom" and self._has_transform:
@@ -206,11 +206,11 @@ class GraphRobot:
             self._watchdog.hear_command(is_moving=is_moving, now=time.monotonic())
             try:
                 self._robot.command(topic, message)
-            except LinkError as error:  # somebody's mistake on the graph is not the simulation's end
+            except LinkError as error:  # a wrong message on the graph must not end the simulation
                 _logger.warning("a command was not carried out: %s", error)
 
     def _stop(self) -> None:
-        """Stop the wheels; joints stay where they were told to go."""
+        """Stop the wheels; joints keep their last command."""
         if _VELOCITY in self._robot.command_topics:
             self._robot.command(_VELOCITY, _STANDSTILL)
 
@@ -240,7 +240,7 @@ def _is_known(link: RobotLink, message_type: str) -> bool:
 
 
 def _transform(odometry: Message) -> Message:
-    """Return the transform that an odometry message implies."""
+    """Return the transform of an odometry message."""
     pose = odometry["pose"]["pose"]
     return {
         "header": odometry["header"],

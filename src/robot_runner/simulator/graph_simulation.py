@@ -1,4 +1,4 @@
-"""Opens a graph, puts the embedded robot on it, resets and pauses it, and takes it away again."""
+"""Offers the embedded robot on a graph, with services that reset and pause it."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from robot_runner.simulator.room_file import read_room
 from robot_runner.simulator.rooms import DEFAULT_ROOM, Room
 from robot_runner.simulator.simulated_turtlebot3 import Simulation
 
-#: How far the simulation moves on between two looks at the real world, simulated s.
+#: How far the simulation advances between two checks of the real time and the graph, simulated s.
 _TICK = 0.01
-#: How far, real s, it may be behind before it gives up to catch up.
+#: If it is behind by more than this, real s, it does not try to catch up.
 _LONGEST_LAG = 0.25
-#: How often, in ticks, it is asked who looks through the cameras: once a simulated second.
+#: The period of checking for subscribers of the cameras, in ticks: once a simulated second.
 _CAMERA_TICKS = 100
 _SERVICE_TYPE = "std_srvs/Empty"
 
@@ -33,24 +33,24 @@ _SERVICE_TYPE = "std_srvs/Empty"
 class GraphSimulation:
     """A simulation on a graph: its robots, its time, and services that reset and pause it.
 
-    The services are those of Gazebo classic: `reset_simulation` (from the beginning: time, battery, odometry, and the
-    noise of another seed, so that a run after it is another run), `reset_world` (the robots stand where they stood at
-    the beginning, and time goes on), `pause_physics` and `unpause_physics`, all of std_srvs/Empty.
+    The services are those of Gazebo classic: `reset_simulation` (restarts time, battery and odometry, with the noise
+    of another seed, so that the next run differs), `reset_world` (puts the robots back to their starts while time goes
+    on), `pause_physics` and `unpause_physics`, all of std_srvs/Empty.
 
     Args:
-        links: to the graph, one for each robot, by namespace; they stay the caller's to close. The services are offered
-            over the first.
-        make: makes a simulation of a seed.
-        place: how its robots live there.
+        links: to the graph, one for each robot, by namespace; the caller closes them. The services are offered over the
+            first.
+        make: makes a simulation from a seed.
+        place: the graph and the settings.
         has_meter: whether each robot's power meter is opened on a terminal.
 
     Attributes:
         robots: its robots, by namespace.
         lags: how often it could not keep up with its pace.
-        is_paused: whether its time stands still.
+        is_paused: whether its time is stopped.
 
     Raises:
-        LinkError: a graph cannot be reached, or such a robot is offered there already.
+        LinkError: a graph cannot be reached, or there is such a robot already.
 
     Example:
         >>> from robot_runner.simulator.simulated_turtlebot3 import Simulation
@@ -93,11 +93,11 @@ class GraphSimulation:
 
     @property
     def now(self) -> float:
-        """How long it has lived since the last reset, simulated s."""
+        """The time since the last reset, simulated s."""
         return self._simulation.clock.now()
 
     def live(self, *, seconds: float | None = None, is_over: Callable[[], bool] = lambda: False) -> None:
-        """Live for so many simulated seconds, or until `is_over`, at the pace that was asked for.
+        """Advance by `seconds` of simulated time, or until `is_over()`, at the real-time factor of the settings.
 
         Raises:
             LinkError: the graph cannot be reached any more.
@@ -116,12 +116,12 @@ class GraphSimulation:
                 begun, begun_at = time.monotonic(), self.now
             elif ahead > 0:
                 time.sleep(ahead)
-            elif ahead < -_LONGEST_LAG:  # a machine that is too slow, or was suspended
+            elif ahead < -_LONGEST_LAG:  # the machine is too slow, or was suspended
                 begun, begun_at = time.monotonic(), self.now
                 self.lags += 1
 
     def reset(self) -> None:
-        """Begin again: at time 0, with a full battery, and with the noise of the next seed."""
+        """Restart at time 0, with a full battery and the noise of the next seed."""
         with self._lock:
             self._seed += 1
             earlier, self._simulation = self._simulation, self._make(self._seed)
@@ -131,13 +131,13 @@ class GraphSimulation:
             self._is_reset = True
 
     def put_back(self) -> None:
-        """Let all robots stand still where they stood at the beginning; time and batteries go on."""
+        """Stop all robots, and put them back to their starts; time and batteries go on."""
         with self._lock:
             for robot in self.robots.values():
                 robot.put_back()
 
     def pause(self, *, is_paused: bool) -> None:
-        """Let its time stand still, or go on."""
+        """Stop its time, or let it go on."""
         with self._lock:
             self.is_paused = is_paused
 
@@ -183,10 +183,10 @@ _USE_SIM_TIME = "/use_sim_time"
 
 
 def check_pace(place: SimulatedPlace) -> None:
-    """See that the graph can follow the robot's time.
+    """Check that the graph can follow the robot's time.
 
     Raises:
-        LinkError: its time goes by at another pace than that of the graph.
+        LinkError: its time has another pace than that of the graph.
     """
     if not 0 < place.real_time_factor < float("inf"):
         raise LinkError(
@@ -204,10 +204,10 @@ def check_pace(place: SimulatedPlace) -> None:
 
 @contextmanager
 def on_graph(place: SimulatedPlace) -> Iterator[GraphSimulation]:
-    """Put the embedded robot on a graph for as long as the context lasts; all robots of a room that names some.
+    """Offer the embedded robot, or all robots of a room that names some, on a graph while the context lasts.
 
     Raises:
-        LinkError: the graph cannot be reached, such a robot is offered there already, or a package is missing.
+        LinkError: the graph cannot be reached, there is such a robot already, or a package is missing.
     """
     check_pace(place)
     link = RobotName.parse(place.link).link
@@ -237,7 +237,7 @@ def on_graph(place: SimulatedPlace) -> Iterator[GraphSimulation]:
 
 
 def _namespaces(place: SimulatedPlace, room: Room | None) -> list[str]:
-    """Return the robots to put on the graph."""
+    """Return the namespaces of the robots to offer."""
     if room is None or not room.robots or place.model is not None:
         return [place.namespace]
     if place.namespace:
@@ -251,7 +251,7 @@ def _namespaces(place: SimulatedPlace, room: Room | None) -> list[str]:
 
 @contextmanager
 def _announced_clock(name: RobotName) -> Iterator[None]:
-    """While it lasts, nodes of ROS 1 that start are told to live by `/clock`; those of ROS 2 are told one by one."""
+    """Make new nodes of ROS 1 use `/clock` while the context lasts; in ROS 2 each node has its own parameter."""
     if name.link != "ros1":
         yield
         return

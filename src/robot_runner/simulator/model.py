@@ -17,8 +17,8 @@ class Body:
 
     Attributes:
         wheel_radii: the true radii of the left and the right wheel in metres.
-        start: where it stands at the beginning.
-        name: stands before the names of its parts; empty for a robot that is alone.
+        start: its pose at the beginning.
+        name: the prefix of the names of its parts; empty for a single robot.
     """
 
     wheel_radii: tuple[float, float]
@@ -27,7 +27,7 @@ class Body:
 
 
 # Contacts as stiff as the time step allows (MuJoCo: at least two steps), so that the wheels roll on
-# their true radius instead of sinking in. With priority these count, and not their mean with the floor's.
+# their true radius instead of sinking in. With priority these values are used, not their mean with the floor's.
 _STIFF = 'priority="1" solref="0.01 1" solimp="0.98 0.99 0.0005"'
 
 # Half the width of the tyre (ROBOTIS' URDF: 18 mm wide).
@@ -36,25 +36,25 @@ _TYRE_HALF_WIDTH = 0.009
 _CASTER_RADIUS = 0.005
 _CASTER_X = -0.081  # ROBOTIS' URDF: caster_back_joint
 
-# The body stands over a plate whose centre is 32 mm behind the axle (ROBOTIS' URDF: base_link).
+# The body is on a plate whose centre is 32 mm behind the axle (ROBOTIS' URDF: base_link).
 _BODY_X = -0.032
 _BODY_MASS_HEIGHT = 0.03  # above the axle; the battery and both boards are low
 _BODY_INERTIA = "0.0022124 0.0021194 0.0020064"  # ROBOTIS' URDF: base_link, principal axes
 _IMU_HEIGHT = 0.045  # above the axle (ROBOTIS' URDF: imu_joint)
 _GROUND_CLEARANCE = 0.01
-_CAMERA_X, _CAMERA_HEIGHT = 0.04, 0.06  # own: before the front of the body, below the scanner; from the axle
+_CAMERA_X, _CAMERA_HEIGHT = 0.04, 0.06  # our choice: in front of the body, below the scanner; from the axle
 _GRAVITY = 9.81
 
 
 def slope_angle(parameters: Turtlebot3Parameters) -> float:
-    """Return by how many radians the floor rises along x."""
+    """Return the slope of the floor along x in radians."""
     return math.atan(parameters.floor_slope / 100)
 
 
 def rolling_torque(parameters: Turtlebot3Parameters) -> float:
-    """Return the torque in N m with which the floor holds each of the two wheels back while it turns.
+    """Return the torque in N m of the rolling resistance on each of the two wheels.
 
-    The wheels bear the caster's share too. Rolling resistance is a share of the force onto the floor (Gillespie,
+    The wheels also have the caster's share. Rolling resistance is a share of the normal force (Gillespie,
     Fundamentals of Vehicle Dynamics, chapter 4).
     """
     weight = parameters.mass * _GRAVITY * math.cos(slope_angle(parameters))
@@ -62,26 +62,26 @@ def rolling_torque(parameters: Turtlebot3Parameters) -> float:
 
 
 def holding_torque(parameters: Turtlebot3Parameters) -> float:
-    """Return the torque in N m with which each of the two motors holds a robot that looks up the slope."""
+    """Return the torque in N m with which each of the two motors holds a robot that faces up the slope."""
     return parameters.mass * _GRAVITY * math.sin(slope_angle(parameters)) * parameters.wheel_radius / 2
 
 
 def burger_model(
     parameters: Turtlebot3Parameters, wheel_radii: tuple[float, float], *, obstacles: Sequence[Obstacle] = ARENA
 ) -> str:
-    """Return the MJCF of one robot among obstacles, looking along x from the origin."""
+    """Return the MJCF of one robot among obstacles, at the origin and facing along x."""
     return world_model(parameters, [Body(wheel_radii)], obstacles)
 
 
 def world_model(parameters: Turtlebot3Parameters, bodies: Sequence[Body], obstacles: Sequence[Obstacle]) -> str:
-    """Return the MJCF of a world with one or several robots of the same figures."""
-    angle = slope_angle(parameters)  # the world's axes are those of the floor: it is gravity that is tilted
+    """Return the MJCF of a world with one or several robots with the same parameters."""
+    angle = slope_angle(parameters)  # the world's axes are those of the floor, so gravity is tilted instead
     # Friction ten times as stiff as contacts (impratio), so that a robot does not creep down a slope.
     gravity = f"{-_GRAVITY * math.sin(angle)} 0 {-_GRAVITY * math.cos(angle)}"
     motors = "".join(_motor(_part(body, side), parameters) for body in bodies for side in ("left", "right"))
     sensors = "".join(_sensors(_part(body, "imu")) for body in bodies)
-    # What costs time and changes nothing: sensors that nobody reads (`Physics.sense`), and, of one robot, which is one
-    # island of contacts in any case, to look for others.
+    # These cost time without effect: sensors that nobody reads (`Physics.sense`), and, with a single robot, the search
+    # for islands of contacts, as it is one island in any case.
     left_out = 'sensor="disable" island="disable"' if len(bodies) == 1 else 'sensor="disable"'
     return f"""
 <mujoco model="turtlebot3_burger">
@@ -142,22 +142,22 @@ def _body(body: Body, parameters: Turtlebot3Parameters) -> str:
 
 
 def _vertical_view(parameters: Turtlebot3Parameters) -> float:
-    """Return the camera's angle of view from top to bottom in degrees; the parameter is from side to side."""
+    """Return the camera's vertical angle of view in degrees; the parameter is the horizontal one."""
     half = math.tan(math.radians(parameters.camera_view) / 2) * parameters.camera_height / parameters.camera_width
     return math.degrees(2 * math.atan(half))
 
 
 def _caster(body: Body, parameters: Turtlebot3Parameters) -> str:
-    # Of two touching geoms of the same priority the larger friction counts, so the caster would drag with
-    # the floor's: with a higher priority its own counts, and condim 1 means none at all.
+    # For two touching geoms with the same priority the larger friction is used, so the caster would drag with
+    # the floor's: with a higher priority its own is used, and condim 1 means none at all.
     return f"""
       <geom name="{_part(body, "caster")}" type="sphere" size="{_CASTER_RADIUS}" condim="1" {_STIFF}
         pos="{_CASTER_X} 0 {_CASTER_RADIUS - parameters.wheel_radius}"/>"""
 
 
 def _wheel(side: str, radius: float, y: float, parameters: Turtlebot3Parameters) -> str:
-    # An ellipsoid touches the floor in one point below the hub; a cylinder touches along its width and
-    # scrubs when the robot turns in place.
+    # An ellipsoid touches the floor in one point below the hub; a cylinder would touch along its width and
+    # scrub when the robot turns in place.
     return f"""
       <body name="{side} wheel" pos="0 {y} 0">
         <joint name="{side}" axis="0 1 0" armature="0.0002" frictionloss="{rolling_torque(parameters)}"/>

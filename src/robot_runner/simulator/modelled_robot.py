@@ -1,4 +1,4 @@
-"""A robot of anybody's: a model in MJCF, with the topics that what it is made of allows."""
+"""A robot from a user's MJCF model, with the topics for its parts."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ from robot_runner.simulator.turtlebot3_parameters import Floats, NoiseStreams, T
 
 Message = Mapping[str, Any]
 
-#: So far behind a surface (m) a ray goes on that has met the robot itself.
+#: A ray that meets the robot itself goes on this far (m) behind the surface.
 _PAST = 1e-6
 _TWIST = "geometry_msgs/Twist"
 _JOINTS = "sensor_msgs/JointState"
-#: From here on (mjMAXVAL) MuJoCo takes a command for none, and sets all to zero.
+#: From this value on (mjMAXVAL) MuJoCo rejects a command, and sets all to zero.
 _TOO_LARGE = 1e10
 
 
 class RobotModel:
-    """A model in MJCF, read once and made into any number of robots.
+    """An MJCF model, read once for any number of robots.
 
     Args:
         path: of the file.
-        room: what stands around it, beside what the model brings; None for nothing.
-        left, right: the joints of its wheels, where their names do not say so.
+        room: with obstacles around it, besides those in the model; None for none.
+        left, right: the joints of its wheels, if their names do not contain left and right.
 
     Raises:
-        LinkError: the file is no model that can be driven.
+        LinkError: the file is no model with actuators.
     """
 
     def __init__(self, path: Path, room: Room | None = None, *, left: str = "", right: str = "") -> None:
@@ -56,19 +56,18 @@ class RobotModel:
 
 
 class ModelledRobot:
-    """A robot of a model, in a world of its own; physics is computed on demand, up to the clock's time.
+    """A robot from a model, in its own world; physics is computed on demand, up to the clock's time.
 
-    It has no battery, no power meter and no on-board computer: nothing is known of what it draws.
+    It has no battery, no power meter and no on-board computer, as its power is unknown.
 
     Attributes:
         namespace: its name in the simulation: empty, or `/alice`.
         path: of the model's file.
         topics: the topics that it publishes, by name within its namespace: `joint_states`; `odom` and `ground_truth`
-            of one with wheels or a free base; `scan` of one with a site called `scan`, `lidar`, `laser` or `base_scan`;
-            `imu` of one with a gyroscope and an accelerometer; `camera/image_raw` and `camera/camera_info` of one with
-            a camera.
-        command_topics: those that it subscribes: `joint_commands`, and `cmd_vel` of one with two wheels.
-        services: those that it offers: none.
+            with wheels or a free base; `scan` with a site called `scan`, `lidar`, `laser` or `base_scan`; `imu` with a
+            gyroscope and an accelerometer; `camera/image_raw` and `camera/camera_info` with a camera.
+        command_topics: those that it subscribes to: `joint_commands`, and `cmd_vel` with two wheels.
+        services: none.
     """
 
     cut_off = None
@@ -96,10 +95,10 @@ class ModelledRobot:
         self.services: Mapping[str, str] = MappingProxyType({})
 
     def command(self, topic: str, message: Message) -> None:
-        """Carry out a command, and keep to it until the next.
+        """Execute a command, until the next one.
 
         Raises:
-            LinkError: a joint is named that nothing drives.
+            LinkError: a joint has no actuator.
         """
         self._reach()
         if topic == "cmd_vel":
@@ -108,11 +107,11 @@ class ModelledRobot:
             self._move_joints(message)
 
     def call(self, service: str) -> dict[str, bool | str]:
-        """Refuse: it has no services."""
+        """Raise an error, as it has no services."""
         raise LinkError(f"{service!r} is no service of the model", where=self.namespace or "/", fix="It has none.")
 
     def put_back(self) -> None:
-        """Stand as it stood at the beginning, with its odometry at zero."""
+        """Put the robot back to its start, with its odometry at zero."""
         self._reach()
         self._start()
 
@@ -134,7 +133,7 @@ class ModelledRobot:
 
     @staticmethod
     def _stand_at(place: Pose, pose: Floats) -> None:
-        """Have the robot begin where its room says, turned from how its model looks, at the model's height."""
+        """Set the pose to the start in the room, turned relative to the model's pose, at the model's height."""
         turn = np.array([math.cos(place.yaw / 2), 0.0, 0.0, math.sin(place.yaw / 2)])
         pose[:2] = place.x, place.y
         mujoco.mju_mulQuat(pose[3:], turn, pose[3:].copy())
@@ -191,13 +190,13 @@ class ModelledRobot:
         return wheels.senses[0] * left, wheels.senses[1] * right
 
     def _count_wheels(self, wheels: WheelPair) -> None:
-        """Add up the arcs that the wheels roll, as a robot's firmware does."""
+        """Add up the arcs of the wheels, as a robot's firmware does."""
         angles = self._wheel_angles()
         left, right = ((now - then) * wheels.radius for now, then in zip(angles, self._angles, strict=True))
         self._odometry = self._odometry.rolled(left, right, wheels.separation, 1 / STEPS_PER_SECOND)
         self._angles = angles
 
-    # What it publishes.
+    # Its topics.
 
     def _published(self) -> dict[str, PublishedTopic]:
         found, parameters, clock = self._interface, self.parameters, self._clock
@@ -224,7 +223,7 @@ class ModelledRobot:
         self._reach()
         base, moving = self._interface.base or 0, self._interface.base_velocity
         x, y, z, w, qx, qy, qz = map(float, self._data.qpos[base : base + 7])
-        # MuJoCo's linear velocity is along the world's axes, ROS' twist along those of the robot.
+        # MuJoCo's linear velocity is in the world's axes, ROS' twist in those of the robot.
         inverse, linear = np.empty(4), np.empty(3)
         mujoco.mju_negQuat(inverse, self._data.qpos[base + 3 : base + 7])
         mujoco.mju_rotVecQuat(linear, self._data.qvel[moving : moving + 3], inverse)
@@ -271,7 +270,7 @@ class ModelledRobot:
         return laser_scan(self._clock.now_ns, self._ray_distances(), noise, self.parameters)
 
     def _ray_distances(self) -> Floats:
-        """Return how far each ray goes, in the plane of the scanner's site; the robot itself is passed through."""
+        """Return the length of each ray in the plane of the scanner's site; rays pass through the robot itself."""
         site = self._interface.scanner or 0
         turned = self._data.site_xmat[site].reshape(3, 3)
         angles = np.arange(RAYS) * (2 * math.pi / RAYS)
@@ -281,10 +280,10 @@ class ModelledRobot:
 
     def _ray_distance(self, start: Floats, ray: Floats, own: int) -> float:
         roots, bodies, met = self._model.body_rootid, self._model.geom_bodyid, np.zeros(1, dtype=np.int32)
-        gone, left_out = 0.0, own or -1  # what is part of the world does not leave out the world
+        gone, left_out = 0.0, own or -1  # a scanner that is part of the world must not leave out the world
         while (further := mujoco.mj_ray(self._model, self._data, start + gone * ray, ray, None, 1, left_out, met)) >= 0:
             gone += float(further)
-            # MuJoCo leaves out one body at most: a wheel, or a mast, is another one of the same robot.
+            # MuJoCo leaves out one body at most: a wheel, or a mast, is another body of the same robot.
             if not own or roots[bodies[met[0]]] != roots[own]:
                 return gone
             gone += _PAST

@@ -1,4 +1,4 @@
-"""The on-board computer: how busy its cores and its memory are, by task and motion."""
+"""The on-board computer: its CPU and memory utilisation, by task and motion."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from robot_runner.simulator.turtlebot3_parameters import Floats, Integers, Noise
 
 
 class Task(Enum):
-    """What the on-board computer can be told to do (paper, section II-C)."""
+    """The tasks of the on-board computer (paper, section II-C)."""
 
     COMPUTATION = "computation"
     VIDEO = "video"
     NETWORK = "network"
 
 
-#: Stands for no task where tasks are numbered in the order of their definition.
+#: The number of no task; tasks are numbered in the order of their definition.
 NO_TASK = len(Task)
 
 _NUMBERS = {task: number for number, task in enumerate(Task)}
 
 
 class TaskRunner:
-    """The on-board computer's task, of which there is one at a time, and the history of all of them.
+    """The on-board computer's task, at most one at a time, and the history of all tasks.
 
     Example:
         >>> runner = TaskRunner(np.random.default_rng(1), deviation=1.0)
@@ -49,7 +49,7 @@ class TaskRunner:
         self.running: Task | None = None
 
     def start(self, task: Task, *, step: int) -> bool:
-        """Start a task from this step on and return whether it was started: not while another one runs."""
+        """Start a task from this step on, unless another one runs; return whether it was started."""
         if self.running is not None:
             return False
         self.running = task
@@ -57,18 +57,18 @@ class TaskRunner:
         return True
 
     def stop(self, *, step: int) -> Task | None:
-        """Stop whatever runs from this step on and return it, or None if nothing ran."""
+        """Stop the running task from this step on and return it, or None if there was none."""
         stopped, self.running = self.running, None
         if stopped is not None:
             self._note(step, NO_TASK, 1.0)
         return stopped
 
     def numbers(self, first: int, last: int) -> Integers:
-        """Return the number of the task that ran at each of the steps `first` to `last`, both included."""
+        """Return the number of the running task at each of the steps `first` to `last`, both included."""
         return np.array(self._numbers)[self._entries(first, last)]
 
     def gains(self, first: int, last: int) -> Floats:
-        """Return by what factor the task that ran at each of these steps differed from its usual power."""
+        """Return the factor of the running task's power at each of these steps, relative to its nominal power."""
         return np.array(self._gains)[self._entries(first, last)]
 
     def _entries(self, first: int, last: int) -> Integers:
@@ -81,11 +81,11 @@ class TaskRunner:
 
 
 _SECOND_NS = 1_000_000_000
-_ROUNDING = 1e-9  # of a sample: the last one falls due at the very moment of the stop
+_ROUNDING = 1e-9  # of a sample: the last one is due exactly at the stop
 
 
 class OnboardComputer:
-    """CPU: the mean since the sample before. Memory: what is in use at the moment of the sample."""
+    """CPU: the mean since the sample before. Memory: that in use at the moment of the sample."""
 
     def __init__(
         self, parameters: Turtlebot3Parameters, drive: DifferentialDrive, tasks: TaskRunner, streams: NoiseStreams
@@ -103,8 +103,8 @@ class OnboardComputer:
     ) -> list[UtilisationSample]:
         """Return the samples taken `rate` times a second between two moments, and at the other moments.
 
-        Their beat and their noise are those of the clock, whenever sampling began. CPU utilisation is None where no
-        time had gone by since the sample before.
+        Their times and their noise depend only on the clock, not on the start of sampling. CPU utilisation is None if
+        no time has passed since the sample before.
         """
         first, last = int(start_ns * rate / _SECOND_NS + _ROUNDING) + 1, int(stop_ns * rate / _SECOND_NS + _ROUNDING)
         beat_ns = np.rint(np.arange(first, last + 1) * (_SECOND_NS / rate)).astype(np.int64)
@@ -131,9 +131,9 @@ class OnboardComputer:
             + by_task[self._tasks.numbers(first, last)]
             + parameters.cpu_moving * (speeds > MOVING_WHEEL_SPEED)
         )
-        # Each sum for itself: one over all would be rounded in another way where sampling began earlier.
+        # Separate sums: the rounding of one cumulative sum would depend on the start of sampling.
         pairs = pairwise((ends - first).tolist())
-        total = np.add.reduce  # as `mean` does, without its second look at what it is given
+        total = np.add.reduce  # as `mean` does, without its checks of the argument
         means = [
             total(by_step[sooner + 1 : later + 1]) / (later - sooner) if later > sooner else math.nan
             for sooner, later in pairs

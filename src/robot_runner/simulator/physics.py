@@ -1,4 +1,4 @@
-"""One world of MuJoCo with one or several robots in it, advanced in steps of the simulation's grid."""
+"""One world of MuJoCo with one or several robots, advanced in steps of the simulation's grid."""
 
 from __future__ import annotations
 
@@ -20,38 +20,38 @@ from robot_runner.simulator.turtlebot3_parameters import Floats, Turtlebot3Param
 
 _SETTLING_STEPS = 200
 _INITIAL_ROWS = 4096
-#: How many steps are between two corrections of the motors' set points (100 ms).
+#: The number of steps between two corrections of the motors' set points (100 ms).
 CORRECTION_STEPS = 20
 _Warning = mujoco.mjtWarning
-#: What MuJoCo notes where a number became too large or none, before it begins anew by itself.
+#: MuJoCo's warnings of a number that became too large or NaN, before it resets itself.
 _diverged = itemgetter(*map(int, (_Warning.mjWARN_BADQPOS, _Warning.mjWARN_BADQVEL, _Warning.mjWARN_BADQACC)))
-#: What it notes where contacts have no room in its memory, before it goes on without them.
+#: MuJoCo's warnings of contacts that exceed its memory, before it goes on without them.
 _overflown = itemgetter(*map(int, (_Warning.mjWARN_CONTACTFULL, _Warning.mjWARN_CNSTRFULL)))
 MORE_MEMORY = 'Give it more memory, as in <size memory="100M"/>, or fewer things that touch each other.'
-#: How many numbers a robot has in MuJoCo's arrays: seven of its pose (six of its velocity) and two of its wheels.
+#: The lengths of a robot's parts of MuJoCo's arrays: seven for its pose (six for its velocity) and two for its wheels.
 _POSITIONS, _VELOCITIES = 9, 8
 
 
 if mujoco.get_mju_user_warning() is None:
-    # Else MuJoCo writes a file of its own, MUJOCO_LOG.TXT, into the folder in which somebody works.
+    # Otherwise MuJoCo writes a file MUJOCO_LOG.TXT into the working folder.
     mujoco.set_mju_user_warning(logging.getLogger(__name__).warning)
 if mujoco.get_mjcb_time() is None:
-    # Its bindings look at the clock a dozen times a step, a tenth of what a step takes, for `MjData.timer`, that nobody
-    # reads here. They have no function to switch that off; `mujoco.set_mjcb_time(time.perf_counter)` brings it back.
+    # Its bindings read the clock a dozen times a step for `MjData.timer`, which is not used here: a tenth of a step's
+    # time. They have no function to switch that off; `mujoco.set_mjcb_time(time.perf_counter)` restores it.
     ctypes.c_void_p.in_dll(ctypes.CDLL(mujoco._functions.__file__), "mjcb_time").value = None  # noqa: SLF001
 
 
 def check_physics(warnings: npt.NDArray[np.int32], what: str, *, where: str, fix: str) -> None:
-    """See that the physics of something is true so far.
+    """Check that the physics has been right so far.
 
     Args:
-        warnings: how often MuJoCo noted each (a view of its `data.warning.number`: looked up each time, it costs more).
-        what: has it.
-        where: to mend it.
-        fix: what to do where it diverged.
+        warnings: the count of each warning of MuJoCo (a view of `data.warning.number`, as each look-up costs time).
+        what: the robot or model, for the message.
+        where: for the message.
+        fix: what to do if the physics diverged.
 
     Raises:
-        LinkError: it diverged, and MuJoCo went on from the beginning as if nothing had been; or it left contacts out.
+        LinkError: the physics diverged, and MuJoCo went on after a silent reset; or it left contacts out.
     """
     counts = warnings.tolist()
     if not any(counts):
@@ -69,7 +69,7 @@ def _flat(numbers: Floats) -> memoryview[float]:
 
 
 class Rider(Protocol):
-    """What drives a body."""
+    """The drive of a body."""
 
     def correct(self) -> None:
         """Correct the motors' set points."""
@@ -79,10 +79,10 @@ class Physics:
     """The bodies of a world; all of them are always at the same step.
 
     Attributes:
-        steps: how many steps were made since the beginning.
+        steps: the number of steps since the beginning.
         traces: the wheels' angles (rad) and speeds (rad/s) and the motors' torques (N m), shape (rows, bodies, 2) each:
-            row i is the state after i steps, the left wheel before the right one. They are views that are made anew
-            as rows are added.
+            row i is the state after i steps, the left wheel before the right one. They are views, which are replaced
+            when rows are added.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class Physics:
         self._warnings = self._data.warning.number
         self._riders: list[Rider] = []
         self._has_sensors = False
-        # On a slope the motors hold their robot from the beginning on.
+        # On a slope the motors hold their robot from the beginning.
         self._data.act[:] = self._data.ctrl[:] = holding_torque(parameters) / parameters.servo_gain
         self.steps = 0
         mujoco.mj_step(self._model, self._data, nstep=_SETTLING_STEPS)
@@ -109,25 +109,25 @@ class Physics:
         return self._model, self._data
 
     def ride(self, rider: Rider) -> None:
-        """Have a rider correct its motors every `CORRECTION_STEPS` from now on."""
+        """Call a rider's `correct` every `CORRECTION_STEPS` from now on."""
         self._riders.append(rider)
 
     def body(self, number: int) -> BodyState:
-        """Return the state of a body, which changes with each step."""
+        """Return the state of a body as views, which change with each step."""
         return BodyState(self._data, number)
 
     def sense(self) -> None:
-        """Have the inertial sensors computed from now on: they take a fifteenth of the physics, and few read them."""
+        """Compute the inertial sensors from now on: they take a fifteenth of the time, and are rarely used."""
         if self._has_sensors:
             return
         self._has_sensors = True
         self._model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
-        now = copy(self._data)  # in the state itself, MuJoCo 3.2.4 would begin the next step elsewhere, by a hair
+        now = copy(self._data)  # in the state itself, MuJoCo 3.2.4 would slightly change the beginning of the next step
         mujoco.mj_forward(self._model, now)
         self._data.sensordata[:] = now.sensordata
 
     def advance(self, steps: int) -> None:
-        """Go on until this many steps were made since the beginning; those already made are not repeated.
+        """Advance to this number of steps since the beginning; earlier ones are not repeated.
 
         Raises:
             LinkError: the physics went wrong.
@@ -149,9 +149,9 @@ class Physics:
         check_physics(self._warnings, "simulated robot", where="Turtlebot3Parameters", fix=fix)
 
     def _keep(self, rows: list[Floats]) -> None:
-        """Keep what is traced in these rows."""
+        """Copy the traced values to these rows."""
         self._rows = rows
-        # Whole rows are copied, by memoryviews: 57,000 times a run, an assignment of NumPy's takes twice as long.
+        # By memoryviews, as an assignment in NumPy takes twice as long, and this happens 57,000 times a run.
         pairs = zip(rows, self._traced, strict=True)
         self._copies = [(_flat(kept), len(now), _flat(now)) for kept, now in pairs]
         positions, velocities, forces = rows
@@ -162,7 +162,7 @@ class Physics:
         ]
 
     def put_back(self, number: int) -> None:
-        """Put a body back where it settled at the beginning, and stop it; its wheels keep their angles."""
+        """Put a body back to where it settled at the beginning, and stop it; its wheels keep their angles."""
         place, speed = number * _POSITIONS, number * _VELOCITIES
         self._data.qpos[place : place + 7] = self._settled[place : place + 7]
         self._data.qvel[speed : speed + _VELOCITIES] = 0.0
@@ -172,14 +172,14 @@ class Physics:
 
 
 class BodyState:
-    """Views of one body's part of MuJoCo's arrays.
+    """Views of one body's parts of MuJoCo's arrays.
 
     Attributes:
         pose: x, y, z (m) and the quaternion w, x, y, z.
         wheel_speeds: left and right, rad/s.
         set_points: of the motors, as commanded, rad/s.
-        lagging: the set points as the motors follow them, rad/s.
-        sensed: gyroscope (rad/s) and accelerometer (m/s²), three numbers each; once `Physics.sense` was called.
+        lagging: the set points with the motors' lag, rad/s.
+        sensed: gyroscope (rad/s) and accelerometer (m/s²), three numbers each; valid after `Physics.sense`.
     """
 
     def __init__(self, data: mujoco.MjData, number: int) -> None:

@@ -1,4 +1,4 @@
-"""The power meter: an INA219 on the battery's lead, and the microcontroller that sends its registers."""
+"""The power meter: an INA219 in the battery's lead, and the microcontroller that sends its registers."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _SAMPLE_LAYOUT = np.dtype(
     ]
 )
 
-# What each value of the checksum's high byte turns into: CRC-16 with polynomial 0x1021, most significant bit first.
+# The checksum's table, by its high byte: CRC-16 with polynomial 0x1021, most significant bit first.
 _CHECKSUM_STEPS = np.array([binascii.crc_hqx(bytes([high]), 0) for high in range(256)], dtype=np.uint16)
 
 
@@ -46,8 +46,8 @@ def hello_frame(*, sequence: int, time: int, rate: int, shunt: int, configuratio
     """Return a hello frame.
 
     Args:
-        sequence: the number that the next sample will carry; of it the lower 16 bits are sent.
-        time: the device's clock in µs; of it the lower 32 bits are sent.
+        sequence: the number of the next sample; its lower 16 bits are sent.
+        time: the device's clock in µs; its lower 32 bits are sent.
         rate: samples a second.
         shunt: the shunt's resistance in µΩ.
         configuration: the sensor's configuration register.
@@ -71,8 +71,8 @@ def sample_frames(
     """Return many sample frames, one after the other, `SAMPLE_SIZE` bytes each.
 
     Args:
-        sequences: the samples' numbers; of each the lower 16 bits are sent.
-        times: the device's clock in µs; of each the lower 32 bits are sent.
+        sequences: the samples' numbers; their lower 16 bits are sent.
+        times: the device's clock in µs; their lower 32 bits are sent.
         shunts: the shunt voltage register, -32768..32767.
         buses: the bus voltage register, 0..65535.
     """
@@ -108,20 +108,19 @@ _CONVERSION_READY = 0b10
 _SECOND_NS = 1_000_000_000
 _BYTE_NS = 10 * _SECOND_NS // 115200  # 8 data bits, a start and a stop bit
 _HELLO_REQUEST = b"?"
-_SEQUENCES = 2**16  # hellos go by the number as it is sent, which wraps
+_SEQUENCES = 2**16  # hellos depend on the number as it is sent, which wraps
 
 
 class Ina219Meter:
-    """The device, switched on when it is made: opening the port of an Arduino resets it.
+    """The device, switched on by its constructor, as opening the port of an Arduino resets it.
 
-    Its numbers and its clock begin at 0 then. Its beat is laid on that of the simulation, and the noise of a sample is
-    that of its moment: power is known at the simulation's points only, so a beat beside them would tell nothing more,
-    and no sample depends on when the port was opened.
+    Its sample numbers and its clock begin at 0 then. Samples are taken at points of the simulation's grid, as power is
+    known only there, with the noise of their moment: so no sample depends on when the port was opened.
 
     Args:
         clock: the simulation's clock.
-        supply: the currents and voltages that the sensor sees.
-        reach: brings `supply` up to a step of the simulation's grid.
+        supply: the currents and voltages at the sensor.
+        reach: computes `supply` up to a step of the simulation's grid.
         noise: the noise of the sensor's converters.
     """
 
@@ -140,20 +139,20 @@ class Ina219Meter:
         self._reach = reach
         self._noise = noise
         self._rate = parameters.meter_rate
-        self._first = -(-clock.now_ns * self._rate // _SECOND_NS)  # the first beat from now on
+        self._first = -(-clock.now_ns * self._rate // _SECOND_NS)  # the first sample from now on
         self._first_ns = self._first * _SECOND_NS // self._rate
         self._next = 0  # the number of the next sample
-        self._hello_before = 0  # the sample before which a hello is due beyond the regular ones
+        self._hello_before = 0  # the sample before which an additional hello is due
 
     def write(self, data: bytes) -> None:
-        """Take bytes from the host: a `?` asks for a hello before the next sample."""
+        """Take bytes from the host: a `?` requests a hello before the next sample."""
         if _HELLO_REQUEST in data:
             self._hello_before = self._clock.now_ns * self._rate // _SECOND_NS + 1 - self._first
 
     def arrived(self) -> list[Chunk]:
         """Return the chunks that have arrived since the last call, oldest first.
 
-        What came without a pause comes together: an adapter such as the CH340 hands it over once the line is silent.
+        Bytes without a pause come in one chunk: an adapter such as the CH340 delivers them once the line is silent.
         """
         numbers = np.arange(self._next, self._next + self._count_arrived())
         if not len(numbers):
@@ -171,7 +170,7 @@ class Ina219Meter:
         return chunks
 
     def _count_arrived(self) -> int:
-        # A sample counts once its frame, and a hello before it, are through the line.
+        # A sample counts once its frame, and a hello before it, are completely transmitted.
         line_ns = (SAMPLE_SIZE + HELLO_SIZE) * _BYTE_NS
         due = (self._clock.now_ns - line_ns) * self._rate // _SECOND_NS + 1 - self._first
         return max(0, due - self._next)

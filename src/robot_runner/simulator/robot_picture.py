@@ -17,18 +17,18 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-#: From where it is looked at: m away, degrees around and above.
+#: The viewpoint: distance in m, azimuth and elevation in degrees.
 _DISTANCE, _AZIMUTH, _ELEVATION = 1.1, 140.0, -30.0
 
 
 class RobotPicture:
-    """Renders the robot wherever it is told to be.
+    """Renders the robot at any place.
 
     Args:
         width, height: of the pictures, pixels.
 
     Raises:
-        Exception: this machine cannot render off screen; which one depends on its graphics library.
+        Exception: this machine cannot render off screen; the type depends on its graphics library.
     """
 
     def __init__(self, width: int, height: int) -> None:
@@ -42,7 +42,7 @@ class RobotPicture:
         self._camera.distance, self._camera.azimuth, self._camera.elevation = _DISTANCE, _AZIMUTH, _ELEVATION
 
     def png(self, x: float, y: float, heading: float) -> bytes:
-        """Return a picture of the robot at a place in the arena (m), looking along a heading (rad)."""
+        """Return a picture of the robot at a place in the arena (m) with a heading (rad)."""
         self._data.qpos[:7] = (x, y, self._height, math.cos(heading / 2), 0, 0, math.sin(heading / 2))
         mujoco.mj_forward(self._model, self._data)
         self._camera.lookat[:] = (x, y, 0.1)
@@ -53,7 +53,7 @@ class RobotPicture:
 def _png(pixels: npt.NDArray[np.uint8]) -> bytes:
     """Return pixels (height x width x 3) as PNG: https://www.w3.org/TR/png-3/."""
     height, width, _ = pixels.shape
-    lines = b"".join(b"\0" + row.tobytes() for row in pixels)  # filter 0: as they are
+    lines = b"".join(b"\0" + row.tobytes() for row in pixels)  # filter 0: none
     head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
     parts = (b"IHDR", head), (b"IDAT", zlib.compress(lines, 3)), (b"IEND", b"")
     return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(*part) for part in parts)

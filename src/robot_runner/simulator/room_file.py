@@ -1,4 +1,4 @@
-"""Reads a room from a TOML file: walls, boxes, cylinders, and where robots start."""
+"""Reads a room from a TOML file: walls, boxes, cylinders, and the starts of robots."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from robot_runner.core.errors import Finding, LinkError, did_you_mean
 from robot_runner.core.links.graph_names import namespace_prefix
 from robot_runner.simulator.rooms import WALL_HEIGHT, Cylinder, Obstacle, Pose, Room, Wall
 
-#: A room of a thousand walls has 100 kB; what is longer is no room.
+#: The largest file, bytes; a room of a thousand walls has 100 kB.
 _LARGEST = 4 * 1024 * 1024
 _THICKNESS = 0.1
-#: No room is larger (m), and the physics still tells places in it apart.
+#: The largest coordinate (m): no room is larger, and the physics is still precise enough there.
 _FARTHEST = 1e6
-#: A robot's body reaches so far (m) from its axle at most: 101 mm behind, 89 mm to its sides (ROBOTIS' URDF).
+#: A radius (m) around the axle with the whole body: 101 mm behind, 89 mm to the sides (ROBOTIS' URDF).
 _ROBOT_RADIUS = 0.14
 _GUIDE = "Look at docs/simulator-rooms.md for what a room is made of."
 
@@ -28,12 +28,12 @@ def read_room(path: Path) -> Room:
     """Return the room that a TOML file describes.
 
     Raises:
-        LinkError: the file cannot be read, or describes no room; all that is wrong with it is in `findings`.
+        LinkError: the file cannot be read, or describes no room; `findings` lists all problems.
     """
     try:
         if path.stat().st_size > _LARGEST:
             raise LinkError("the file is longer than any room", where=str(path), fix=_GUIDE)
-        if not path.is_file():  # whoever opens a named pipe waits until somebody writes
+        if not path.is_file():  # opening a named pipe would block until somebody writes
             raise LinkError("the room is no regular file", where=str(path), fix="Make it a file that can be read.")
         described = tomllib.loads(path.read_text("utf-8"))
     except FileNotFoundError as error:
@@ -50,7 +50,7 @@ def read_room(path: Path) -> Room:
 
 
 def room_of(described: Mapping[str, Any], *, where: str) -> Room:
-    """Return the room that plain data describes.
+    """Return the room of plain data.
 
     Example:
         >>> room = room_of({"cylinder": [{"at": [1.0, 0.0], "radius": 0.1}]}, where="room.toml")
@@ -58,7 +58,7 @@ def room_of(described: Mapping[str, Any], *, where: str) -> Room:
         (Cylinder(x=1.0, y=0.0, radius=0.1, height=0.5),)
 
     Raises:
-        LinkError: it describes no room; all that is wrong with it is in `findings`.
+        LinkError: the data describe no room; `findings` lists all problems.
     """
     reading = _Reading(where)
     for unknown in described.keys() - _TABLES.keys():
@@ -78,7 +78,7 @@ def room_of(described: Mapping[str, Any], *, where: str) -> Room:
 
 
 def _check_starts(room: Room, reading: _Reading) -> None:
-    """See that nothing stands where a robot starts."""
+    """Check that there is no obstacle or other robot where a robot starts."""
     starts = dict(room.robots) or {"": room.start("")}
     for namespace, pose in starts.items():
         if room.clearance(pose.x, pose.y) < _ROBOT_RADIUS:
@@ -93,7 +93,7 @@ def _check_starts(room: Room, reading: _Reading) -> None:
 
 @dataclass(slots=True)
 class _Reading:
-    """Gathers what is wrong while tables are read."""
+    """Collects findings while tables are read."""
 
     where: str
     findings: list[Finding] = field(default_factory=list)
@@ -102,7 +102,7 @@ class _Reading:
         self.findings.append(Finding.error(self.where, f"{what} {problem}", fix))
 
     def tables(self, described: Mapping[str, Any], kind: str, make: Callable[[_Table], Any]) -> list[Any]:
-        """Return what is made of each table of a kind."""
+        """Return the object made of each table of a kind."""
         given = described.get(kind, [])
         tables = given if isinstance(given, list) else [given]
         made = []
@@ -122,7 +122,7 @@ class _Reading:
 
 @dataclass(slots=True)
 class _Table:
-    """One table, of which keys are taken; a key that is left at the end is one too many."""
+    """One table, whose keys are taken one by one; keys that are left at the end are unknown."""
 
     reading: _Reading
     what: str
@@ -179,7 +179,7 @@ def _wall(table: _Table) -> Wall:
     length = math.hypot(to_x - x, to_y - y)
     if length == 0:
         table.reading.refuse(table.what, "ends where it begins", "Give two places for from and to.")
-    # Half a thickness longer at both ends, so that walls which meet in a corner leave no gap.
+    # Half a thickness longer at both ends, so that walls leave no gap in a corner.
     half = (length + thickness) / 2
     return Wall((x + to_x) / 2, (y + to_y) / 2, half, thickness / 2, math.atan2(to_y - y, to_x - x), height)
 

@@ -1,4 +1,4 @@
-"""Rooms: walls, boxes and cylinders on a level, where robots start in them, and what a ray meets."""
+"""Rooms: walls, boxes and cylinders on a plane, the starts of robots, and the lengths of rays."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WALL_HEIGHT = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where something truly is: metres and radians (-pi..pi) in the room."""
+    """A true pose in the room: metres and radians (-pi..pi)."""
 
     x: float
     y: float
@@ -25,7 +25,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Wall:
-    """An upright box: its centre, the halves of its sides and its height in metres, turned by `yaw` radians."""
+    """An upright box: its centre, half its sides and its height in metres, turned by `yaw` radians."""
 
     x: float
     y: float
@@ -65,18 +65,18 @@ ARENA = (
     Wall(1.25, -2.05, 2.85, 0.05),
     Wall(1.0, -1.2, 0.15, 0.15),
 )
-#: Where a robot starts unless its room says otherwise.
+#: The default start of a robot.
 ORIGIN = Pose(0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """What stands in a room, and where its robots start.
+    """The obstacles of a room, and the starts of its robots.
 
     Attributes:
-        obstacles: all that stands in it, the walls around included.
-        robots: where each robot starts, by namespace (empty, or `/alice`). Two or more live in one world, where they
-            see and hit each other. Without any, each robot that is asked for starts at the origin of a copy of its own.
+        obstacles: all of them, including the walls around.
+        robots: the start of each robot, by namespace (empty, or `/alice`). Two or more are in one world, where they
+            see and hit each other. If empty, each requested robot starts at the origin of its own copy of the room.
 
     Example:
         >>> Room((Cylinder(1.0, 0.0, 0.1),)).clearance(0.0, 0.0)
@@ -92,22 +92,22 @@ class Room:
         return len(self.robots) > 1
 
     def start(self, namespace: str) -> Pose:
-        """Return where the robot of a namespace starts."""
+        """Return the start of the robot of a namespace."""
         return self.robots.get(namespace, ORIGIN)
 
     def clearance(self, x: float, y: float) -> float:
-        """Return how far (m) a point is from the nearest obstacle; 0 within one, infinite where there is none."""
+        """Return the distance (m) of a point from the nearest obstacle; 0 within one, infinite if there is none."""
         return min((each.distance(x, y) for each in self.obstacles), default=math.inf)
 
 
-#: Where the embedded robot lives unless it is told otherwise.
+#: The default room of the embedded robot.
 DEFAULT_ROOM = Room()
 
 
 def ray_distances(obstacles: Sequence[Obstacle], x: float, y: float, angles: Floats) -> Floats:
-    """Return how far (m) each ray from a point goes to the first obstacle; infinite where it meets none.
+    """Return the length (m) of each ray from a point to the first obstacle; infinite if it meets none.
 
-    A ray that begins within an obstacle does not meet that one.
+    A ray that begins within an obstacle ignores it.
     """
     directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     walls = [each for each in obstacles if isinstance(each, Wall)]
@@ -130,7 +130,7 @@ def _to_walls(walls: Sequence[Wall], x: float, y: float, directions: Floats) -> 
     centres = _turned(np.array([(wall.x - x, wall.y - y) for wall in walls]), turns)
     halves = np.array([(wall.half_x, wall.half_y) for wall in walls])
     own = _turned(directions[:, np.newaxis, :], turns)
-    # A ray along an axis never enters or never leaves the sides along that axis: infinities are meant.
+    # A ray along an axis never enters or never leaves the sides along that axis: infinities are intended.
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         one_side = (centres - halves) / own
         other_side = (centres + halves) / own
@@ -142,20 +142,20 @@ def _to_walls(walls: Sequence[Wall], x: float, y: float, directions: Floats) -> 
 
 
 def _turned(vectors: Floats, turns: Floats) -> Floats:
-    """Return vectors (… x 2) in the axes of boxes that are turned by so many radians."""
+    """Return vectors (… x 2) in the axes of boxes that are turned by `turns` radians."""
     cosines, sines = np.cos(turns), np.sin(turns)
     x, y = vectors[..., 0], vectors[..., 1]
     return np.stack([x * cosines + y * sines, y * cosines - x * sines], axis=-1)
 
 
 def _to_cylinders(cylinders: Sequence[Cylinder], x: float, y: float, directions: Floats) -> Floats:
-    """Return the distances to upright cylinders: where a ray first meets a circle."""
+    """Return the distances to upright cylinders: to the first intersection of a ray and a circle."""
     centres = np.array([(each.x - x, each.y - y) for each in cylinders])
     radii = np.array([each.radius for each in cylinders])
     along = directions @ centres.T
     beside = (centres**2).sum(axis=1) - along**2
     with np.errstate(invalid="ignore"):
-        entry = along - np.sqrt(radii**2 - beside)  # NaN where the ray passes by
+        entry = along - np.sqrt(radii**2 - beside)  # NaN if the ray misses
     hits = np.where(entry >= 0, entry, np.inf)
     nearest: Floats = hits.min(axis=1)
     return nearest

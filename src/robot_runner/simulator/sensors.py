@@ -1,4 +1,4 @@
-"""What the robot publishes: each sensor's reading of this moment as a ROS message."""
+"""The robot's sensors and topics: current readings as ROS messages."""
 
 from __future__ import annotations
 
@@ -71,8 +71,8 @@ def imu(
 def laser_scan(now_ns: int, true: Floats, noise: Floats, parameters: Turtlebot3Parameters) -> Message:
     """Return a sensor_msgs/LaserScan of true distances (m) all around, counter-clockwise from straight ahead.
 
-    As REP 117 has it, a distance is infinite where nothing is in range, and minus infinity where something is too near
-    to be measured.
+    By REP 117, a distance is infinite if nothing is in range, and minus infinity if something is too near to be
+    measured.
     """
     ranges = true * (1 + parameters.scan_deviation / 100 * noise)
     ranges[ranges > parameters.scan_maximum] = np.inf
@@ -83,7 +83,7 @@ def laser_scan(now_ns: int, true: Floats, noise: Floats, parameters: Turtlebot3P
         "angle_min": 0.0,
         "angle_max": increment * (len(ranges) - 1),
         "angle_increment": increment,
-        "time_increment": 0.0,  # the simulated turn happens in one moment
+        "time_increment": 0.0,  # the simulated scan takes no time
         "scan_time": 1 / parameters.scan_rate,
         "range_min": parameters.scan_minimum,
         "range_max": parameters.scan_maximum,
@@ -95,7 +95,7 @@ def laser_scan(now_ns: int, true: Floats, noise: Floats, parameters: Turtlebot3P
 def joint_state(
     now_ns: int, *, positions: list[float], velocities: list[float], names: Sequence[str] = _WHEEL_JOINTS
 ) -> Message:
-    """Return a sensor_msgs/JointState; left out, the joints are the two wheels', left and right."""
+    """Return a sensor_msgs/JointState; by default the joints are the two wheels', left and right."""
     return {
         "header": header(now_ns, "base_link"),
         "name": list(names),
@@ -124,14 +124,14 @@ def _diagonal(variance: float) -> list[float]:
 
 
 class PublishedTopic:
-    """A topic with its type, its rate and its subscribers. Messages are made only while there are any.
+    """A topic with its type, its rate and its subscribers. Messages are made only for subscribers.
 
     Args:
         clock: the simulation's clock.
         message_type: ROS name, such as `nav_msgs/Odometry`.
         rate: messages a second.
-        make: makes the message of this moment.
-        prepare: called before the first subscriber is taken; what it raises refuses it.
+        make: returns the current message.
+        prepare: called before the first subscription; an exception refuses the subscription.
     """
 
     def __init__(
@@ -152,7 +152,7 @@ class PublishedTopic:
         self._ticker: Ticker | None = None
 
     def listen(self, listener: Listener) -> Listening:
-        """Have `listener` called with each message while the clock is slept on, until the listening is closed."""
+        """Call `listener` with each message, during sleeps on the clock, until the result is closed."""
         self._prepare()
         listening = Listening(self)
         self._listeners[listening] = listener
@@ -161,16 +161,16 @@ class PublishedTopic:
         return listening
 
     def latest(self) -> dict[str, Any]:
-        """Return the message of this moment, whether or not anybody subscribes.
+        """Return the current message, also without subscribers.
 
         Raises:
-            LinkError: there is none to be had.
+            LinkError: no message can be made.
         """
         self._prepare()
         return self._make()
 
     def forget(self, listening: Listening) -> None:
-        """Call this subscriber no more; a topic without subscribers is no longer computed."""
+        """Remove a subscriber; a topic without subscribers is no longer computed."""
         self._listeners.pop(listening, None)
         if not self._listeners and self._ticker is not None:
             self._ticker.close()
@@ -179,7 +179,7 @@ class PublishedTopic:
     def _publish(self) -> None:
         message = self._make()
         for listening, listener in tuple(self._listeners.items()):
-            if listening in self._listeners:  # a listener before it may have ended it
+            if listening in self._listeners:  # an earlier listener may have closed it
                 listener(message)
 
 
@@ -190,7 +190,7 @@ class Listening:
         self._topic = topic
 
     def close(self) -> None:
-        """Receive no more messages; closing twice does nothing."""
+        """End the subscription; closing twice does nothing."""
         self._topic.forget(self)
 
 
@@ -201,19 +201,19 @@ _SCANNER_HEIGHT = 0.182  # above the floor (ROBOTIS' URDF: base_joint and scan_j
 
 
 def seen_by_scanner(obstacles: Sequence[Obstacle]) -> tuple[Obstacle, ...]:
-    """Return the obstacles that are high enough for the scanner's level."""
+    """Return the obstacles that reach the height of the scanner."""
     return tuple(each for each in obstacles if each.height >= _SCANNER_HEIGHT)
 
 
 def body_outline(parameters: Turtlebot3Parameters, pose: Pose) -> Wall:
-    """Return what another robot's scanner sees of a robot at a pose."""
+    """Return the outline of a robot at a pose, for the scanners of other robots."""
     x, y = pose.x + _SCANNER_X * math.cos(pose.yaw), pose.y + _SCANNER_X * math.sin(pose.yaw)
     return Wall(x, y, parameters.body_length / 2, parameters.body_width / 2, pose.yaw, parameters.body_height)
 
 
 @dataclass(frozen=True, slots=True)
 class SensorBoard:
-    """The robot's sensors; each method brings physics up to now, reads, and returns a message."""
+    """The robot's sensors; each method computes the physics up to now, and returns a message."""
 
     parameters: Turtlebot3Parameters
     clock: SimulatedClock
@@ -226,12 +226,12 @@ class SensorBoard:
     scan_noise: NumberedNoise
 
     def odom(self) -> dict[str, Any]:
-        """Return what the wheels' encoders say."""
+        """Return the odometry of the wheels' encoders."""
         self.powered.reach(self.clock.step)
         return odometry(self.clock.now_ns, self.wheels.latest())
 
     def imu(self) -> dict[str, Any]:
-        """Return angular velocity and acceleration with the noise of the sensor."""
+        """Return angular velocity and acceleration, with the sensor's noise."""
         self.powered.reach(self.clock.step)
         drive, noise = self.drive, self.imu_noise.of(self.clock.step)
         return imu(
@@ -239,7 +239,7 @@ class SensorBoard:
         )
 
     def scan(self) -> dict[str, Any]:
-        """Return the distances to what stands all around."""
+        """Return the distances to the obstacles all around."""
         self.powered.reach(self.clock.step)
         pose = self.drive.pose
         x = pose.x + _SCANNER_X * math.cos(pose.yaw)
@@ -248,7 +248,7 @@ class SensorBoard:
         return laser_scan(self.clock.now_ns, true, self.scan_noise.of(self.clock.step), self.parameters)
 
     def battery_state(self) -> dict[str, Any]:
-        """Return a sensor_msgs/BatteryState; as ROS has it, discharging is negative and the unmeasured is NaN."""
+        """Return a sensor_msgs/BatteryState; as in ROS, discharging is negative and unmeasured values are NaN."""
         step = self.clock.step
         self.powered.extend(step)
         charge, capacity = self.supply.charge(step), self.parameters.battery_capacity

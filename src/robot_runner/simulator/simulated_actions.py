@@ -1,4 +1,4 @@
-"""Actions on a simulation: goals are executed while its clock is slept on, at the same simulated times each time."""
+"""Actions on a simulation: goals are executed during sleeps on its clock, always at the same simulated times."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from robot_runner.simulator.simulated_clock import ClockWorker, SimulatedClock
 
 
 class SimulatedActions:
-    """The actions of a simulation, which all its links offer and call.
+    """The actions of a simulation, for all its links.
 
     Args:
-        clock: by which goals are executed.
-        offered: the actions that are offered, by full name.
-        types: what messages are made of.
+        clock: of the execution.
+        offered: the offered actions, by full name.
+        types: of messages.
     """
 
     def __init__(self, clock: SimulatedClock, offered: dict[str, SimulatedAction], types: GraphTypes) -> None:
@@ -32,15 +32,15 @@ class SimulatedActions:
         self._types = types
 
     def types(self, action_type: str) -> ActionTypes:
-        """Return what an action is made of."""
+        """Return the message types of an action."""
         return ros2_action_types(self._types, action_type)
 
     def actions(self) -> dict[str, str]:
-        """Return the type of each action that is offered, by full name."""
+        """Return the type of each offered action, by full name."""
         return {name: served.action_type for name, served in sorted(self._offered.items())}
 
     def client(self, action: str, action_type: str, timeout: float) -> _Client:
-        """Return what sends goals to an action; nobody can offer it while this is waited for."""
+        """Return a client of an action, without waiting for it: nobody could offer it during the wait."""
         del timeout
         served = self._offered.get(action)
         if served is None or served.action_type != action_type:
@@ -48,7 +48,7 @@ class SimulatedActions:
         return _Client(self._offered, served)
 
     def serve(self, action: str, action_type: str, server: GoalServer) -> SimulatedAction:
-        """Have goals executed by a server of this link."""
+        """Offer an action whose goals a server of this link executes."""
         if action in self._offered:
             raise already_offered(action, "the simulation", what="action")
         served = self._offered[action] = SimulatedAction(self._clock, self._offered, action_type, server)
@@ -56,7 +56,7 @@ class SimulatedActions:
 
 
 class SimulatedAction:
-    """An action that is offered on a simulation, until it is closed."""
+    """An action that is offered on a simulation until it is closed."""
 
     def __init__(
         self, clock: SimulatedClock, offered: dict[str, SimulatedAction], action_type: str, server: GoalServer
@@ -71,7 +71,7 @@ class SimulatedAction:
         server.connect(self)
 
     def close(self) -> None:
-        """Offer it no more; what still executes is stopped where it sleeps."""
+        """End the offer; goals that still execute are stopped in their sleep."""
         if self._offered.get(self.server.action) is self:
             del self._offered[self.server.action]
         for execution in self.server.executions:
@@ -81,19 +81,19 @@ class SimulatedAction:
         self.server.close()
 
     def tell_feedback(self, execution: Execution, message: Message) -> None:
-        """Hand on feedback, by the clock: whoever sent the goal hears it where it sleeps."""
+        """Pass on feedback at the current time: the sender of the goal gets it during its sleep."""
         sender = self.senders.get(execution.key)
         if sender is not None:
             self._clock.after(0.0, partial(sender.take_feedback, message))
 
     def tell_status(self, executions: Sequence[Execution]) -> None:
-        """Hand on the states of goals."""
+        """Pass on the states of goals."""
         for execution in executions:
             if execution.key in self.senders and not execution.status.is_over:
                 self.senders[execution.key].note(execution.status)
 
     def tell_result(self, execution: Execution, result: ActionResult) -> None:
-        """Hand on what came of a goal, after its feedback."""
+        """Pass on the result of a goal, after its feedback."""
         sender = self.senders.pop(execution.key, None)
         if sender is not None:
             self._clock.after(0.0, partial(sender.finish, result))
@@ -132,4 +132,4 @@ class _Client:
         return self._offered.get(self._action) is self._served
 
     def close(self) -> None:
-        """Do nothing: there is nothing to leave."""
+        """Do nothing, as the client holds no resources."""

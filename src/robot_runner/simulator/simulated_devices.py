@@ -1,4 +1,4 @@
-"""Links to the embedded robot beside its topics: its meter's serial line or terminal, and its on-board computer."""
+"""Links to the embedded robot besides its topics: its meter's serial line or terminal, and its on-board computer."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from robot_runner.simulator.simulated_turtlebot3 import SimulatedTurtlebot3, Sim
 
 _SECOND_NS = 1_000_000_000
 _HIGHEST_RATE = STEPS_PER_SECOND
-#: How often a sample is told to who watches, s of simulated time: a mission of 95 s is over in a second or two.
+#: The period of samples for live displays, simulated s: a mission of 95 s is over in a second or two.
 _TOLD_EVERY = 0.5
 
 
 class SimulatedSerialLine:
     """The serial line of a robot's power meter, which is switched on when the line is opened.
 
-    Each sample comes as a piece of its own, stamped with the simulation's time; a hello comes with that behind it.
+    Each sample comes in its own chunk, stamped with the simulation's time; a hello comes with the sample after it.
 
     Example:
         >>> from robot_runner.simulator.simulated_turtlebot3 import Simulation
@@ -48,7 +48,7 @@ class SimulatedSerialLine:
         return True
 
     def drain(self) -> list[Chunk]:
-        """Return, oldest first, everything that arrived since the last call.
+        """Return all chunks since the last call, oldest first.
 
         Raises:
             LinkError: the line was closed.
@@ -77,7 +77,7 @@ class SimulatedSerialLine:
 
 
 class SimulatedUtilisationSampler:
-    """A sampler on the on-board computer of a robot, started when it is made."""
+    """A sampler on the on-board computer of a robot, started by its constructor."""
 
     def __init__(self, robot: SimulatedTurtlebot3, clock: SimulatedClock, rate: float) -> None:
         self._robot = robot
@@ -89,7 +89,7 @@ class SimulatedUtilisationSampler:
         self._samples: list[UtilisationSample] | None = None
 
     def tell(self, on_sample: Callable[[Callable[[], UtilisationSample]], None]) -> None:
-        """Have samples told now and then, by what returns the one of that moment: the others are made at the end."""
+        """Call `on_sample` periodically with a function for the current sample: all others are made at the end."""
         self._ticker = self._clock.call_every(_TOLD_EVERY, lambda: on_sample(self._latest))
 
     def _latest(self) -> UtilisationSample:
@@ -138,10 +138,10 @@ class SimulatedHost:
         return True
 
     def sample_utilisation(self, rate: float) -> SimulatedUtilisationSampler:
-        """Begin to sample CPU and memory utilisation `rate` times a second, 200 at most.
+        """Start sampling CPU and memory utilisation `rate` times a second, 200 at most.
 
         Raises:
-            LinkError: the rate is not one that the computer can be sampled at, or the link was closed.
+            LinkError: the rate is out of range, or the link was closed.
         """
         if self._is_closed:
             raise LinkError(
@@ -167,16 +167,16 @@ _READ_SIZE = 4096
 
 
 class MeterTerminal:
-    """A pseudo-terminal behind which the meter is switched on whenever it is opened, as an Arduino is reset.
+    """A pseudo-terminal with the meter, which is switched on by each opening, as an Arduino is reset.
 
-    What is not read in time is lost, as on a serial line.
+    Bytes that are not read in time are lost, as on a serial line.
 
     Args:
-        simulation: whose robot's meter it is.
-        namespace: of that robot.
+        simulation: of the robot.
+        namespace: of the robot.
 
     Attributes:
-        port: where to open it; its name says that the meter is simulated.
+        port: its path, whose name shows that the meter is simulated.
 
     Example:
         >>> from robot_runner.simulator.simulated_turtlebot3 import Simulation
@@ -195,31 +195,31 @@ class MeterTerminal:
         tty.setraw(port)
         self.port = Path(self._folder.name) / SIMULATED_PORT
         self.port.symlink_to(os.ttyname(port))
-        os.close(port)  # from now on the device sees a hang-up while the port is not open
+        os.close(port)  # from now on the device gets a hang-up while the port is not open
         os.set_blocking(self._device, False)
         self._hang_up = select.poll()
         self._hang_up.register(self._device, 0)
 
     def exchange(self) -> None:
-        """Hand over what the meter has sent by now, and take what was sent to it."""
+        """Deliver the meter's bytes so far, and take those that were sent to it."""
         if self._hang_up.poll(0):
             self._line = None
             return
         if self._line is None:
             self._line = SimulatedSerialLine(self._simulation, namespace=self._namespace)
-        with suppress(OSError):  # there is nothing to read, or it was closed just now
+        with suppress(OSError):  # there is nothing to read, or the port was just closed
             self._line.write(os.read(self._device, _READ_SIZE))
-        with suppress(OSError):  # what came before was not read
+        with suppress(OSError):  # earlier bytes were not read
             for chunk in self._line.drain():
                 os.write(self._device, chunk.data)
 
     def enter(self, simulation: Simulation) -> None:
-        """Be the meter of this simulation from now on; it begins anew, as after a reset."""
+        """Switch to the meter of this simulation, which starts as after a reset."""
         self._simulation = simulation
         self._line = None
 
     def close(self) -> None:
-        """Take the port away; closing twice does nothing."""
+        """Remove the port; closing twice does nothing."""
         if self._device >= 0:
             os.close(self._device)
             self._device = -1

@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from robot_runner.simulator.simulated_turtlebot3 import SimulatedRobot, Simulation
 
 _STEP = STEP_NS / 1e9
-#: The shortest time that a simulated clock knows, s.
+#: The resolution of a simulated clock, s.
 _LEAST = 1e-9
 _NODE = "turtlebot3_node"
-#: What to do where no message came: the robot publishes all of its topics all the time.
+#: The fix if no message came, as the robot always publishes all of its topics.
 _SILENT = "Look at the condition, or give a longer timeout."
 
-# The types that the embedded robot takes and answers with are known without any ROS package.
+# The types of the embedded robot's commands and services are known without any ROS package.
 _VECTOR = Shape("geometry_msgs/Vector3", tuple(Field(axis, "float64") for axis in "xyz"))
 _MESSAGES: Mapping[str, Shape] = MappingProxyType(
     {"geometry_msgs/Twist": Shape("geometry_msgs/Twist", (Field("linear", _VECTOR), Field("angular", _VECTOR)))}
@@ -40,11 +40,11 @@ _RESPONSES: Mapping[str, Shape] = MappingProxyType({"std_srvs/Trigger": Shape("s
 
 
 class SimulatedRobotLink(GraphLink):
-    """A link to one robot of a simulation; callbacks are called while the simulation's clock is slept on.
+    """A link to one robot of a simulation; callbacks are called during sleeps on the simulation's clock.
 
-    Names and fields are checked against what the robot offers, so that a misspelt one is an error here and
-    not a robot that stands still. Its raw messages are those of ROS 2, which take the `rosbags` package. A task that
-    was started over this link is stopped when the link is closed.
+    Names and fields are checked against the robot's interface, so that a misspelt one is an error, and not a robot
+    that does not move. Its raw messages are those of ROS 2, which need the `rosbags` package. A task that was started
+    over this link is stopped when the link is closed.
 
     Example:
         >>> from robot_runner.simulator.simulated_turtlebot3 import Simulation
@@ -63,13 +63,13 @@ class SimulatedRobotLink(GraphLink):
 
 
 class SimulatedTypes:
-    """The types of the embedded robot, and those of ROS 2, which take the `rosbags` package.
+    """The types of the embedded robot, and those of ROS 2, which need the `rosbags` package.
 
-    Each method raises a `LinkError` for an unknown type, and where the package is needed and not installed.
+    Each method raises a `LinkError` for an unknown type, and if the package is needed but not installed.
     """
 
     def shape(self, message_type: str) -> Shape:
-        """Return what a message type is made of.
+        """Return the fields of a message type.
 
         Example:
             >>> SimulatedTypes().shape("geometry_msgs/Twist").names
@@ -78,23 +78,23 @@ class SimulatedTypes:
         return _MESSAGES.get(plain_type(message_type)) or _standard_types().shape(message_type)
 
     def request(self, service_type: str) -> Shape:
-        """Return what the request of a service type is made of."""
+        """Return the fields of a service type's request."""
         return _REQUESTS.get(plain_type(service_type)) or _standard_types().request(service_type)
 
     def response(self, service_type: str) -> Shape:
-        """Return what the response of a service type is made of."""
+        """Return the fields of a service type's response."""
         return _RESPONSES.get(plain_type(service_type)) or _standard_types().response(service_type)
 
     def definition(self, message_type: str) -> str:
-        """Return the text of a type's definition, followed by the types that it is made of."""
+        """Return the text of a type's definition, followed by those of the types in it."""
         return _standard_types().definition(message_type)
 
 
 class SimulatedTransport:
-    """The primitives of a graph link on a simulation; all its robots and offers are one graph.
+    """The primitives of a graph link to a simulation, whose robots and offers are one graph.
 
     Args:
-        simulation: to be reached.
+        simulation: with the robots.
         namespace: of the robot that this link commands.
     """
 
@@ -110,7 +110,7 @@ class SimulatedTransport:
         self._commands: dict[str, _CommandPublisher] = {}
 
     def advertise(self, topic: str, message_type: str, qos: Qos) -> _CommandPublisher:
-        """Return what commands the robot; it receives its commands and nothing else."""
+        """Return a publisher of one of the robot's command topics; it subscribes to no others."""
         del qos
         known = self._robot.command_topics
         name = self._own_name(topic, known, kind="topic that the robot subscribes")
@@ -120,9 +120,9 @@ class SimulatedTransport:
     def subscribe(
         self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
     ) -> ClosedBy:
-        """Have `receive` called with each message, at the rate of the real robot, while the clock is slept on.
+        """Call `receive` with each message, at the rate of the real robot, during sleeps on the clock.
 
-        Commands are heard as on a graph, so that they can be recorded.
+        Commands can be subscribed to, too, as on a graph, so that they can be recorded.
         """
         del qos, is_raw
         published, clock, types = self._published().get(topic), self._simulation.clock, self.topics()
@@ -168,7 +168,7 @@ class SimulatedTransport:
         return types
 
     def services(self) -> Mapping[str, str]:
-        """Return the type of each service of each robot of the simulation, and of what is offered to them."""
+        """Return the type of each service of each robot of the simulation, and of other offered services."""
         own = {
             f"{namespace}/{name}": service_type
             for namespace, robot in self._simulation.robots.items()
@@ -185,7 +185,7 @@ class SimulatedTransport:
         return self._robots_of(topic, lambda robot: {name: each.message_type for name, each in robot.topics.items()})
 
     def subscribers(self, topic: str) -> Sequence[GraphEndpoint]:
-        """Return the robot that subscribes a topic."""
+        """Return the robot that subscribes to a topic."""
         return self._robots_of(topic, lambda robot: robot.command_topics)
 
     def _robots_of(self, topic: str, types_of: Callable[[SimulatedRobot], Mapping[str, str]]) -> list[GraphEndpoint]:
@@ -197,18 +197,18 @@ class SimulatedTransport:
         ]
 
     def wait(self, event: threading.Event, seconds: float) -> None:
-        """Let the simulation's time go by until the event is set, for so many simulated seconds at most."""
+        """Sleep on the simulation's clock until the event is set, for `seconds` at most."""
         clock = self._simulation.clock
         deadline = clock.now() + seconds
         while not event.is_set() and clock.now() < deadline:
-            # What is left may round to no time at all, in which nothing would ever come.
+            # The rest may round to zero, in which no message would ever come.
             clock.sleep(max(_LEAST, min(_STEP, deadline - clock.now())))
 
     def close(self) -> None:
         """Stop the robot's task, if one was started here.
 
         Raises:
-            LinkError: the motors were switched off while the robot was driven from here, and nothing said so yet.
+            LinkError: the motors were switched off while the robot was driven over this link, if not reported yet.
         """
         if self._has_started_task:
             self._robot.call("task/stop")
@@ -216,7 +216,7 @@ class SimulatedTransport:
             each.check_motors()
 
     def _published(self) -> dict[str, PublishedTopic]:
-        """Return the topics that all robots publish, by full name: as on a graph, anybody can subscribe them."""
+        """Return the topics of all robots, by full name: as on a graph, anybody can subscribe to them."""
         robots = self._simulation.robots.items()
         return {f"{namespace}/{name}": topic for namespace, robot in robots for name, topic in robot.topics.items()}
 
@@ -235,7 +235,7 @@ class SimulatedTransport:
 
 
 class _CommandPublisher:
-    """Commands the robot, which keeps to a command until the next, or until its battery is too low."""
+    """Commands the robot, which executes a command until the next one, or until its battery is too low."""
 
     def __init__(self, robot: SimulatedRobot, topic: str, simulation: Simulation) -> None:
         self._robot = robot
@@ -255,17 +255,17 @@ class _CommandPublisher:
             self._simulation.clock.after(0.0, partial(_tell, subscribers, key, message))
 
     def reach(self) -> bool:
-        """Return at once: the robot is there."""
+        """Return at once, as the robot always receives."""
         return True
 
     def flush(self, seconds: float) -> None:
-        """Do nothing: a command is carried out at once."""
+        """Do nothing, as commands are executed at once."""
 
     def close(self) -> None:
-        """Do nothing: there is nothing to leave."""
+        """Do nothing, as the publisher holds no resources."""
 
     def check_motors(self) -> None:
-        """See, once, that the motors of a robot that is driven from here are on.
+        """Check that the motors of a robot that is driven over this link are on; raise the error only once.
 
         Raises:
             LinkError: they were switched off.
@@ -283,7 +283,7 @@ class _CommandPublisher:
 
 
 class _Reception(NamedTuple):
-    """A message of the simulation; its bytes are made only for subscribers who want them."""
+    """A message of the simulation; its bytes are made only for subscribers that need them."""
 
     message_type: str
     content: Message
@@ -298,7 +298,7 @@ class _Reception(NamedTuple):
 
 
 def _tell(subscribers: Mapping[object, Callable[[Message], None]], key: object, message: Message) -> None:
-    if key in subscribers:  # else it was closed meanwhile
+    if key in subscribers:  # otherwise it was closed meanwhile
         subscribers[key](message)
 
 
@@ -308,10 +308,10 @@ def _check_service_type(service: str, given: str, true: str) -> None:
 
 
 def _standard_types() -> TypeCatalogue:
-    """Return the types of ROS 2, as which the embedded robot's messages are laid out.
+    """Return the types of ROS 2, in which the embedded robot's messages are serialised.
 
     Raises:
-        LinkError: `rosbags`, which knows them, is not installed.
+        LinkError: `rosbags`, which has them, is not installed.
     """
     from robot_runner.ros.type_catalogue import TypeCatalogue  # noqa: PLC0415  # only for types that are not above
 

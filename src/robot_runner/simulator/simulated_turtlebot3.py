@@ -1,4 +1,4 @@
-"""One simulated TurtleBot3 Burger: topics, services, power meter, on-board computer, and the truth about it."""
+"""One simulated TurtleBot3 Burger: topics, services, power meter, on-board computer, and its true state."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ SERVICES = {
 
 
 class _World:
-    """What robots share: the room, its physics and each other; a robot that is alone has one of its own."""
+    """The room and the physics of one or more robots; a single robot has its own."""
 
     def __init__(self, room: Room, parameters: Turtlebot3Parameters, seed: int, namespaces: Sequence[str]) -> None:
         radii = [_wheel_radii(parameters, NoiseStreams(seed, each)) for each in namespaces]
@@ -61,7 +61,7 @@ class _World:
         return made
 
     def surroundings(self, namespace: str) -> Sequence[Obstacle]:
-        """Return what the scanner of the robot of this namespace can see: walls and other robots."""
+        """Return the obstacles for the scanner of the robot of this namespace: walls and other robots."""
         others = [body_outline(self._parameters, each.pose) for own, each in self._drives.items() if own != namespace]
         return (*self._walls, *others)
 
@@ -69,13 +69,13 @@ class _World:
 class SimulatedTurtlebot3:
     """A robot in its own copy of the room, or in one with others.
 
-    Physics and power are computed on demand, up to the clock's time and each step once.
+    Physics and power are computed on demand, up to the clock's time, and each step once.
 
     Attributes:
         namespace: its name in the simulation: empty, or `/alice`.
-        parameters: the figures that it is made of.
+        parameters: its parameters.
         topics: the topics that it publishes, by name within its namespace.
-        command_topics, services: those that it subscribes and offers, with their types.
+        command_topics, services: those that it subscribes to and offers, with their types.
 
     Example:
         >>> from robot_runner.simulator.simulated_turtlebot3 import Simulation
@@ -129,7 +129,7 @@ class SimulatedTurtlebot3:
 
     @property
     def is_moving(self) -> bool:
-        """Whether a wheel truly turns."""
+        """Whether a wheel turns."""
         self._powered.reach(self._clock.step)
         return self._drive.is_moving
 
@@ -140,18 +140,18 @@ class SimulatedTurtlebot3:
 
     @property
     def cut_off(self) -> CutOff | None:
-        """When its motors were switched off because the battery's voltage was too low; None if they are on."""
+        """The moment when low battery voltage switched its motors off; None if they are on."""
         self._powered.reach(self._clock.step)
         return self._powered.cut_off
 
     @property
     def energy(self) -> float:
-        """The energy in joules that the robot has truly drawn since the simulation began."""
+        """The true energy in joules that the robot has drawn since the beginning of the simulation."""
         self._powered.extend(self._clock.step)
         return float(self._supply.energy[-1])
 
     def drive(self, linear: float, angular: float) -> None:
-        """Drive at these velocities (m/s, rad/s), limited to what the robot can do, until told otherwise.
+        """Drive at these velocities (m/s, rad/s), within the robot's limits, until the next command.
 
         Raises:
             LinkError: one of them is no number.
@@ -163,12 +163,12 @@ class SimulatedTurtlebot3:
         self._powered.command(linear, angular)
 
     def command(self, topic: str, message: Mapping[str, Any]) -> None:
-        """Carry out a message of one of its `command_topics`."""
-        del topic  # there is one
+        """Execute a message of one of its `command_topics`."""
+        del topic  # there is only one
         self.drive(float(message["linear"]["x"]), float(message["angular"]["z"]))
 
     def put_back(self) -> None:
-        """Stand where it stood at the beginning, with its odometry at zero; its battery and its task go on."""
+        """Put the robot back to its start, with its odometry at zero; its battery and its task go on."""
         self._powered.reach(self._clock.step)
         self._drive.put_back()
         self._wheels.restart()
@@ -188,16 +188,16 @@ class SimulatedTurtlebot3:
     def utilisation(
         self, *, start_ns: int, stop_ns: int, rate: float, also_ns: Sequence[int] = ()
     ) -> list[UtilisationSample]:
-        """Return what the on-board computer sampled `rate` times a second (200 at most) between two past moments.
+        """Return the on-board computer's samples, `rate` a second (200 at most), between two past moments.
 
-        It did so at the other moments, too.
+        The moments `also_ns` are sampled, too.
         """
         self._powered.reach(self._clock.step)
         return self._computer.samples(start_ns=start_ns, stop_ns=stop_ns, rate=rate, also_ns=also_ns)
 
     @property
     def _next_step(self) -> int:
-        # What changes now shows from the next step on: this one's power may have been read already.
+        # A change now has its effect from the next step on, as this one's power may have been read already.
         return self._clock.step + 1
 
     def _seen(self, physics: Physics) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -229,17 +229,17 @@ def _wheel_radii(parameters: Turtlebot3Parameters, streams: NoiseStreams) -> tup
 class Simulation:
     """Robots by namespace on one clock, deterministic for a seed.
 
-    Each robot drives in its own copy of the room and neither sees nor touches others, unless the room says where two or
-    more of them start: those are in one world.
+    Each robot drives in its own copy of the room and neither sees nor touches others, unless the room has the starts of
+    two or more robots: those are in one world.
 
     Attributes:
-        clock: moves on only while it is slept on.
-        parameters: what its robots are made of.
-        room: where they live.
-        model: what its robots are made of instead of a TurtleBot3; None for those.
+        clock: advances only during sleeps on it.
+        parameters: of its robots.
+        room: of its robots.
+        model: of its robots; None for TurtleBot3s.
         real_time_factor: simulated seconds a real second; None for as fast as the physics goes.
-        offers: the services that others than the robots offer, by full name: their types and what answers.
-        actions: the actions that are offered, by full name.
+        offers: the services that others than the robots offer, by full name: their types and callbacks.
+        actions: the offered actions, by full name.
         command_subscribers: the callbacks that take the commands of each topic, by the topic's full name.
 
     Example:
@@ -271,14 +271,14 @@ class Simulation:
 
     @property
     def robots(self) -> Mapping[str, SimulatedRobot]:
-        """The robots that were asked for so far, by namespace: empty, or `/alice`."""
+        """The robots that were made so far, by namespace: empty, or `/alice`."""
         return MappingProxyType(self._robots)
 
     def turtlebot3(self, namespace: str = "") -> SimulatedTurtlebot3:
         """Return the TurtleBot3 of this namespace, as `robot` does.
 
         Raises:
-            LinkError: as `robot`, or the simulation's robots are no TurtleBot3.
+            LinkError: as for `robot`, or the simulation's robots are no TurtleBot3s.
         """
         found = self.robot(namespace)
         if isinstance(found, SimulatedTurtlebot3):
@@ -290,10 +290,10 @@ class Simulation:
         )
 
     def robot(self, namespace: str = "") -> SimulatedRobot:
-        """Return the robot of this namespace, which is made when it is first asked for.
+        """Return the robot of this namespace, which is made by the first call.
 
         Raises:
-            LinkError: the simulation was closed, or its room says where robots start and this is none of them.
+            LinkError: the simulation was closed, or its room has starts of robots, but none of this one.
         """
         if self._is_closed:
             raise LinkError(
@@ -307,7 +307,7 @@ class Simulation:
         return self._robots[full]
 
     def furnish(self, room: Room | None, model: RobotModel | None, *, where: str) -> None:
-        """Have its robots live in another room, or be made of another model; None leaves what it has.
+        """Change the room or the model of its robots; None leaves either as it is.
 
         Raises:
             LinkError: a robot was made already, or the model cannot be read again with its room.
@@ -316,7 +316,7 @@ class Simulation:
             fix = "List what loads the room before all systems that operate the robot."
             raise LinkError("the robot was made before its room was loaded", where=where, fix=fix)
         self.room, self.model = room or self.room, model or self.model
-        # One of them is the plugin's, and the other that of the robot's name or of another plugin.
+        # One of them is this plugin's, and the other is from the robot's name or from another plugin.
         if self.model is not None and self.room is not DEFAULT_ROOM and self.model.room is not self.room:
             self.model = self.model.within(self.room)
 
@@ -342,7 +342,7 @@ class Simulation:
             )
 
     def close(self) -> None:
-        """Let go of all robots; closing twice does nothing. The clock can still be read and slept on."""
+        """Release all robots; closing twice does nothing. The clock can still be used."""
         self._is_closed = True
         self._robots.clear()
         self.offers.clear()

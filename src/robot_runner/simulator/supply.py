@@ -1,6 +1,6 @@
-"""The robot's electrical side over time: power, energy, current and voltages, one value for each step.
+"""The robot's power supply over time: power, energy, current and voltages, one value for each step.
 
-Below the lowest voltage of the battery the motors are switched off.
+Below the cut-off voltage the motors are switched off.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from robot_runner.simulator.turtlebot3_parameters import Floats, Integers, Noise
 
 CELLS = 3
 
-# Open-circuit voltage of a cell at states of charge from 0 to 1, for a cell whose nominal voltage is 3.7 V.
+# Open-circuit voltage at states of charge from 0 to 1, of a cell with a nominal voltage of 3.7 V.
 _CHARGES = (0.0, 0.05, 0.10, 0.20, 0.35, 0.50, 0.65, 0.80, 0.90, 1.0)
 _CELL_VOLTAGES = (3.00, 3.40, 3.55, 3.65, 3.71, 3.77, 3.86, 3.98, 4.08, 4.20)
 _NOMINAL_CELL_VOLTAGE = 3.7
 _ZERO_CELSIUS = 273.15
-#: The temperature, degrees Celsius, at which a battery's figures are published.
+#: The temperature, degrees Celsius, of a battery's published figures.
 _REFERENCE_TEMPERATURE = 25.0
 _GAS_CONSTANT = 8.314  # J/(mol K)
 
 
 class Battery:
-    """A battery of three cells in series, with an inner resistance, behind a power meter's shunt.
+    """A battery of three cells in series, with an internal resistance, followed by a power meter's shunt.
 
-    Its state of charge counts energy against the published 11.1 V x 1.8 Ah, less what the cold holds back. An empty
-    battery stays at its lowest voltage.
+    Its state of charge is energy relative to the published 11.1 V x 1.8 Ah, less the loss by cold. An empty battery
+    stays at its lowest voltage.
 
     Attributes:
-        resistance: the inner one, in ohms, at the battery's temperature (Arrhenius' law).
+        resistance: the internal one, in ohms, at the battery's temperature (Arrhenius' law).
     """
 
     def __init__(self, parameters: Turtlebot3Parameters) -> None:
@@ -49,18 +49,18 @@ class Battery:
         self._voltages = [scale * voltage for voltage in _CELL_VOLTAGES]
 
     def charge(self, energy: Floats | float) -> Floats:
-        """Return the state of charge (0..1) after so many joules were drawn."""
+        """Return the state of charge (0..1) after this energy in joules was drawn."""
         return np.clip(self._initial - np.asarray(energy) / self._energy, 0.0, 1.0)
 
     def open_circuit_voltage(self, charge: Floats) -> Floats:
-        """Return the voltage in volts without load at these states of charge (0..1)."""
+        """Return the open-circuit voltage in volts at these states of charge (0..1)."""
         return np.interp(charge, _CHARGES, self._voltages)
 
     def current(self, power: Floats, energy: Floats) -> Floats:
-        """Return the current in amperes that feeds a load of so many watts behind inner resistance and shunt.
+        """Return the current in amperes into a load of this power in watts, after internal resistance and shunt.
 
-        The load takes power = current * (U - R * current); of the two solutions the smaller current is the stable one.
-        Where it asks for more than the battery can give, it gets the current at which that gives most: U / 2R.
+        The power of the load is current * (U - R * current); the smaller of the two solutions is the stable one. If the
+        load is larger than the battery's maximum power, the current is that of the maximum: U / 2R.
         """
         voltage = self.open_circuit_voltage(self.charge(energy))
         resistance = self.resistance + self._outer
@@ -73,22 +73,22 @@ class Battery:
 
 
 def _arrhenius(parameters: Turtlebot3Parameters) -> float:
-    """Return by what factor the inner resistance differs from that at 25 degrees Celsius."""
+    """Return the internal resistance relative to that at 25 degrees Celsius."""
     inverse = 1 / (_ZERO_CELSIUS + parameters.battery_temperature) - 1 / (_ZERO_CELSIUS + _REFERENCE_TEMPERATURE)
     return math.exp(parameters.battery_activation_energy / _GAS_CONSTANT * inverse)
 
 
 def motor_power(torques: Floats, speeds: Floats, parameters: Turtlebot3Parameters) -> Floats:
-    """Return the electrical power in watts that the load of both motors takes, without what turning itself costs.
+    """Return the electrical power in watts for the load of both motors, without the power of turning without load.
 
-    A motor's current is in proportion to its torque; it is lost in the winding as I²R, and works against the voltage
-    that the rotor induces. The winding's R is that of the data sheet's stall, and of what the rotor gives, the gears
-    lose a share. A motor that is pushed gives nothing back to the battery.
+    A motor's current is proportional to its torque. It causes the loss I²R in the winding, and works against the
+    voltage that the rotor induces. The winding's R is from the data sheet's stall figures, and the gears lose a share
+    of the rotor's power. A motor that is pushed returns nothing to the battery.
 
     Args:
         torques: of the left and the right wheel, N m, shape (steps, 2).
         speeds: of the left and the right wheel, rad/s, shape (steps, 2).
-        parameters: the robot's figures.
+        parameters: of the robot.
     """
     current = torques * (parameters.motor_stall_current / parameters.motor_stall_torque)
     resistance = parameters.battery_voltage / parameters.motor_stall_current
@@ -97,27 +97,27 @@ def motor_power(torques: Floats, speeds: Floats, parameters: Turtlebot3Parameter
 
 
 def _of_both(wheels: Floats) -> Floats:
-    """Return the sum of left and right; NumPy's along an axis takes four times as long for two of them."""
+    """Return the sum of left and right; NumPy's sum along an axis takes four times as long for two columns."""
     both: Floats = wheels[:, 0] + wheels[:, 1]
     return both
 
 
 def _published_load() -> float:
-    """Return the part of the published moving power that the load makes up: top speed, level floor, usual mass."""
+    """Return the part of the published moving power for the load, W: at top speed, level floor, default mass."""
     usual = Turtlebot3Parameters()
     torques = np.full((1, 2), rolling_torque(usual))
     return float(motor_power(torques, np.full((1, 2), usual.max_linear_velocity / usual.wheel_radius), usual)[0])
 
 
-# From this speed of a wheel on, its motor draws all of what turning costs it whatever the speed (rad/s).
+# From this speed of a wheel on (rad/s), its motor draws all of the power of turning, which then is constant.
 _TURNING_WHEEL_SPEED = 0.5
 
 
 class PowerModel:
     """The power that the robot draws at each step, computed for many steps at once and each step only once.
 
-    Base level (asleep until the first movement, awake after it), plus the motors, plus the task; each with
-    its seeded deviation, and noise from step to step on top.
+    Base level (asleep until the first movement, awake after it), plus the motors, plus the task; each with its seeded
+    deviation, and with additional noise at each step.
     """
 
     def __init__(
@@ -139,11 +139,11 @@ class PowerModel:
         self._task_powers = np.append(levels * parameters.task_power_factor, parameters.awake_power)
 
     def switch_motors_off(self, step: int) -> None:
-        """Have the motors draw nothing from this step on."""
+        """Make the motors draw no power from this step on."""
         self._off_from = step
 
     def between(self, first: int, last: int) -> Floats:
-        """Return the power in watts at each of the steps `first` to `last`; to be asked in order, without gaps."""
+        """Return the power in watts at each of the steps `first` to `last`; call it in order, without gaps."""
         noise = self._parameters.sample_power_deviation * self._noise.standard_normal(last - first + 1)
         power: Floats = (
             self._base(first, last)
@@ -171,7 +171,7 @@ class PowerModel:
         turning = np.minimum(np.abs(speeds) / _TURNING_WHEEL_SPEED, 1.0)
         running = np.abs(speeds) * (parameters.wheel_radius / parameters.max_linear_velocity)
         rotation = _of_both(share * turning + (1 - share) * running) / 2
-        # The published power is that of a robot with a load: what is not the usual load comes on top.
+        # The published power includes the default load: only the difference from it is added.
         load = motor_power(self._drive.motor_torques[first : last + 1], speeds, parameters)
         usual_load = self._published_load * (_of_both(running) / 2)
         drawn: Floats = np.maximum(self._turning_cost * rotation + load - usual_load, 0.0)
@@ -186,7 +186,7 @@ class PowerModel:
 
 
 class _Wandering:
-    """Noise that wanders slowly: a normal value for each second, with straight lines in between."""
+    """Slow noise: a normal value for each second, linearly interpolated."""
 
     def __init__(self, noise: np.random.Generator, deviation: float) -> None:
         self._noise = noise
@@ -205,7 +205,7 @@ _INITIAL_STEPS = 4096
 
 
 class PowerSupply:
-    """What the battery gives and the robot draws, computed as far as was asked for."""
+    """The power supply of the robot by its battery, computed on demand."""
 
     def __init__(self, model: PowerModel, battery: Battery, *, shunt: float) -> None:
         self._model = model
@@ -230,7 +230,7 @@ class PowerSupply:
         return self._rows[: self._known, 2]
 
     def bus_voltage(self, steps: Integers) -> Floats:
-        """Return the voltage in volts behind the shunt, where the robot is connected, at these steps."""
+        """Return the voltage in volts after the shunt, where the robot is connected, at these steps."""
         return self.terminal_voltage(steps) - self._shunt * self.current[steps]
 
     def terminal_voltage(self, steps: Integers) -> Floats:
@@ -250,7 +250,7 @@ class PowerSupply:
             self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
         power = self._model.between(first, step)
         drawn = self._rows[first - 1, 1] if first else 0.0
-        # One sum from the beginning on, so that it does not matter in which pieces it was asked for.
+        # One sum from the beginning, so that the result does not depend on the pieces of the computation.
         energy = np.cumsum(np.concatenate([[drawn], power / STEPS_PER_SECOND]))[1:]
         rows = self._rows[first : step + 1]
         rows[:, 0], rows[:, 1], rows[:, 2] = power, energy, self._battery.current(power, energy)
@@ -262,28 +262,28 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class CutOff:
-    """When (s on the simulation's clock) the motors were switched off, and the battery's voltage (V) at that moment."""
+    """The time (s on the simulation's clock) when the motors were switched off, and the battery's voltage (V) then."""
 
     time: float
     voltage: float
 
 
 class ProtectedDrive:
-    """Brings the body and its supply up to a step, and switches the motors off once the battery is too low.
+    """Computes the body and its supply up to a step, and switches the motors off if the battery is too low.
 
-    The voltage is looked at once a second, at whole seconds of the simulation's clock, so that it makes no difference
-    when somebody asks for the robot's state. Robots of one world move on together, so each is looked at whenever one of
-    them is asked for.
+    The voltage is checked once a second, at whole seconds of the simulation's clock, so that the result does not depend
+    on when the robot's state is requested. Robots of one world advance together, so all are checked when the state of
+    one is requested.
 
     Args:
-        parameters: the robot's figures.
+        parameters: of the robot.
         drive: its body.
-        model: what it draws.
+        model: of its power.
         supply: its battery over time.
-        together: all the protected drives of its world, which this one joins.
+        together: all the protected drives of its world, to which this one is added.
 
     Attributes:
-        cut_off: when and at which voltage the motors were switched off; None while they are on.
+        cut_off: the time and the voltage at which the motors were switched off; None while they are on.
     """
 
     def __init__(
@@ -303,24 +303,24 @@ class ProtectedDrive:
         self.cut_off: CutOff | None = None
 
     def command(self, linear: float, angular: float) -> None:
-        """Drive at these velocities (m/s, rad/s) until told otherwise; motors that were switched off do not."""
+        """Drive at these velocities (m/s, rad/s) until the next command, unless the motors were switched off."""
         if self.cut_off is None:
             self._drive.command(linear, angular)
 
     def reach(self, step: int) -> None:
-        """Bring the body up to a step."""
+        """Advance the body to a step."""
         for second in range(self._drive.steps // STEPS_PER_SECOND + 1, step // STEPS_PER_SECOND + 1):
             for each in self._together:
                 each.look(second)
         self._drive.advance(step)
 
     def extend(self, step: int) -> None:
-        """Bring the body and its supply up to a step."""
+        """Advance the body and its supply to a step."""
         self.reach(step)
         self._supply.extend(step)
 
     def look(self, second: int) -> None:
-        """Look at the voltage at this second, and switch the motors off where it is too low."""
+        """Check the voltage at this second, and switch the motors off if it is too low."""
         if self.cut_off is not None:
             return
         step = second * STEPS_PER_SECOND

@@ -1,4 +1,4 @@
-"""Seeded noise: a stream of its own for each source, so that no source's noise depends on who else is listened to."""
+"""Parameters of the simulated TurtleBot3, and seeded noise with one stream for each source, independent of others."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_runner.core.errors import LinkError
 from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
 
-#: Arrays, as signatures name them.
+#: Types of arrays in signatures.
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
@@ -22,9 +22,9 @@ _MAY_BE_ZERO = (
     *("_deviation", "cpu_", "memory_", "initial_charge", "rolling_resistance"),
     *("activation_energy", "cold_loss", "cut_off_voltage"),
 )
-#: What has a largest value, or may be negative: a slope that rises by as much as it is long, the temperatures at which
-#: lithium-polymer batteries can be discharged at all, pictures that a laptop renders without a graphics card, what
-#: happens at the points of the simulation's grid, and what the meter can say of its shunt in whole microhms.
+#: Parameters with a largest value, or that may be negative: slopes up to 45 degrees, the temperatures at which
+#: lithium-polymer batteries can be discharged, pictures that a laptop can render without a graphics card, rates up to
+#: that of the simulation's grid, and shunts that the meter can send in whole microhms.
 _BOUNDS = {
     "floor_slope": (-100.0, 100.0),
     "battery_temperature": (-30.0, 60.0),
@@ -39,29 +39,29 @@ _BOUNDS = {
     "meter_shunt": (0.001, 100.0),
     "encoder_ticks": (1, 2**31),
 }
-#: What is a share of a whole; a task's load comes on top of that of the idle computer.
+#: Beginnings of the names of shares of a whole; a task's load is added to that of the idle computer.
 _SHARES = ("initial_charge", "turning_motor_share", "motor_efficiency", "cpu_", "memory_")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Turtlebot3Parameters:
-    """What the simulated TurtleBot3 Burger is made of. SI units; shares of a whole in percent (0..100).
+    """The parameters of the simulated TurtleBot3 Burger. SI units; shares of a whole in percent (0..100).
 
-    A `…_deviation` is the standard deviation of seeded noise. A `cpu_…` or `memory_…` of a task is what the
-    task adds to the idle computer; a `…_power` is what the whole robot draws in that state (paper, Fig. 4).
+    A `…_deviation` is the standard deviation of seeded noise. A `cpu_…` or `memory_…` of a task is added to that of the
+    idle computer; a `…_power` is the power of the whole robot in that state (paper, Fig. 4).
 
     Attributes:
-        moving_power: at top speed on a level floor, of a robot with the mass and the rolling resistance given here.
-        floor_slope: by how much the floor rises along x, in percent of the way; negative: it falls.
-        rolling_resistance: the force that holds a rolling robot back, as a share of its weight.
+        moving_power: at top speed on a level floor, with the default mass and rolling resistance.
+        floor_slope: the rise of the floor along x, in percent of the way; negative if it falls.
+        rolling_resistance: the resisting force on a rolling robot, as a share of its weight.
         battery_temperature: in degrees Celsius.
-        battery_cold_loss: percent of the capacity that are lost with each kelvin below 25 degrees Celsius.
+        battery_cold_loss: loss of capacity for each kelvin below 25 degrees Celsius, in percent.
         cut_off_voltage: the voltage at the battery's terminals below which the motors are switched off; 0 for never.
-        task_power_factor: multiplies the power that the robot draws while a task runs, so that two versions
-            of a software can be compared: with 1.1 every task draws 10 % more.
+        task_power_factor: multiplies the robot's power while a task runs, so that two versions of a software can be
+            compared: with 1.1 the power is 10 % higher during every task.
 
     Raises:
-        LinkError: a figure is no finite number, or is negative, zero or out of its range where that cannot be.
+        LinkError: a parameter is no finite number, or is negative, zero or out of its range where that is invalid.
 
     Example:
         >>> Turtlebot3Parameters(task_power_factor=1.1).wheel_radius
@@ -171,13 +171,13 @@ class Turtlebot3Parameters:
 
     @property
     def max_wheel_speed(self) -> float:
-        """The highest speed of a wheel in rad/s, as the highest turning rate of the robot implies it."""
+        """The highest speed of a wheel in rad/s, from the robot's highest velocity and turning rate."""
         ground_speed = max(self.max_linear_velocity, self.max_angular_velocity * self.wheel_separation / 2)
         return ground_speed / self.wheel_radius
 
 
 def _refused(name: str, value: float, *, is_whole: bool) -> str:
-    """Return what to give instead of a value that a parameter cannot have; empty where it can."""
+    """Return the fix for an invalid value of a parameter; empty if it is valid."""
     number = "whole number" if is_whole else "number"
     if isinstance(value, bool) or not isinstance(value, int if is_whole else int | float):
         return f"Give a {number}."
@@ -193,19 +193,19 @@ def _refused(name: str, value: float, *, is_whole: bool) -> str:
 
 
 _SEED_BITS = 64
-#: How many numbers' noise is drawn at once.
+#: The noise of this many numbers is drawn at once.
 _BLOCK = 256
 
 
 class NumberedNoise:
-    """Normal noise by number, such as that of a step of the simulation's grid.
+    """Normal noise by number, such as the number of a step of the simulation's grid.
 
-    A number has the same noise whenever it is asked for, and whatever was asked for before: what a sensor reads at a
-    moment does not depend on when the sensor was switched on.
+    The noise of a number does not depend on earlier calls: so the reading of a sensor at a moment does not depend on
+    when the sensor was switched on.
 
     Args:
         entropy: of the stream.
-        width: how many values each number has.
+        width: the number of values for each number.
     """
 
     def __init__(self, entropy: Sequence[int], width: int) -> None:
@@ -223,14 +223,14 @@ class NumberedNoise:
         return rows
 
     def of(self, number: int) -> Floats:
-        """Return the noise of one number, as `at` does of several."""
+        """Return the noise of one number, as `at` does for several."""
         block, place = divmod(number, _BLOCK)
         noise: Floats = self._block(block)[place]
         return noise
 
     def _block(self, number: int) -> Floats:
         if number not in self._blocks:
-            if len(self._blocks) > 1:  # time goes on: the last block may be asked for again, those before are done with
+            if len(self._blocks) > 1:  # as time goes on, only the last block may be needed again
                 self._blocks.pop(min(self._blocks))
             drawn = np.random.default_rng([*self._entropy, number]).standard_normal((_BLOCK, self._width))
             self._blocks[number] = drawn
@@ -250,9 +250,9 @@ class NoiseStreams:
         self._entropy = (seed % 2**_SEED_BITS, zlib.crc32(namespace.encode()))
 
     def named(self, name: str) -> np.random.Generator:
-        """Return the stream of this name from its beginning."""
+        """Return the stream with this name, from its beginning."""
         return np.random.default_rng([*self._entropy, zlib.crc32(name.encode())])
 
     def numbered(self, name: str, *, width: int) -> NumberedNoise:
-        """Return the noise of this name by number, `width` values for each."""
+        """Return the noise with this name by number, `width` values for each."""
         return NumberedNoise([*self._entropy, zlib.crc32(name.encode())], width)

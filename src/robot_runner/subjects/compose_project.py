@@ -33,16 +33,16 @@ class ComposeProject(Subject):
 
     Args:
         file: the Compose file.
-        services: the only ones to bring up; none for all.
-        project: the project's name, which tells it from others on the machine; left out, the plugin's name.
+        services: the only ones to bring up; empty for all.
+        project: the project's name, unique on the machine; None for the plugin's name.
         is_built: whether images are built anew where their sources have changed.
-        has_volumes_removed: whether its volumes go as well, so that each start begins with empty ones.
-        stop_signal: what it takes for "end".
+        has_volumes_removed: whether its volumes are removed, too, so that each start begins with empty ones.
+        stop_signal: the signal at which it ends.
         grace_s: how long it may take for that before it is killed with all that it started, s.
         **options: as of every `Subject`.
 
     Raises:
-        PluginError: the project cannot be named so, or a parameter cannot be.
+        PluginError: the project's name or a parameter is invalid.
 
     Example:
         >>> ComposeProject("compose.yaml", services=["planner"], project="nav").words()[-5:]
@@ -77,7 +77,7 @@ class ComposeProject(Subject):
         self.has_volumes_removed = has_volumes_removed
 
     def words(self) -> tuple[str, ...]:
-        """Return the command that brings it up; containers that a killed run left are made anew."""
+        """Return the command that brings it up; containers left by a killed run are replaced."""
         build = ("--build",) if self.is_built else ()
         options = ("--force-recreate", "--remove-orphans", "--abort-on-container-exit")
         return (*self._compose, "up", *build, *options, *self.services)
@@ -88,12 +88,12 @@ class ComposeProject(Subject):
         return (*self._compose, "down", "--remove-orphans", *volumes)
 
     def files_read(self) -> Iterable[InputFile]:
-        """Yield the Compose file, with the files that it names beside it and those that its images are built from."""
+        """Yield the Compose file, with the files beside it that it names, and those that its images are built from."""
         path = self.surroundings.own_path(self.file) if self._is_own else None
         return [] if path is None else [compose_input(path)]
 
     def program_findings(self, where: str) -> Iterable[Finding]:
-        """Yield what Docker itself finds wrong with the Compose file, or that its daemon does not answer."""
+        """Yield the errors of Docker itself about the Compose file, or that its daemon does not answer."""
         on = self.surroundings.on
         if self.surroundings.lacks("docker"):
             yield Finding.error(where, f"the program 'docker' is not there{on}", "Install Docker with Compose.")

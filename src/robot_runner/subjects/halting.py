@@ -1,9 +1,9 @@
-"""The robot that software under test commands: it is stopped where that was done once the software is gone.
+"""Stops the robot that software under test commanded, once the software has ended.
 
-In a run, its link does so (`CommandedRobot`); where a program goes on through all runs, a process of its own.
-Nobody else would between two runs, after the last one, and once the orchestrator, which opens no link, has been killed:
-the process waits for the end of the program, however that comes. It joins the robot's graph only then, so that it is no
-part of what is measured, or just before, where the program is about to be ended.
+In a run, the run's link does so (`CommandedRobot`); for a program that goes on through all runs, a separate process.
+That also works between two runs, after the last one, and when the orchestrator, which opens no link, was killed: the
+process waits for the end of the program, whatever the cause. It joins the robot's graph only then, so that it is not
+part of what is measured, or just before, when the program is about to be ended.
 
     in    a line, or the end of the input: the program is about to be ended, so join now
     out   a line once that is done
@@ -40,15 +40,15 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.shared_claims import held_against_users
 from robot_runner.subjects.supervised_program import Start, last_start
 
-#: How often we look whether the program has ended, s.
+#: How often to look whether the program has ended, s.
 _LOOK = 0.1
-#: How long it may take to join a graph, s, and how long all of it from the program's end on: an unreachable robot is
-#: looked for twice.
+#: How long joining a graph may take, and how long everything from the program's end on, s: an unreachable robot is
+#: tried twice.
 _JOINING, _LONGEST = 10.0, 40.0
 
 
 class CommandedTopics:
-    """Where one start of a program was seen to command a robot, and whether that was taken back: a file beside it.
+    """A file beside one start of a program: which topics it commanded, and whether the robots were stopped since.
 
     Args:
         start: the start of the program.
@@ -58,19 +58,19 @@ class CommandedTopics:
         self._path = start.folder / "commanded.jsonl"
 
     def add(self, robot: str, topic: str, message_type: str) -> None:
-        """Say that velocities are commanded there; `robot` is how its graph is reached."""
+        """Note that velocities are commanded on a topic; `robot` is how its graph is reached."""
         if (topic, message_type) in self.by_robot().get(robot, ()):  # by an earlier run
             return
-        with suppress(OSError):  # a disk that is full: the run's link stops it at the end of the run in any case
+        with suppress(OSError):  # a full disk; the run's link still stops the robot at the end of the run
             folder = str(self._path.parent.absolute())
             self._write({"robot": robot, "topic": topic, "type": message_type, "folder": folder})
 
     def end(self, problem: str) -> None:
-        """Say that zero was commanded, or why it was not."""
+        """Note that zero was commanded, or why it was not."""
         self._write({"problem": problem})
 
     def by_robot(self) -> dict[str, list[tuple[str, str]]]:
-        """Return topics and their types, by the robot that they command; nothing but velocities."""
+        """Return the topics of velocities and their types, by the robot that they command."""
         found: dict[str, list[tuple[str, str]]] = {}
         for line in self._lines():
             match line:
@@ -81,12 +81,12 @@ class CommandedTopics:
         return found
 
     def problem(self) -> str | None:
-        """Return why zero was not commanded; empty where it was, or had not to be, and None where nobody knows yet."""
+        """Return why zero was not commanded; empty where it was, or was not needed, None where that is unknown yet."""
         ends = [str(line["problem"]) for line in self._lines() if "problem" in line]
         return ends[-1] if ends else None if self.by_robot() else ""
 
     def is_copied(self) -> bool:
-        """Whether this is a copy of a file that is still there, and tells who executes that experiment next."""
+        """Whether this is a copy, and the original, for the next execution of its experiment, is still there."""
         lines = self._lines()
         with suppress(OSError, ValueError):
             told = next((Path(line["folder"]) for line in lines if isinstance(line.get("folder"), str)), None)
@@ -96,9 +96,9 @@ class CommandedTopics:
 
     @contextmanager
     def locked(self) -> Iterator[tuple[int, ...]]:
-        """Lock the file, and yield what a process has to inherit to hold that lock from then on, until it ends.
+        """Lock the file, and yield the descriptor that a process has to inherit to hold the lock until it ends.
 
-        So who wants the robot next sees that it is about to be halted.
+        The lock shows to the next user of the robot that it is still to be halted.
         """
         with self._path.open("a", encoding="utf-8") as file:
             with suppress(OSError):  # its file system offers no locks of this kind
@@ -113,14 +113,14 @@ class CommandedTopics:
         lines: list[dict[str, Any]] = []
         with suppress(StorageError):
             for line in read_text(self._path, errors="replace").splitlines():
-                with suppress(ValueError, RecursionError):  # who wrote it was killed
+                with suppress(ValueError, RecursionError):  # incomplete: its writer was killed
                     if isinstance(said := json.loads(line), dict):
                         lines.append(said)
         return lines
 
 
 class Halting:
-    """Has a process command zero once a start of a program has ended; it outlives the process that made this.
+    """Has a process command zero once a start of a program has ended; the process outlives the one that started it.
 
     Args:
         start: of the program.
@@ -140,24 +140,24 @@ class Halting:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
-                start_new_session=True,  # what a terminal interrupts is not its end
+                start_new_session=True,  # Ctrl-C in a terminal does not end it
                 pass_fds=[*inherited, *held_against_users()],
             )
 
     def prepare(self) -> None:
-        """Have it join the robot's graph before the program is ended, so that the robot stands still at once."""
+        """Have the process join the robot's graph before the program is ended, so that the robot is stopped at once."""
         if self._commanded.by_robot():
             assert self._process.stdin is not None and self._process.stdout is not None  # noqa: S101, PT018 - pipes
-            with suppress(OSError):  # it was killed; `finish` starts another
+            with suppress(OSError):  # the process was killed; `finish` starts another
                 self._process.stdin.write(b"\n")
                 self._process.stdin.flush()
                 select.select([self._process.stdout], [], [], _JOINING)
 
     def finish(self) -> None:
-        """Wait until zero was commanded, once the program has ended; where the process was killed, start another.
+        """After the end of the program, wait until zero was commanded; if the process was killed, start another.
 
         Raises:
-            PluginError: it could not be commanded.
+            PluginError: zero could not be commanded.
         """
         problem: str | None = None
         for attempt in range(2):
@@ -179,17 +179,17 @@ class Halting:
 
 
 def end_left_subjects(root: Path, may_command: Callable[[str], bool]) -> Iterator[Finding]:
-    """End software that went on through all runs of an execution which was killed with all who would have ended it.
+    """End software for all runs that goes on because an execution was killed with all processes that would end it.
 
-    Robots that it commanded are commanded to stand still, where nobody has done so since.
+    Robots that it commanded are stopped, unless that was done since.
 
     Args:
         root: the folder of that experiment.
-        may_command: whether a robot may be commanded now, by how it is reached; software that has commanded others
-            alone is left to who uses these next.
+        may_command: whether a robot may be commanded now, by how it is reached. Software that has commanded only other
+            robots is left to the next experiment with these.
 
     Yields:
-        what was done, or cannot be done, which is told once.
+        what was done, or cannot be done; the latter only once.
     """
     for folder in sorted(ExperimentFolder(root).subjects.glob("*")):
         start = last_start(folder)
@@ -217,7 +217,7 @@ class _CommandedRobots:
         self._links: dict[str, RobotLink] = {}
 
     def join(self) -> None:
-        """Be a publisher beside the program, as far as that is possible."""
+        """Become a publisher on the program's topics, as far as possible."""
         for robot, topics in self._commanded.by_robot().items():
             with suppress(RobotRunnerError):
                 link = self._link(robot)
@@ -226,17 +226,17 @@ class _CommandedRobots:
                         link.advertise(topic, message_type)
 
     def command_zero(self) -> None:
-        """Command it once, wherever that is possible."""
+        """Command zero once, wherever that is possible."""
         for robot, topics in self._commanded.by_robot().items():
             for topic, message_type in topics:
-                with suppress(Exception):  # `stop` tells what fails
+                with suppress(Exception):  # `stop` reports what fails
                     self._link(robot).publish(topic, message_type, {})
 
     def stop(self) -> None:
-        """Command zero until every robot is reached, whatever fails at another.
+        """Command zero until it has reached every robot; a failure at one does not keep others from being stopped.
 
         Raises:
-            RobotRunnerError: one is not reached, and its graph is there.
+            RobotRunnerError: it does not reach a robot whose graph is there.
         """
         with ExitStack() as each_of_them:
             for robot, topics in self._commanded.by_robot().items():
@@ -248,7 +248,7 @@ class _CommandedRobots:
         try:
             empty = keep_commanding_zero(link, topics)
         except LinkError:
-            # A program that brought the graph takes it along; what was connected by then has been told.
+            # A graph that the program itself has started ends with it; topics connected before have got their zero.
             if not had_joined or _is_there(link):
                 raise
         else:
@@ -273,21 +273,21 @@ def _is_there(link: RobotLink) -> bool:
 
 
 def _halt_after(start: Start) -> None:
-    """Wait for the end of a start, and command zero wherever it commanded."""
+    """Wait for the end of a start, and command zero on its topics."""
     commanded = CommandedTopics(start)
     with closing(Resources()) as resources:
         robots = _CommandedRobots(commanded, resources)
         asked, read, has_ended = [0], 0, False
         while start.is_supervised():
-            with suppress(OSError):  # somebody has removed it
-                if (size := start.events.stat().st_size) > read:  # to read it each time takes ten times as long
+            with suppress(OSError):  # the file was removed
+                if (size := start.events.stat().st_size) > read:  # reading it each time would take ten times as long
                     read, has_ended = size, start.ended() is not None
-            if has_ended:  # what it has started may go on for a moment
+            if has_ended:  # its child processes may go on for a moment
                 robots.command_zero()
             if select.select(asked, [], [], _LOOK)[0]:
                 asked = []
                 robots.join()
-                with suppress(OSError):  # nobody listens any more
+                with suppress(OSError):  # nobody reads the output any more
                     sys.stdout.write("\n")
                     sys.stdout.flush()
         start.end_orphans()
@@ -299,25 +299,25 @@ def _halt_after(start: Start) -> None:
                 commanded.end(error.problem if isinstance(error, RobotRunnerError) else repr(error))
 
 
-#: After how long a graph is known that has to be discovered, s: on Fast DDS, that has taken up to 3.2 s.
+#: How long the discovery of a graph may take, s: with Fast DDS, it has taken up to 3.2 s.
 _DISCOVERY = 4.0
 
 
 class CommandedRobot:
     """The run's robot, which software under test may command.
 
-    A planner that has ended, or has died, takes nothing back: a robot without a watchdog carries out its last command.
-    On each topic of a velocity that the robot subscribes, the run's link is a publisher as well. So it commands zero
-    there when it is closed, which is after the software has ended. It does so also where nobody was seen to publish: a
-    program that commands once and ends, or that dies after a second, is gone before its publisher is discovered. Where
-    somebody was, zero has to arrive, and the process that stands by for the run commands it where that is killed.
+    A robot without a watchdog carries out the last command of a planner that has ended or died. So on each topic of
+    velocities to which the robot subscribes, the run's link is a publisher, too, and commands zero when it is closed,
+    which is after the software has ended. It does so even if no other publisher was seen: that of a program which
+    commands once and ends, or dies after a second, is gone before it is discovered. If one was seen, zero has to
+    arrive, and if the run is killed, the process that stands by for it commands zero.
 
     Args:
-        context: of the run; where it has no robot, or the embedded one, which other programs cannot reach, nothing is
+        context: of the run; without a robot, or with the embedded one, which other programs cannot reach, nothing is
             done.
 
     Attributes:
-        tell: told each topic on which somebody else publishes velocities, and its type.
+        tell: called with each topic on which another publisher of velocities is seen, and its type.
     """
 
     def __init__(self, context: RobotRunnerContext) -> None:
@@ -330,7 +330,7 @@ class CommandedRobot:
         self._lock = threading.Lock()
 
     def connect(self) -> None:
-        """Join the robot's graph, if it is there already; to be called by the thread that executes callbacks."""
+        """Join the robot's graph, if it is there already; call it in the thread that executes callbacks."""
         robot = self._context.robot
         if self._link is None and robot is not None and not is_simulated(robot):
             with suppress(LinkError):  # who cannot do without the robot says so
@@ -338,7 +338,7 @@ class CommandedRobot:
                 self._known_at = time.monotonic() + (_DISCOVERY if is_slow_to_join(robot) else 0.0)
 
     def look(self) -> None:
-        """Look which velocities the robot takes by now, and where somebody commands it."""
+        """Look to which topics of velocities the robot subscribes by now, and on which it is commanded."""
         link = self._link
         if link is None or not isinstance(link, Advertiser):
             return
@@ -354,20 +354,20 @@ class CommandedRobot:
                     self.tell(topic, self._taken[topic])
 
     def look_at_last(self) -> None:
-        """Look before the software is ended: a run may be so short that its graph is not known yet."""
+        """Look once more before the software is ended: in a short run its graph may not be known yet."""
         if not self._commanded:
             time.sleep(max(0.0, self._known_at - time.monotonic()))
         self.look()
 
     def halt(self) -> None:
-        """Command zero wherever somebody else was seen to command: the mission itself may do so elsewhere."""
+        """Command zero on each topic with another publisher; on others the mission itself may command the robot."""
         for topic in list(self._commanded):
             with suppress(LinkError):
                 if self._link is not None:
                     self._link.publish(topic, self._taken[topic], {})
 
     def _velocities(self, link: RobotLink) -> list[tuple[str, str]]:
-        """Return topics of velocities that the robot subscribes, and their types, unless they are known."""
+        """Return the topics of velocities to which the robot subscribes, and their types, except those known before."""
         below = f"{robot_namespace(self._context).rstrip('/')}/"
         return [
             (topic, message_type)

@@ -20,28 +20,28 @@ from robot_runner.subjects.surroundings import holds_revision, is_known, word
 
 _LOOK = 0.02
 _CPU_TIME = (Measure("CPUTime", "s", "CPU time of the program and of the children that it awaited, by the kernel."),)
-#: What processes that it did not await may have used without a word, s: less than the kernel's tick tells.
+#: CPU time of processes that it did not await that is not doubted, s: less than a tick of the kernel's.
 _ASTRAY = 0.01
-#: What may have happened before the mission, as a share of all that a program does, before that is doubted.
+#: The share of a program's time before the mission, in all of its time, above which that is doubted.
 _UNMEASURED = 0.01
 
 
 class Program(Subject):
     """Starts a program, waits until it can be used, and ends it with everything that it has started.
 
-    What it writes goes to `stdout.txt` and `stderr.txt` in its folder of raw data. If it dies before it is stopped, the
-    run fails at once.
+    Its output is written to `stdout.txt` and `stderr.txt` in its folder of raw data. If it dies before it is stopped,
+    the run fails at once.
 
     Args:
         command: the program and its arguments, in a list; `treatment(...)` may stand for any of them, and a list for
             one word of several parts: `["--speed=", treatment("Speed")]`.
         exit_codes: exit codes with which it may end by itself, such as `[0]` for one that computes something and is
-            done; none for one that is to go on until it is stopped.
+            done; empty for one that is to go on until it is stopped.
         **options: as of every `Subject`: `name`, `per`, `folder`, `environment`, `setup`, `host`, `ssh_config`,
             `ready`, `ready_timeout_s`, `stop_signal`, `grace_s`.
 
     Raises:
-        PluginError: the command is none, or a parameter cannot be.
+        PluginError: the command or a parameter is invalid.
 
     Example:
         >>> Program(["planner", "--port", 8080], name="Planner", ready="listening").words()
@@ -61,7 +61,7 @@ class Program(Subject):
             raise PluginError(f"exit_codes is {exit_codes!r}", where=self.name, fix=fix)
         self.exit_codes = tuple(exit_codes)
         self._awaited_since: float | None = None
-        self.words()  # what is no word is found before anything is executed
+        self.words()  # finds invalid words before anything is executed
         if self.exit_codes and self._is_of_run:
             ended = Measure("ExitCode", "1", f"With what {self.name} ended by itself; none where it was stopped.")
             self.measures = (*self.measures, ended, *(_CPU_TIME if self.per == "mission" else ()))
@@ -71,7 +71,7 @@ class Program(Subject):
         return tuple(word(self.name, each) for each in self.command)
 
     def program_findings(self, where: str) -> Iterable[Finding]:
-        """Yield that the program is not there, or cannot be read."""
+        """Yield that the program is missing, or cannot be read."""
         program = self.words()[0]
         if is_known(self.command[0]) and self.surroundings.lacks(program):
             file = Path(self.surroundings.path or ".") / self.surroundings.found(program)
@@ -85,7 +85,7 @@ class Program(Subject):
             yield from unread_findings(where, self._scripts())
 
     def files_read(self) -> Iterable[InputFile]:
-        """Yield the program where it is one of the user's own, and a script that an interpreter executes."""
+        """Yield the program, if it is one of the user's own, and a script that an interpreter executes."""
         return script_inputs(self._scripts())
 
     def _scripts(self) -> Iterator[Path]:
@@ -98,17 +98,17 @@ class Program(Subject):
         return ended.code in self.exit_codes
 
     def wait(self, context: RobotRunnerContext, *, timeout_s: float) -> int:
-        """Wait until it has ended by itself, in a mission that lasts as long as it does, and return its exit code.
+        """Wait until the program has ended by itself, in a mission that lasts as long as it, and return its exit code.
 
         Args:
             context: of the run.
             timeout_s: how long to wait at most, s of real time.
 
-        What it had done before the mission began was not measured, which makes values of the run doubtful: `per` has it
-        started in the mission.
+        What it did before the mission began was not measured, which makes values of the run doubtful; with
+        `per="mission"` it is started in the mission.
 
         Raises:
-            PluginError: it goes on, was not started, or ended with an exit code that is none of `exit_codes`.
+            PluginError: it has not ended in time, was not started, or ended with an exit code other than `exit_codes`.
         """
         program = self._program
         deadline = time.monotonic() + timeout_s
@@ -127,7 +127,7 @@ class Program(Subject):
         return ended.code
 
     def stop_run(self, context: RobotRunnerContext) -> None:
-        """End it with everything that it started, where it is the run's own; doubt values that lack its beginning."""
+        """End the run's own program with everything that it started; doubt values that lack its beginning."""
         window, begun = context.times.window(SystemClock()), self._awaited_since
         self._awaited_since = None
         if window is not None and begun is not None:

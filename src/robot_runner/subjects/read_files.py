@@ -1,7 +1,7 @@
-"""Which files software under test reads, as far as that can be known: what it is started with, and what that names.
+"""Which files software under test reads, as far as known: those that it is started with, and those that these name.
 
-A launch file or a Compose file names others by texts. What exists beside it under such a name is taken for one of them:
-a file too many does no harm, and one too few keeps others from starting the software.
+A launch file or a Compose file names others in its text. An existing file beside it with such a name is taken for one
+of them: one too many does no harm, but if one is missing, others cannot start the software.
 """
 
 from __future__ import annotations
@@ -16,25 +16,24 @@ from types import MappingProxyType
 from robot_runner.core.storage.input_files import InputFile, fits, kept_copy
 from robot_runner.measuring.own_scripts import files_below, is_file, is_installed, modules_beside, text_of, with_named
 
-#: Texts that YAML needs no quotes for, and those that everything else has in quotes.
+#: Texts without quotes, as in YAML, and those in quotes, as in everything else.
 _PLAIN = re.compile(r"""[^\s"',\[\]{}|<>]+""")
 _QUOTED = re.compile(r"""["']([^"'\n]{1,255})["']""")
 _YAML = frozenset({".yaml", ".yml"})
-#: What is looked into for further names.
+#: The kinds of files that are searched for further names.
 _NAMING = _YAML | {".launch", ".xml", ".py", ".urdf", ".xacro"}
-#: How a launch file of ROS says where it is itself.
+#: The folder of a launch file of ROS, in that file.
 _HERE = re.compile(r"\$\((?:dirname|var __file__)\)/")
 _BUILD = re.compile(r"(?:^|[\s{,])(build|context|dockerfile)[ \t]*:[ \t]*[\"']?([^\s\"'#{},]+)", re.MULTILINE)
 _COPY = re.compile(r"^\s*(?:COPY|ADD)\s+(.+)$", re.IGNORECASE | re.MULTILINE)
 
-#: What stands for other characters in `.dockerignore`, as regular expressions. Ranges are none here: a file too many
-#: does no harm.
+#: The wildcards of `.dockerignore`, as regular expressions. Without ranges: a file too many does no harm.
 _WILD = MappingProxyType({"**/": "(?:.*/)?", "**": ".*", "*": "[^/]*", "?": "[^/]"})
 _PARTS = re.compile(r"\*\*/|\*\*|.", re.DOTALL)
 
 
 def is_own_setup(path: Path) -> bool:
-    """Return whether a file to source is a script by itself; that of a workspace is worthless without the workspace."""
+    """Return whether a file to source works on its own; that of a workspace does not without the workspace."""
     return not is_installed(path) and not re.fullmatch(r"(?:local_)?setup\.\w+", path.name)
 
 
@@ -48,7 +47,7 @@ def with_what_it_names(path: Path) -> InputFile:
 def compose_input(path: Path) -> InputFile:
     """Return a Compose file as an input, with all that it names beside it; see `_of_compose`."""
     start = kept_copy(path) or path
-    beside = [each for each in (start.with_name(".env"),) if each.is_file()]  # Compose reads it unasked
+    beside = [each for each in (start.with_name(".env"),) if each.is_file()]  # Compose always reads it
     return InputFile(path, tuple(dict.fromkeys([*beside, *_named_beside(start), *_of_compose(start)])))
 
 
@@ -74,12 +73,12 @@ def _named_beside(path: Path) -> Iterator[Path]:
 
 
 def _of_compose(path: Path) -> Iterator[Path]:
-    """Yield what images are built from, and what is in folders that containers see and cannot write to.
+    """Yield the files that images are built from, and those in folders that containers can read but not write.
 
-    A folder that they may write to changes with each run, so that it is none of what they were given.
+    A folder that they can write to changes with each run, and so is no input.
     """
     folder, text = path.parent, text_of(path)
-    built: list[list[str]] = []  # each context, and its recipe
+    built: list[list[str]] = []  # each context, and its Dockerfile
     for key, name in _BUILD.findall(text):
         if key == "dockerfile" and built:
             built[-1][1] = name
@@ -94,7 +93,7 @@ def _of_compose(path: Path) -> Iterator[Path]:
 
 
 def _built_from(context: Path, recipe: str) -> Iterator[Path]:
-    """Yield the recipe of an image, and what it copies from the folder that it is built in."""
+    """Yield the Dockerfile of an image, and the files that it copies from the folder in which it is built."""
     yield from filter(is_file, [context / recipe, context / ".dockerignore"])
     is_left_out = _left_out(context)
     joined = text_of(context / recipe).replace("\\\n", " ")
@@ -106,7 +105,7 @@ def _built_from(context: Path, recipe: str) -> Iterator[Path]:
 
 
 def _left_out(context: Path) -> Callable[[Path], bool]:
-    """Return what tells whether a build leaves out a file of its folder, by `.dockerignore`: its last word counts.
+    """Return a function: does a build leave out a file of its folder? In `.dockerignore` the last match counts.
 
     Source: docs.docker.com, "Build context", ".dockerignore files".
     """
@@ -119,7 +118,7 @@ def _left_out(context: Path) -> Callable[[Path], bool]:
 
     def is_left_out(file: Path) -> bool:
         place = Path(os.path.relpath(file, context))
-        names = [each.as_posix() for each in (place, *place.parents[:-1])]  # what is in a folder goes with it
+        names = [each.as_posix() for each in (place, *place.parents[:-1])]  # a folder is left out with its content
         said = [leaves for leaves, expression in rules if any(map(expression.fullmatch, names))]
         return bool(said) and said[-1]
 
@@ -129,7 +128,7 @@ def _left_out(context: Path) -> Callable[[Path], bool]:
 def _copied(context: Path, source: str) -> Iterator[Path]:
     try:
         found = [context] if source.strip("./") == "" else sorted(context.glob(os.path.normpath(source)))
-    except (ValueError, OSError):  # a URL, or a pattern that is none
+    except (ValueError, OSError):  # a URL, or no valid pattern
         return
     for each in found:
         yield from [each] if each.is_file() else files_below(each)
@@ -140,10 +139,10 @@ def _is_folder(path: Path) -> bool:
 
 
 def inputs_in(folder: Path | None, inputs: Iterable[InputFile]) -> Iterator[InputFile]:
-    """Yield inputs whose paths are seen from the folder in which software is executed, as an experiment names them.
+    """Yield the inputs of software that is executed in this folder as inputs of an experiment.
 
-    What lies in that folder is one input, the folder, so that the copies have their places in it. What would be too
-    large for that is an input each.
+    Those in that folder become one input, the folder, so that the copies keep their places in it, unless that would be
+    too large: then each is an input of its own.
     """
     there = list(map(_with_its_files, inputs))
     inside = [each for each in there if folder is not None and each.path.is_relative_to(folder)]

@@ -1,4 +1,4 @@
-"""When a subject can be used: conditions of its output, and that it has not died while we wait."""
+"""When a subject can be used: conditions about its output, and that it has not died while they are awaited."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _SHOWN = 80
 
 
 def checked_ready(plugin: str, ready: object) -> Condition | str | re.Pattern[str] | None:
-    """Return what a plugin's `ready` was given.
+    """Return a plugin's `ready`, if it is valid.
 
     Raises:
-        PluginError: it is no condition, text or pattern.
+        PluginError: `ready` is no condition, text or pattern.
     """
     if ready is None or isinstance(ready, Condition):
         return ready
@@ -32,7 +32,7 @@ def checked_ready(plugin: str, ready: object) -> Condition | str | re.Pattern[st
 
 
 class TextInOutput(Condition):
-    """A text, or what a pattern finds, stands in one line that a subject has written.
+    """A line that a subject has written contains a text, or a match of a pattern.
 
     Args:
         name: the subject's.
@@ -40,7 +40,7 @@ class TextInOutput(Condition):
         wanted: a text or a compiled pattern.
     """
 
-    every_s = 0.02  # so finely it is known how long the start took
+    every_s = 0.02  # the precision of StartupTime
 
     def __init__(self, name: str, start: Start, wanted: str | re.Pattern[str]) -> None:
         self._name = name
@@ -70,7 +70,7 @@ class TextInOutput(Condition):
 
 
 class _Lines:
-    """The lines of a file that grows; one that has no end yet is looked at again."""
+    """The lines of a growing file; one without an end yet is read again."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -91,8 +91,8 @@ class Ready(Condition):
     Args:
         name: the subject's.
         start: which start of it.
-        wanted: what is awaited, as `checked_ready` returns it; None for nothing but that it goes on.
-        may_end: whether it may have ended so by itself.
+        wanted: the condition, as `checked_ready` returns it; None only requires that it was started.
+        may_end: whether it may have ended in this way by itself.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class Ready(Condition):
         return str(self._condition) if self._condition is not None else "the program was started"
 
     def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
-        """Watch the condition, and the subject beside it: waiting for one that has died is in vain."""
+        """Watch the condition, and whether the subject has died: then waiting is in vain."""
         look_again = self._condition.watch(context, opened) if self._condition is not None else lambda: Look(holds=True)
 
         def look() -> Look:

@@ -1,10 +1,10 @@
-"""Supervises a program on another computer: sends the supervisor there over ssh, and writes down what it tells.
+"""Supervises a program on another computer: sends the supervisor there over ssh, and writes down its events.
 
-A program of its own on this machine, as the supervisor is, and with the same input and the same events; what the
-program over there writes goes to files here. The supervisor over there ends everything once ssh ends, or once it has
-heard nothing for as long as its lease: then the network is cut.
+It is a program of its own on this machine, like the supervisor, with the same input and the same events; the output of
+the remote program is written to files here. The remote supervisor ends everything once ssh ends, or once it has
+received nothing for as long as its lease: then the network is cut.
 
-The task has besides: `ssh`, the command that executes `BOOTSTRAP` over there, and `where`, its name.
+The task has, in addition: `ssh`, the command that executes `BOOTSTRAP` on the other computer, and `where`, its name.
 """
 
 import fcntl
@@ -18,14 +18,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-#: Executed by the shell over there, whichever it is. Python reads its program as one line of JSON, not a byte more.
+#: Executed by the remote shell, whichever it is. Python reads its program as one line of JSON, and not a byte more.
 BOOTSTRAP = (
     "exec python3 -c 'import json,os;"
     'exec(json.loads(b"".join(iter(lambda:os.read(0,1) or exit(1),b"\\n")).decode()))\''
 )
-#: How often the supervisor over there is told that we are there, s, and how long it goes on without hearing it.
+#: How often a sign of life is sent to the remote supervisor, and how long it goes on without one, s.
 _TOLD_EVERY, LEASE = 5.0, 30.0
-#: How much longer than its own deadlines the supervisor over there may take to end everything, s.
+#: How much longer than its own deadlines the remote supervisor may take to end everything, s.
 _PATIENCE = 15.0
 _LAST_WORDS = 4096
 
@@ -68,7 +68,7 @@ class _Relay:
 
     def _write(self, data: bytes) -> None:
         if self._ssh.stdin is not None:
-            with suppress(OSError):  # ssh has ended, which is seen where its output ends
+            with suppress(OSError):  # ssh has ended, which shows in the end of its output
                 self._ssh.stdin.write(data)
                 self._ssh.stdin.flush()
 
@@ -120,9 +120,9 @@ class _Relay:
 
 
 def _event(line: bytes) -> dict[str, Any]:
-    """Return an event, and nothing for a line that the login shell over there has written, as ~/.bashrc has it do."""
+    """Return an event; empty for a line that the remote login shell has written, because of its ~/.bashrc."""
     try:
-        # A title for the terminal has no end of a line.
+        # The shell may set the terminal's title before it, which does not end the line.
         event: dict[str, Any] = json.loads(b"{" + line.partition(b"{")[2])
     except ValueError:
         return {}
@@ -134,7 +134,7 @@ def _say(**event: object) -> None:
 
 
 def main() -> None:
-    """Read the task and relay what the supervisor over there says of it."""
+    """Read the task and relay the events of the remote supervisor."""
     with os.fdopen(0, "rb", buffering=0, closefd=False) as unbuffered:  # it reads not a byte more
         task = json.loads(unbuffered.readline())
     fcntl.flock(1, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 
 
 _SPANS = ("run", "mission", "experiment")
-#: How often we look whether it has died, s.
+#: How often to look whether it has died, s.
 _LOOK = 0.1
-#: The same of whether it commands the robot by now, s: mostly it does from the beginning.
+#: How often to look whether it commands the robot, s: mostly it does from the beginning.
 _ROBOT_LOOK = 2.0
 
 
@@ -47,24 +47,25 @@ class Subject(System):
     """Software under test, which is started and stopped by Robot Runner, here or on another computer.
 
     Args:
-        name: tells several instances apart; the class's name if left out.
+        name: distinguishes several instances; None for the class's name.
         per: `run` to start it in each run, before anything is measured; `mission` to start it when the mission begins,
             so that all that it does is measured; `experiment` to start it once, before the first run.
         folder: where it is executed; a treatment of `Factor.revisions` stands for its work tree.
-        reads: files and folders that it reads, beside those that are known, so that a package has them; as seen from
-            its folder.
-        environment: variables beside those of Robot Runner (or of the user on another computer); None takes one away.
+        reads: files and folders that it reads, in addition to those that are known, so that a package has them;
+            relative to its folder.
+        environment: variables in addition to those of Robot Runner (or of the user on another computer); None removes
+            one.
         setup: a file to source first, such as the setup file of a ROS workspace.
-        host: another computer, as ssh takes it (`pi@robot`); None for this machine.
-        ssh_config: a file to take the place of your ssh config.
+        host: another computer, in one of ssh's forms (`pi@robot`); None for this machine.
+        ssh_config: a file to use instead of your ssh config.
         ready: when it can be used: a condition, or a text (or a compiled pattern) in a line of its output; None for as
             soon as it is started.
-        ready_timeout_s: how long it may take for that, s of real time.
-        stop_signal: what it takes for "end".
+        ready_timeout_s: how long it may take until then, s of real time.
+        stop_signal: the signal at which it ends.
         grace_s: how long it may take for that before it is killed with all that it started, s.
 
     Raises:
-        PluginError: a parameter cannot be.
+        PluginError: a parameter is invalid.
     """
 
     measures: Sequence[Measure] = (Measure("StartupTime", "s", "From its start until it was ready, in real time."),)
@@ -120,36 +121,36 @@ class Subject(System):
     def _is_of_run(self) -> bool:
         return self.per != "experiment"
 
-    # What kinds of subjects differ in.
+    # What subclasses override.
 
     @abstractmethod
     def words(self) -> Sequence[str]:
-        """Return the command that is executed; asked when it is started."""
+        """Return the command that is executed; called at each start."""
 
     def last_words(self) -> tuple[str, ...] | None:
-        """Return a command for when everything has ended; None where there is nothing to do."""
+        """Return a command to execute once everything has ended; None where there is none."""
         return None
 
     @property
     def stops_group(self) -> bool:
-        """Whether all of its process group is told to end, as by Ctrl-C, and not the program alone."""
+        """Whether its whole process group gets the stop signal, as by Ctrl-C, instead of the program alone."""
         return False
 
     def variables(self, start: supervised_program.Start) -> Mapping[str, str]:
-        """Return variables of its environment beside those that the user names."""
+        """Return variables of its environment in addition to those that the user names."""
         del start
         return {}
 
     @abstractmethod
     def program_findings(self, where: str) -> Iterable[Finding]:
-        """Yield what keeps the command from being executed; asked where its surroundings are as they should be."""
+        """Yield what prevents the execution of the command; called where its surroundings have no findings."""
 
     def files_read(self) -> Iterable[InputFile]:
-        """Yield files that it is known to read, as seen from here (`surroundings.own_path`)."""
+        """Yield files that it is known to read, with paths that are valid here (`surroundings.own_path`)."""
         return ()
 
     def may_end(self, ended: supervised_program.Ended) -> bool:
-        """Whether this is an end that it may have by itself, before it is stopped."""
+        """Whether it may end in this way by itself, before it is stopped."""
         del ended
         return False
 
@@ -164,7 +165,7 @@ class Subject(System):
         return inputs_in(around.own_folder, inputs)
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Yield what stands in the way: the program is not there, or the host cannot be reached."""
+        """Yield what prevents its start, such as a missing program or a host that cannot be reached."""
         where = f"plugin {self.name}"
         if not self._is_of_run:
             yield from started_once_findings(where, factors_of(self).values(), circumstances.robots)
@@ -176,7 +177,7 @@ class Subject(System):
             yield from self.program_findings(where)
 
     def before_experiment(self, context: ExperimentContext) -> None:
-        """Start it, where it goes on through all runs.
+        """Start it, if it goes on through all runs.
 
         Raises:
             PluginError: it cannot be started.
@@ -185,7 +186,7 @@ class Subject(System):
             self._begin_for_all_runs(context)
 
     def before_run(self, context: RobotRunnerContext) -> None:
-        """Start it again where it should go on through all runs and has died since.
+        """Start it again, if it should go on through all runs and has died since.
 
         Raises:
             PluginError: it cannot be started, or the robot that it had commanded cannot be stopped.
@@ -200,7 +201,7 @@ class Subject(System):
         self._begin_for_all_runs(context)
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Start it, wait until it is ready, and watch over it from then on, unless the mission is to do that.
+        """Start it, wait until it is ready, and watch over it from then on, unless it is started with the mission.
 
         Raises:
             PluginError: it cannot be started, or has died.
@@ -211,16 +212,16 @@ class Subject(System):
         self._robot.connect()
         if self.per != "mission":
             self._start(context)
-        self._robot.connect()  # it may be what brings the robot's graph
+        self._robot.connect()  # again, as the software may have started the robot's graph
         self._robot.look()
 
     def start_measurement(self) -> None:
-        """Look whether it commands the robot by now."""
+        """Look whether it commands the robot already."""
         if self._robot is not None:
             self._robot.look()
 
     def launch_mission(self, context: RobotRunnerContext) -> None:
-        """Start it, wait until it is ready, and watch over it from then on, where that is part of the mission.
+        """Start it, wait until it is ready, and watch over it from then on, if it is started with the mission.
 
         Raises:
             PluginError: it cannot be started, or has died.
@@ -232,7 +233,7 @@ class Subject(System):
     def _start(self, context: RobotRunnerContext) -> None:
         start: supervised_program.Start
         if self._is_of_run:
-            # Should the run be killed, its supervisor is to clean up.
+            # If the run is killed, its supervisor has time to clean up.
             begun = context.outlives if self.last_words() is not None else lambda _: None
             start = self._begin(context, context.raw_data_folder, begun)
         else:
@@ -255,7 +256,7 @@ class Subject(System):
         self._watch.start()
 
     def stop_run(self, context: RobotRunnerContext) -> None:
-        """End it with everything that it started, where it is the run's own, and have the robot stand still."""
+        """End it with everything that it started, if it is the run's own, and stop the robot."""
         if self._robot is not None:
             self._robot.look_at_last()
         self._is_ending.set()
@@ -276,14 +277,14 @@ class Subject(System):
             context.warn(f"{self.name} {remark}", fix="Look at the computer that it was executed on.")
 
     def make_safe(self, context: RobotRunnerContext) -> None:
-        """End it, whatever has failed."""
+        """End it, whatever has failed before."""
         del context
         self._is_ending.set()
         if self._is_of_run:
             self._end()
 
     def after_experiment(self) -> None:
-        """End it with everything that it started, where it went on through all runs, and have the robot stand still.
+        """End it with everything that it started, if it went on through all runs, and stop the robot.
 
         Raises:
             PluginError: the robot that it commanded cannot be stopped.
@@ -314,7 +315,7 @@ class Subject(System):
         around = self.surroundings
         task = supervised_program.Task(
             command=around.wrapped(self.words()),
-            # Programs of ROS find their graph by it: with several robots, each may be on a graph of its own.
+            # Programs of ROS find their graph by these: with several robots, each may be on a graph of its own.
             environment={
                 **graph_variables(context.robot, is_here=around.host is None),
                 **self.variables(start),
@@ -340,7 +341,7 @@ class Subject(System):
         return user_folder("XDG_CACHE_HOME") / "subjects" / f"{key}.lock"
 
     def _attached(self, context: RobotRunnerContext) -> supervised_program.Start:
-        """Return the start of a subject that goes on through all runs; another process has started it."""
+        """Return the start of a subject for all runs, which another process has started."""
         start = supervised_program.last_start(self._shared_folder(context))
         if start is None:
             raise PluginError("the subject was not started", where=self.name, fix="Start the experiment again.")
@@ -352,7 +353,7 @@ class Subject(System):
         return ExperimentFolder(context.experiment_folder).subjects / self.name
 
     def _await_ready(self, context: RobotRunnerContext, start: supervised_program.Start) -> None:
-        """Wait until it is ready, in real time, as it knows nothing of a simulation's clock."""
+        """Wait until it is ready, in real time, as it does not use a simulation's clock."""
         real = replace(context, clock=machine_clock(context))
         ready = Ready(self.name, start, self.ready, may_end=self.may_end)
         ready.wait(real, timeout_s=self.ready_timeout_s)
@@ -360,7 +361,7 @@ class Subject(System):
     def _watch_over(
         self, context: RobotRunnerContext, start: supervised_program.Start, is_ending: threading.Event
     ) -> None:
-        """Fail the run as soon as the subject has died, and see meanwhile whether it commands the robot."""
+        """Fail the run as soon as the subject has died, and look meanwhile whether it commands the robot."""
         robot, next_look = self._robot, time.monotonic() + _ROBOT_LOOK
         while not is_ending.wait(_LOOK):
             ended = start.ended()
@@ -384,7 +385,7 @@ class Subject(System):
                 self._robot.halt()
 
     def _facts(self, context: RobotRunnerContext, start: supervised_program.Start) -> dict[str, Any]:
-        """Return what the journal keeps of it in a run."""
+        """Return the facts about it that the journal keeps for a run."""
         folder = start.folder
         if folder.is_relative_to(context.experiment_folder):
             folder = folder.relative_to(context.experiment_folder)

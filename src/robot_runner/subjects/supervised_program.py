@@ -1,4 +1,4 @@
-"""One start of a program under its supervisor: the files that it writes to, and what the supervisor has told of it."""
+"""One start of a program under its supervisor: the files of its output, and the supervisor's events about it."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from robot_runner.subjects.remote_supervision import BOOTSTRAP, LEASE
 
 #: How long a supervisor may take to start its program, s: here, and over a network.
 _PATIENCE, _FAR_PATIENCE = 20.0, 40.0
-#: How much longer than its own deadlines a supervisor may take to end everything, s; over a network that is cut, the
-#: one over there ends it once its lease is over.
+#: How much longer than its own deadlines a supervisor may take to end everything, s. If the network is cut, a remote
+#: one ends it once its lease is over.
 _LAST_PATIENCE = 15.0
 _LOOK = 0.01
-#: Where the folder of caches cannot be written.
+#: The fix where the folder of caches cannot be written.
 NAME_A_FOLDER = "Set XDG_CACHE_HOME to a folder of your own."
 #: How much of the end of an output is shown.
 _SHOWN_BYTES, _SHOWN_LINES = 4096, 3
-#: What mends why a program could not be started, as the system says it.
+#: Fixes by the system's message for a program that could not be started.
 _REMEDIES = {
     "Exec format error": "Give a script a first line such as #!/bin/sh; a program has to be built for this computer.",
     "Permission denied": "Make it executable: chmod +x.",
@@ -45,15 +45,15 @@ class Task:
 
     Attributes:
         command: the program and its arguments.
-        environment: variables beside those that are there; None takes one away.
+        environment: variables in addition to the inherited ones; None removes one.
         folder: where it is executed; None for where Robot Runner is, or the user's home on another computer.
-        stop_signal: what the program takes for "end".
-        stops_group: whether all of its process group gets that, as by Ctrl-C, and not the program alone.
+        stop_signal: the signal at which the program ends.
+        stops_group: whether its whole process group gets that, as by Ctrl-C, instead of the program alone.
         grace_s: how long it may take for that, s.
-        last: a command for when everything has ended.
+        last: a command to execute once everything has ended.
         last_s: how long that may take, s.
-        host: the computer as ssh takes it; None for this one.
-        ssh_config: a file to take the place of the user's ssh config.
+        host: the computer in one of ssh's forms; None for this one.
+        ssh_config: a file to use instead of the user's ssh config.
         lock: a file that is locked until everything has ended: the next start waits for the end of this one.
     """
 
@@ -75,7 +75,7 @@ class Task:
         return self.grace_s + (self.last_s if self.last else 0.0) + 2 * _LAST_PATIENCE
 
     def line(self, stdout: Path, stderr: Path) -> bytes:
-        """Return the line that tells the supervisor its task."""
+        """Return the task as a line for the supervisor."""
         fields: dict[str, Any] = {
             "command": self.command,
             "environment": {**self.environment, **mark_of(stdout.parent)},
@@ -99,13 +99,13 @@ class Ended:
     """How a program ended.
 
     Attributes:
-        code: its exit code; negative for the signal that ended it; None where nobody knows.
+        code: its exit code; negative for the signal that ended it; None where that is unknown.
         how: the same in words.
         was_asked: whether we asked it to.
-        was_killed: whether it took another signal than the one that it takes for "end".
-        cpu: the CPU time of the program and of the children that it awaited, s; None where nobody knows it.
-        astray: the CPU time until then of what else it had started, s.
-        uncounted: whether nobody counts the CPU time of its children, as it ignores their ends.
+        was_killed: whether another signal than its stop signal was needed.
+        cpu: the CPU time of the program and of the children that it awaited, s; None where that is unknown.
+        astray: the CPU time until then of the other processes that it had started, s.
+        uncounted: whether the system does not count the CPU time of its children, as it ignores their ends.
     """
 
     code: int | None
@@ -118,13 +118,13 @@ class Ended:
 
 
 class Start:
-    """What one start of a program left on disk; any process may look at it while the program goes on.
+    """The files of one start of a program; any process may read them while the program goes on.
 
     Args:
         folder: takes `stdout.txt`, `stderr.txt`, and the supervisor's `events.jsonl`.
 
     Attributes:
-        begun_at: when it was started, on the monotonic clock; of one on another computer, when we were told of it.
+        begun_at: when it was started, on the monotonic clock; on another computer, when that was reported.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -142,12 +142,12 @@ class Start:
 
     @property
     def refusal(self) -> str:
-        """Why it could not be started; empty where that is not so."""
+        """Why it could not be started; empty where it could."""
         return str(self._told("refused").get("refused", ""))
 
     def ended(self) -> Ended | None:
         """Return how it ended, or None where it goes on."""
-        supervised = self.is_supervised()  # before its last words are read, which it writes before it leaves
+        supervised = self.is_supervised()  # before its events are read, the last of which it writes before it ends
         told = self._told("ended")
         if told:
             code = told["ended"]
@@ -170,7 +170,7 @@ class Start:
         return told
 
     def end_orphans(self) -> None:
-        """End what its supervisor could not, as it was killed."""
+        """End what its supervisor could not end because it was killed."""
         if not self.is_supervised() and not self._told("gone") and not self.refusal:
             end_orphans(self.folder)
 
@@ -179,12 +179,12 @@ class Start:
         return last_lines_of(self.stderr, _SHOWN_LINES) or last_lines_of(self.stdout, _SHOWN_LINES)
 
     def death(self, name: str, ended: Ended) -> str:
-        """Return what is said of an end that nobody asked for; `name` is the plugin's."""
+        """Return the message about an unexpected end; `name` is the plugin's."""
         said = self.last_lines()
         return f"{name} has died: {ended.how}{f'; it wrote last: {said}' if said else ''}"
 
     def is_supervised(self) -> bool:
-        """Whether its supervisor is there, which is until all that it started has ended."""
+        """Whether its supervisor is alive, which it is until all that it started has ended."""
         try:
             with self.events.open("rb") as file:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -195,7 +195,7 @@ class Start:
         return False
 
     def _told(self, kind: str) -> dict[str, Any]:
-        """Return the supervisor's event of a kind, or nothing where it has not come."""
+        """Return the supervisor's event of a kind; empty where there is none."""
         try:
             lines = self.events.read_bytes().split(b"\n")[:-1]
         except OSError:
@@ -212,10 +212,10 @@ class SupervisedProgram(Start):
     """A program that this process has started; its supervisor ends it with this process.
 
     Args:
-        folder: takes what it writes; made where it is not there.
+        folder: for its output; made if it is missing.
         task: what is started.
-        name: of the plugin that asks, for messages.
-        begun: told the process id of the supervisor, which is on this machine in any case, before it starts anything.
+        name: of the plugin, for messages.
+        begun: called with the process id of the supervisor, which is always on this machine, before it starts anything.
 
     Raises:
         PluginError: it cannot be started.
@@ -229,7 +229,7 @@ class SupervisedProgram(Start):
         for path in (self.stdout, self.stderr):
             path.touch()
         module = "supervisor.py" if task.host is None else "remote_supervision.py"
-        # Unbuffered, and isolated from what lies around in the folder it is started in.
+        # Unbuffered, and isolated from modules in the folder in which it is started.
         words = [sys.executable, "-I", str(Path(__file__).with_name(module))]
         with self._turn() as turn, self.events.open("wb") as events:
             self._supervisor = subprocess.Popen(  # noqa: S603 - our own program
@@ -260,9 +260,9 @@ class SupervisedProgram(Start):
 
     @contextmanager
     def _turn(self) -> Iterator[tuple[int, ...]]:
-        """Wait until an earlier start has ended, and yield what the supervisor has to inherit to keep a later one off.
+        """Wait until an earlier start has ended; yield what the supervisor has to inherit to make a later one wait.
 
-        Where a run was killed, its supervisor may still be at work.
+        After a run was killed, its supervisor may still be at work.
         """
         if self._task.lock is None:
             yield ()
@@ -280,7 +280,7 @@ class SupervisedProgram(Start):
 
     def _say(self, data: bytes) -> None:
         pipe = self._supervisor.stdin
-        with suppress(OSError):  # it has ended, which is seen in its events
+        with suppress(OSError):  # it has ended, which its events show
             if pipe is not None:
                 pipe.write(data)
                 pipe.flush()
@@ -292,7 +292,7 @@ class SupervisedProgram(Start):
             if ended is not None or time.monotonic() > deadline:
                 raise self._refused(ended)
             time.sleep(_LOOK)
-        # What its supervisor, and a connection, needed to be there is no part of its own start.
+        # The time for the supervisor, and a connection, does not count as the program's.
         steady = self._told("started").get("steady")
         self.begun_at = float(steady) if steady is not None and self._task.host is None else time.monotonic()
 
@@ -336,7 +336,7 @@ def named_signal(plugin: str, wanted: object) -> signal.Signals:
 
 @contextmanager
 def locked(path: Path, wait: Callable[[], object]) -> Iterator[IO[str]]:
-    """Hold the lock of a file among the user's caches; `wait` is called again and again while somebody else does.
+    """Lock a file in the user's folder of caches; call `wait` repeatedly while another process has it locked.
 
     Raises:
         StorageError: the file cannot be made.
@@ -358,7 +358,7 @@ def locked(path: Path, wait: Callable[[], object]) -> Iterator[IO[str]]:
 
 
 def last_lines_of(path: Path, most: int) -> str:
-    """Return the last lines of a text file that are not blank, on one line; nothing of one that cannot be read."""
+    """Return the last lines of a text file that are not blank, on one line; empty where it cannot be read."""
     try:
         with path.open("rb") as file:
             file.seek(max(0, path.stat().st_size - _SHOWN_BYTES))
@@ -389,5 +389,5 @@ def shell_words(command: Sequence[str], setup: str | None) -> tuple[str, ...]:
         return tuple(command)
     shell = "bash" if setup.endswith(".bash") else "sh"
     home, file = ("~/", setup[2:]) if setup.startswith("~/") else ("", setup if "/" in setup else f"./{setup}")
-    # Within a function, as such a file would take our own arguments for its.
+    # Within a function, as such a file would otherwise take our arguments for its own.
     return (shell, "-c", f'load() {{ . {home}"$0"; }}; load && exec "$@"', file, *command)

@@ -2,16 +2,16 @@
 
 It imports nothing of Robot Runner, as its text is sent to computers that have none, and needs Python 3.6 or newer.
 
-    in    one line of JSON, the task; then `stop`, or the end of the input (who asked is gone): end the program.
-          With a `lease`, anything has to come every so many seconds: a network that is cut ends nobody's input.
-    out   one line of JSON for each event: `{"started": pid, "at": ..., "steady": ...}`, when by the clock of the wall
-          and by the steady one, or `{"refused": why}`; where output is
+    in    one line of JSON, the task; then `stop`, or the end of the input (the sender is gone): end the program.
+          With a `lease`, something has to arrive every so many seconds: a network that is cut does not end the input.
+    out   one line of JSON for each event: `{"started": pid, "at": ..., "steady": ...}`, the times by the wall clock and
+          the steady clock, or `{"refused": why}`; where output is
           forwarded `{"out": text}` and `{"err": text}`, a character a byte; `{"ended": code, "asked": ..., ...}` once
           the program has ended, and `{"gone": [...]}` once all that it started has ended, too, or could not be ended.
 
-The task: `command`, `environment` (None takes a variable away), `folder`, `stdout` and `stderr` (files to append to;
-None forwards what is written), `stop_signal`, `stops_group` (all of its process group gets that), `grace` (s), `last`
-(a command for when all has ended, such as one that removes containers), `last_seconds`, `lease` (s or None).
+The task: `command`, `environment` (None removes a variable), `folder`, `stdout` and `stderr` (files to append to;
+None forwards the output), `stop_signal`, `stops_group` (its whole process group gets that), `grace` (s), `last`
+(a command to execute once all has ended, such as one that removes containers), `last_seconds`, `lease` (s or None).
 """
 
 # Importing pathlib would double the time that Python needs to start on a small computer.
@@ -34,18 +34,18 @@ if TYPE_CHECKING:
 
 # From <linux/prctl.h>.
 DIE_WITH_PARENT, ADOPT_ORPHANS = 1, 36
-#: How long what got SIGTERM may take before it is killed, s, and how long what was killed may take to be gone.
+#: How long a process may take after SIGTERM before it is killed, and how long after that until it is gone, s.
 LAST_GRACE, DEATH = 2.0, 5.0
-#: How often we look whether what was told to end has ended, s.
+#: How often to look whether processes have ended, s.
 LOOK = 0.02
-#: So much forwarded output waits for the network; then the program waits with writing, as it would for a full disk.
+#: Up to this much forwarded output waits for the network, bytes; then the program's writes block.
 WAITING = 1 << 20
 LINUX = sys.platform.startswith("linux")
 LIBRARY = ctypes.CDLL(None) if LINUX else None
 
 
 def prctl(option: int, value: int) -> None:
-    """Make one call of Linux's prctl, which Python's library has not; nothing elsewhere."""
+    """Call Linux's prctl, which Python's library lacks; do nothing on other systems."""
     if LIBRARY is not None:
         LIBRARY.prctl(option, ctypes.c_ulong(value), 0, 0, 0)
 
@@ -69,7 +69,7 @@ def parents() -> "dict[int, int]":
 
 
 def descendants(pid: int) -> "list[int]":
-    """Return all processes below one."""
+    """Return all descendants of a process."""
     tree, last = parents(), {pid}
     found = []  # type: list[int]
     while last:
@@ -98,7 +98,7 @@ def used_by(pid: int) -> float:
 
 
 def leaves_children_uncounted(pid: int) -> bool:
-    """Whether a process ignores the ends of its children, so that Linux reaps them and counts their time for nobody."""
+    """Whether a process ignores the ends of its children, so that Linux reaps them and drops their CPU time."""
     try:
         with open(f"/proc/{pid}/status", "rb") as file:
             ignored = next((line for line in file if line.startswith(b"SigIgn:")), b"SigIgn: 0")
@@ -108,14 +108,14 @@ def leaves_children_uncounted(pid: int) -> bool:
 
 
 class Supervisor:
-    """Starts the program of a task, and is there until all of it has ended."""
+    """Starts the program of a task, and waits until all of it has ended."""
 
     def __init__(self, task: "dict[str, Any]") -> None:
         self.task = task
         self.waiting = bytearray()
         self.code = None  # type: int | None
         self.cpu = None  # type: float | None
-        self.astray = 0.0  # what orphans used that we reaped, s
+        self.astray = 0.0  # CPU time of the orphans that were reaped here, s
         self.uncounted = False
         self.pipes = {}  # type: dict[int, str]
         self.wakes, wake = os.pipe()
@@ -129,11 +129,11 @@ class Supervisor:
         self.heard = time.monotonic()
 
     def take_signal(self, *_: object) -> None:
-        """Take a signal for the wish to stop."""
+        """Treat a signal as a stop request."""
         self.is_told = True
 
     def supervise(self) -> None:
-        """Do all of it."""
+        """Start the program, wait for its end, end what it left, and report all of it."""
         prctl(ADOPT_ORPHANS, 1)
         try:
             self.start()
@@ -171,7 +171,7 @@ class Supervisor:
                 outputs.append(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644))
         try:
             self.begun = time.monotonic()
-            # Kept, as an object that is gone would have Python reap the program behind our back.
+            # Kept, as Python would reap the program once the object is gone.
             self.program = self.spawn(task["command"], outputs)
             self.pid = self.program.pid
         finally:
@@ -195,7 +195,7 @@ class Supervisor:
         )
 
     def look(self, seconds: float) -> None:
-        """Wait at most so long for anything, and take it in."""
+        """Wait at most this long for input, output, or an end, and handle it."""
         readers = [0, self.wakes] if not self.is_told else [self.wakes]
         if len(self.waiting) < WAITING:
             readers += self.pipes
@@ -217,12 +217,12 @@ class Supervisor:
         self.reap()
 
     def reap(self) -> None:
-        """Take note of everything that has ended; we are the parent of whatever lost its own."""
+        """Reap every process that has ended; this process is the parent of those that lost their own."""
         try:
             while True:
                 which = -1
                 if LINUX:
-                    # What has ended still tells what it ignored until it is reaped.
+                    # Until it is reaped, the signals that an ended process ignored can still be read.
                     ended = os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
                     if ended is None:
                         return
@@ -241,7 +241,7 @@ class Supervisor:
             return
 
     def forward(self, pipe: int) -> None:
-        """Send on what the program has written."""
+        """Forward the program's output."""
         data = os.read(pipe, 1 << 16)
         if data:
             self.say(**{self.pipes[pipe]: data.decode("latin-1")})
@@ -250,7 +250,7 @@ class Supervisor:
             os.close(pipe)
 
     def say(self, **event: object) -> None:
-        """Tell an event, as soon as the listener takes it."""
+        """Send an event, as soon as the output takes it."""
         self.waiting += json.dumps(event).encode() + b"\n"
         self.flush()
 
@@ -261,14 +261,14 @@ class Supervisor:
                 del self.waiting[: os.write(1, self.waiting)]
         except BlockingIOError:
             return
-        except OSError:  # nobody listens any more
+        except OSError:  # nobody reads the output any more
             self.waiting.clear()
             self.is_told = True
 
     def end_program(self) -> bool:
         """End the program; return whether it ended on its signal.
 
-        It gets that alone, so that it can end what it started itself, unless the task has its group get it.
+        Without `stops_group` the program alone gets the signal, so that it can end what it started itself.
         """
         tell(-self.pid if self.task["stops_group"] else self.pid, self.task["stop_signal"])
         if self.wait(lambda: self.code is not None, self.task["grace"]):
@@ -286,7 +286,7 @@ class Supervisor:
             tell(pid, signal.SIGTERM)
         if self.wait(lambda: not descendants(os.getpid()), LAST_GRACE):
             return []
-        if not LINUX:  # orphans are nobody's descendants there
+        if not LINUX:  # there, orphans are no descendants of this process
             tell(-self.pid, signal.SIGKILL)
         deadline = time.monotonic() + DEATH
         left = descendants(os.getpid())
@@ -298,7 +298,7 @@ class Supervisor:
         return left
 
     def wait(self, is_enough: "Callable[[], bool]", seconds: float) -> bool:
-        """Wait for something at most so long, and return whether it came."""
+        """Wait for a condition at most this long, and return whether it holds."""
         deadline = time.monotonic() + seconds
         while not is_enough():
             if time.monotonic() >= deadline:
@@ -321,7 +321,7 @@ class Supervisor:
         self.end_rest()
 
     def leave(self) -> None:
-        """Have everything told before we go, as long as somebody takes it."""
+        """Send all remaining events, as long as somebody reads them."""
         deadline = time.monotonic() + DEATH
         while self.waiting and time.monotonic() < deadline:
             select.select([], [1], [], LOOK)
@@ -340,7 +340,7 @@ def read_line() -> bytes:
 
 
 def main() -> None:
-    """Read the task and supervise its program; a lock on the output tells others that we are there."""
+    """Read the task and supervise its program; a lock on the output shows others that the supervisor is alive."""
     task = json.loads(read_line().decode())
     if task["stdout"] is None:
         os.set_blocking(1, False)

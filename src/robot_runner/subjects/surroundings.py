@@ -24,15 +24,15 @@ from robot_runner.core.storage.layout import user_folder
 from robot_runner.core.words import enumerated
 from robot_runner.subjects.supervised_program import NAME_A_FOLDER, shell_words
 
-#: How long a question to a program may take, s: roslaunch needs one second here and several on a small computer.
+#: How long a query of a program may take, s: roslaunch needs one second here and several on a small computer.
 _PATIENCE = 30.0
-_NO_PROGRAM = 127  # what a shell says of a program that it does not find
-#: Tells our own answers from what a login shell writes, as ~/.bashrc has it do.
+_NO_PROGRAM = 127  # the exit code of a shell for a program that it does not find
+#: Distinguishes our own answers from what a login shell writes because of its ~/.bashrc.
 _LACKS = "robot-runner-lacks"
 
 
 class Answer(NamedTuple):
-    """What a program answered to a question.
+    """The answer of a program to a query.
 
     Attributes:
         code: its exit code; None where it took too long, or could not be started.
@@ -62,8 +62,8 @@ class Surroundings:
     """Where a subject is executed.
 
     Attributes:
-        folder: a path, or what stands for one, such as a revision that is not built before the experiment begins.
-        host: another computer as ssh takes it; None for this one.
+        folder: a path, or a value that becomes one, such as a revision, which is built when the experiment begins.
+        host: another computer in one of ssh's forms; None for this one.
     """
 
     folder: Any
@@ -83,10 +83,10 @@ class Surroundings:
         host: str | None,
         ssh_config: str | Path | None,
     ) -> Self:
-        """Return the surroundings that a config asks for.
+        """Return the surroundings that a config names.
 
         Raises:
-            PluginError: one of them cannot be.
+            PluginError: a parameter is invalid.
         """
         if folder is not None and not isinstance(folder, str | os.PathLike):
             fix = "Give a path, or bind it to Factor.revisions(...)."
@@ -111,7 +111,7 @@ class Surroundings:
 
     @property
     def path(self) -> str | None:
-        """The folder's path; None for the one that is there anyway."""
+        """The folder's path; None for the default."""
         if self.folder is None:
             return None
         path = os.fspath(self.folder)
@@ -122,14 +122,14 @@ class Surroundings:
 
     @property
     def own_folder(self) -> Path | None:
-        """The folder as it is named; None where none is, or it is another computer's or a revision's."""
+        """The folder as it is named; None where none is named, or where it is another computer's or a revision's."""
         is_own = self.folder is not None and self.host is None and not isinstance(self.folder, Revision)
         return Path(os.fspath(self.folder)).expanduser() if is_own else None
 
     def own_path(self, name: str) -> Path | None:
-        """Return a path that is named from the folder, as it is named from here.
+        """Return a path that is relative to the folder as one that is valid here.
 
-        None where it is one of another computer, or in the work tree of a revision: what is there is kept as such.
+        None where it is on another computer, or in the work tree of a revision, which is kept as a whole.
         """
         path = Path(name)
         if self.host is not None or (isinstance(self.folder, Revision) and not path.is_absolute()):
@@ -137,30 +137,30 @@ class Surroundings:
         return (self.own_folder or Path()) / path
 
     def found(self, word: str) -> str:
-        """Return a word of a command or of the environment: of a file that a package has a copy of, where that is.
+        """Return a word of a command or of the environment; a file of which a package has a copy is named as that copy.
 
         Such a file may be named after `=`, as in `map:=hall.yaml`.
         """
         before, equals, name = word.rpartition("=")
         for start, each in (("", word), (before + equals, name)):
-            path = self.own_path(each) if {".", "/"} & {*each} else None  # else it is the name of something
+            path = self.own_path(each) if {".", "/"} & {*each} else None  # else it is no path
             if path is not None and (copy := kept_copy(path)) is not None:
                 return f"{start}{copy}"
         return word
 
     @property
     def on(self) -> str:
-        """On which other computer it is, to end a sentence; empty for this one."""
+        """The end of a sentence that says on which other computer it is; empty for this one."""
         return f" on {self.host}" if self.host else ""
 
     def wrapped(self, words: Sequence[str]) -> tuple[str, ...]:
-        """Return a command with the sourcing of the setup file."""
+        """Return a command that sources the setup file first."""
         own = None if self.setup is None else str(Path(self.setup).expanduser())
         copy = None if own is None else self.found(own)
         return shell_words([self.found(each) for each in words], self.setup if copy == own else copy)
 
     def findings(self, where: str) -> Iterator[Finding]:
-        """Yield what is not as it should be, whatever is executed there."""
+        """Yield what is wrong with the surroundings, whatever is executed there."""
         yield from cache_findings(where)
         if self.host is not None and isinstance(self.folder, Revision):
             problem = f"revisions are built on this machine, and the subject is executed on {self.host}"
@@ -185,14 +185,14 @@ class Surroundings:
         if self.setup is not None:
             test = f"{self._entered()}test -f {_quoted(self.setup)}"
             tests.append((f"there is no file {self.setup!r} to source", test, "Build the workspace there."))
-        # All at once: each connection takes its time.
+        # All in one connection, as each takes a while.
         script = "; ".join(f"({test}) >/dev/null 2>&1 || echo {_LACKS} {n}" for n, (_, test, _) in enumerate(tests))
         for number in re.findall(rf"{_LACKS} (\d+)", self._over_there(script).said):
             problem, _, fix = tests[int(number)]
             yield Finding.error(where, f"{self.host}: {problem}", fix)
 
     def ask(self, words: Sequence[str]) -> Answer:
-        """Have a program answer a question, in these surroundings."""
+        """Execute a command in these surroundings, and return its answer."""
         wrapped = self.wrapped(words)
         if self.host is not None:
             variables = [f"{name}={value}" for name, value in self.environment.items() if value is not None]
@@ -212,11 +212,11 @@ class Surroundings:
 
     @property
     def variables(self) -> dict[str, str | None]:
-        """The variables of a program, beside those that are there anyway."""
+        """The variables of a program, in addition to the inherited ones."""
         return {name: None if value is None else self.found(value) for name, value in self.environment.items()}
 
     def lacks(self, program: str) -> bool:
-        """Whether a program is not there, as far as that can be known without executing it."""
+        """Whether a program is missing, as far as that can be known without executing it."""
         if self.host is not None or self.setup is not None:
             return self.ask(["sh", "-c", 'command -v "$0"', program]).code != 0
         program = self.found(program)
@@ -225,7 +225,7 @@ class Surroundings:
         return shutil.which(program, path=self.local_environment.get("PATH")) is None
 
     def facts(self) -> dict[str, Any]:
-        """Return what is to be known of them, as plain data; what is as usual is left out."""
+        """Return the surroundings as plain data, without what has its default."""
         facts = {"host": self.host, "folder": self.path, "setup": self.setup, "environment": dict(self.environment)}
         state = repository_state(self.path) if self.path is not None and self.host is None else None
         facts |= {"repository": state.facts()} if state is not None else {}
@@ -258,7 +258,7 @@ def _answer(command: Sequence[str], **where: Any) -> Answer:
 
 
 def is_known(value: Any) -> bool:
-    """Whether a path can be looked at now: that of a revision is known once the experiment has begun."""
+    """Whether a path is known now: that of a revision is, once the experiment has begun."""
     return not isinstance(value, Revision) or value.is_prepared
 
 
@@ -268,10 +268,10 @@ def holds_revision(value: Any) -> bool:
 
 
 def word(plugin: str, value: Any) -> str:
-    """Return a value as a word of a command or of an environment; a list is its parts in one word.
+    """Return a value as a word of a command or of an environment; a list has the parts of one word.
 
     Raises:
-        PluginError: it is nothing that could be one.
+        PluginError: it cannot be a word.
 
     Example:
         >>> word("nav", ["--speed=", 0.2])
@@ -289,16 +289,16 @@ def word(plugin: str, value: Any) -> str:
 
 
 def _quoted(path: str) -> str:
-    """Return a path for a shell, which is to know what `~` at its beginning means."""
+    """Return a path quoted for a shell, which still expands a `~` at its beginning."""
     return f"~/{shlex.quote(path[2:])}" if path.startswith("~/") else shlex.quote(path)
 
 
 def started_once_findings(where: str, factors: Collection[str], robots: Sequence[str]) -> Iterator[Finding]:
-    """Yield why a subject that is started once for all runs cannot be what all of them need.
+    """Yield why a subject that is started once for all runs cannot fit all of them.
 
     Args:
-        where: as findings name it.
-        factors: to which its parameters are bound.
+        where: the place that findings name.
+        factors: those to which its parameters are bound.
         robots: how each of several robots that take turns is reached.
     """
     for factor in [*factors][:1]:

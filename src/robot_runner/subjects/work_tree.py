@@ -1,8 +1,8 @@
 """A work tree of one commit, built once and kept in the user's cache for all experiments that need it.
 
 A copy of the commits that an experiment measures is kept in its folder, so that it can be repeated without the
-repository: a bare repository that git clones like any other. What came before these commits is not in it: a history is
-large, and may hold what nobody wants to publish.
+repository: a bare repository that git clones like any other. It has no earlier commits: a history is large, and may
+contain what nobody wants to publish.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _SHORT = 12  # digits of a hash that a person reads
 
 
 def cache_folder() -> Path:
-    """Return where work trees are kept: in the user's folder of caches. It may be emptied at will."""
+    """Return the folder of work trees, in the user's folder of caches; it may be emptied at any time."""
     return user_folder("XDG_CACHE_HOME") / "revisions"
 
 
@@ -48,10 +48,10 @@ class WorkTree:
         repository: a path or a URL.
         commit: the hash.
         build: a command for the shell; empty for none.
-        copy: a folder that may hold a copy of the commit, for where the repository cannot be had any more.
+        copy: a folder that may have a copy of the commit, for when the repository is not available any more.
 
     Attributes:
-        folder: where it is; another commit, repository or command has another one.
+        folder: of the work tree; another commit, repository or command has another one.
     """
 
     def __init__(self, repository: str, commit: str, build: str, copy: Path | None = None) -> None:
@@ -63,7 +63,7 @@ class WorkTree:
         self._log = self._entry / "build.log"
 
     def made(self, name: str, log: Path, workshop: Workshop) -> dict[str, Any]:
-        """Make and build it, unless that was done before and nothing was changed since; return facts of the building.
+        """Make and build it, unless that was done before and nothing was changed since; return facts about the build.
 
         Args:
             name: the revision's, for messages.
@@ -98,7 +98,7 @@ class WorkTree:
         facts = {
             "built_at": utc_now(),
             "seconds": round(time.monotonic() - started, 3),
-            # Some builds change files that git keeps.
+            # Some builds change files that are tracked by git.
             "is_dirty": state is not None and state.is_dirty,
         }
         self._stamp.write_text(json.dumps({"facts": facts, "changes": self._changes()}), encoding="utf-8")
@@ -127,7 +127,7 @@ class WorkTree:
     def _clone(self, name: str, source: str) -> None:
         self._git(name, "clone", "--quiet", "--no-checkout", "--", source, str(self.folder), folder=self._entry)
         if git("cat-file", "-e", f"{self.commit}^{{commit}}", folder=self.folder).returncode != 0:
-            self._git(name, "fetch", "--quiet", "origin", self.commit)  # no branch and no tag has it
+            self._git(name, "fetch", "--quiet", "origin", self.commit)  # it is in no branch and no tag
 
     def _git(self, name: str, *words: str, folder: Path | None = None) -> None:
         try:
@@ -156,7 +156,7 @@ class WorkTree:
                     process.wait(_LOOK)
         finally:
             with suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)  # also what it has left behind
+                os.killpg(process.pid, signal.SIGKILL)  # also processes that it has left behind
             code = process.wait()
         if workshop.is_interrupted():
             raise KeyboardInterrupt
@@ -166,7 +166,7 @@ class WorkTree:
             raise ExecutionError(f"the build ended with exit code {code}: {said}", where=f"revision {name!r}", fix=fix)
 
     def _built_before(self) -> dict[str, Any] | None:
-        """Return the facts of an earlier building; None where there was none, or files were changed since."""
+        """Return the facts about an earlier build; None where there was none, or files were changed since."""
         try:
             stamp = json.loads(self._stamp.read_text(encoding="utf-8"))
             facts, changes = dict(stamp["facts"]), stamp["changes"]
@@ -181,25 +181,25 @@ class WorkTree:
 
 
 def _await_others(workshop: Workshop) -> None:
-    """Let another experiment build it meanwhile."""
+    """Wait while another experiment builds it."""
     if workshop.is_interrupted():
         raise KeyboardInterrupt
     time.sleep(_LOOK)
 
 
-#: What is larger is no part of an experiment's folder, which people send to each other, bytes.
+#: The largest copy that is kept in an experiment's folder, which people send to each other, bytes.
 _LARGEST = 64 << 20
 _SHA1 = 40  # digits of its hashes
 _PATIENCE = 600.0  # s, for a few seconds of work on a slow disk
 _SUBMODULE = "commit"  # what `git ls-tree` calls one
-#: Every file is stored whole and none as a delta against another one, so that the search for secrets can read it.
+#: So that every file is stored whole and none as a delta of another: the search for secrets reads them.
 _WHOLE = ("-c", "repack.writeBitmaps=false", "-c", "repack.updateServerInfo=false", "repack", "-q", "-a", "-d", "-F")
-#: What git leaves of the making: it tells paths of this machine.
+#: A file that git leaves, which has paths of this machine.
 _LEFT = "FETCH_HEAD"
 
 
 def kept_name(repository: str) -> str:
-    """Return the name of the copy of a repository, other than that of any other one."""
+    """Return the name of the copy of a repository, which is unique."""
     digest = hashlib.sha256(repository.encode("utf-8", "surrogateescape")).hexdigest()
     return f"{_name_of(repository)}-{digest[:8]}.git"
 
@@ -209,13 +209,13 @@ def _name_of(repository: str) -> str:
 
 
 def is_kept(target: Path, clones: Mapping[str, Path]) -> bool:
-    """Make a copy of some commits, unless it is there; return whether it is.
+    """Make a copy of some commits, unless there is one; return whether there is one now.
 
-    It is not where the commits are too large, or have submodules, which are commits of other repositories.
+    There is none where the commits are too large, or have submodules, which are commits of other repositories.
 
     Args:
         target: the folder of the copy, a bare repository.
-        clones: where each commit can be had, by its hash.
+        clones: a repository with each commit, by its hash.
     """
     try:
         if target.is_dir() and all(_worked(target, "cat-file", "-e", f"{commit}^{{commit}}") for commit in clones):
@@ -240,8 +240,8 @@ def is_kept(target: Path, clones: Mapping[str, Path]) -> bool:
 def take_over(kept: Path, target: Path, *, digits: int) -> None:
     """Make a repository of the user's own with the commits of a copy, such as one in a package.
 
-    Git refuses to clone a repository in a folder of another user, and rightly so: its configuration may name programs.
-    So nothing is taken of it but commits, and the branches that lead to them.
+    Git refuses to clone a repository in a folder of another user, as its configuration may name programs. So only
+    commits are taken from it, and the branches that lead to them.
 
     Args:
         kept: the copy.
@@ -249,7 +249,7 @@ def take_over(kept: Path, target: Path, *, digits: int) -> None:
         digits: of the hashes of its commits.
 
     Raises:
-        OSError: git is not installed, or it cannot be written.
+        OSError: git is not installed, or the repository cannot be written.
         StorageError: something in the copy is no regular file.
     """
     target.mkdir(parents=True)
@@ -271,8 +271,8 @@ def take_over(kept: Path, target: Path, *, digits: int) -> None:
 
 
 def _steps(clones: Mapping[str, Path]) -> list[tuple[str, ...]]:
-    # Without a template there are no hooks, which are programs. Branches, as only these and tags are cloned, and a tag
-    # would change what `git describe` says.
+    # No template, as it may have hooks, which are programs. Branches, as only these and tags are cloned, and a tag
+    # would change the output of `git describe`.
     fetch = ("-c", "gc.auto=0", "-c", "protocol.version=2", "fetch", "-q", "--no-tags", "--depth=1")
     return [
         ("init", "-q", "--bare", "--template="),

@@ -1,7 +1,7 @@
-"""Which packages are in the workspaces of ROS that are sourced: names, versions and the git commits of their sources.
+"""Which packages are in the sourced workspaces of ROS: names, versions and the git commits of their sources.
 
-Executed where the subject is, by its Python, of version 3.6 or later, and printed as JSON. What belongs to the system,
-below /opt and /usr, is left out: the manifest names the distribution.
+A program that prints JSON; it is executed on the subject's computer by its Python, 3.6 or later. Packages of the
+system, below /opt and /usr, are left out: the manifest names the distribution.
 """
 
 # ruff: noqa: PTH100, PTH118, PTH120, PTH112, PTH123, UP031
@@ -16,22 +16,22 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-#: At most so many packages are told: a workspace of a robot has some tens.
+#: The most packages that are printed: a workspace of a robot has some tens.
 MOST = 500
-#: So deep below `src` of a workspace, or below an entry of ROS_PACKAGE_PATH, lie packages.
+#: How deep below `src` of a workspace, or below an entry of ROS_PACKAGE_PATH, to search for packages.
 DEPTH = 5
 SYSTEM = ("/opt/", "/usr/")
 VARIABLES = ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH")
 
 
 def prefixes() -> "list[str]":
-    """Return the folders that a workspace was installed to, without the system's."""
+    """Return the folders in which workspaces are installed, without the system's."""
     found = [entry for name in VARIABLES for entry in os.environ.get(name, "").split(os.pathsep) if entry]
     return [os.path.abspath(each) for each in found if not each.startswith(SYSTEM)]
 
 
 def sources() -> "list[str]":
-    """Return where sources may lie: beside the installation of a workspace, and on ROS_PACKAGE_PATH."""
+    """Return folders that may have sources: beside the installation of a workspace, and on ROS_PACKAGE_PATH."""
     found: list[str] = []
     for prefix in prefixes():
         # install/<package>, install, devel: the workspace is one or two folders up.
@@ -43,7 +43,7 @@ def sources() -> "list[str]":
 
 
 def manifests(root: str) -> "Iterator[str]":
-    """Yield the package.xml of each package below a folder; packages do not lie within packages."""
+    """Yield the package.xml of each package below a folder; there are no packages within packages."""
     deepest = root.rstrip(os.sep).count(os.sep) + DEPTH
     for folder, names, files in os.walk(root):
         names.sort()
@@ -65,7 +65,7 @@ def described(path: str) -> "list[str]":
 
 
 def git(folder: str, *words: str) -> str:
-    """Return what git answers of a folder; nothing where it does not."""
+    """Return git's output for a folder; empty where it fails."""
     environment = dict(os.environ, GIT_OPTIONAL_LOCKS="0", LC_ALL="C")
     command = ["git", "-c", "core.fsmonitor=false", "-C", folder, *words]
     try:
@@ -84,7 +84,7 @@ def git(folder: str, *words: str) -> str:
 
 
 def commit(folder: str, known: "dict[str, dict[str, object]]") -> "dict[str, object]":
-    """Return the commit that a folder is checked out at, and whether files were changed; each repository asked once."""
+    """Return the commit of a folder, and whether files were changed; `known` keeps that for each repository."""
     root = git(folder, "rev-parse", "--show-toplevel")
     if not root:
         return {}
@@ -95,7 +95,7 @@ def commit(folder: str, known: "dict[str, dict[str, object]]") -> "dict[str, obj
 
 
 def packages() -> "dict[str, dict[str, object]]":
-    """Return version and commit of each package, by its name; one without sources has its version alone."""
+    """Return version and commit of each package, by its name; one without sources only has a version."""
     found: dict[str, dict[str, object]] = {}
     known: dict[str, dict[str, object]] = {}
     roots = sources() + [os.path.join(prefix, "share") for prefix in prefixes()]

@@ -1,7 +1,7 @@
 """The public API for tests of plugins and configs: fakes, a rehearsal of a run, and contracts to inherit.
 
-Fakes are real implementations of the links' protocols on a clock that the test moves. A contract is a class of
-tests that holds what every plugin must keep to.
+Fakes are real implementations of the links' protocols, on a clock that the test moves. A contract is a class of tests
+of the rules that every plugin must keep to.
 
 Example:
     >>> from robot_runner.testing import FakeClock

@@ -1,4 +1,4 @@
-"""What holds for the actions of every robot link, as tests that the contracts of links take in."""
+"""The rules for actions of every robot link, as tests that the contracts of links inherit."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from robot_runner.core.links.goals import ActionAborted, ActionCanceled, GoalSta
 from robot_runner.core.links.robot import Goal, GoalExecution, Message, RobotLink
 from robot_runner.testing.plugin_contract import require
 
-#: How long what takes milliseconds may take on a busy machine, s.
+#: The timeout, on a busy machine, for operations that take milliseconds, s.
 PATIENCE = 20.0
-#: How much longer than its deadline something may take, s; and how often it is tried, since a busy machine may be late.
+#: By how much an operation may exceed its deadline, s, and how often it is tried, since a busy machine may be late.
 _SLACK, _ATTEMPTS = 3.0, 3
 _FIBONACCI = "example_interfaces/Fibonacci"
 #: How long a step of an execution takes, s.
@@ -36,7 +36,7 @@ def refusal(attempt: Callable[[], object]) -> LinkError:
 
 
 def punctual_refusal(attempt: Callable[[], object], *, timeout: float) -> LinkError:
-    """Return the `LinkError` that the attempt raises; fail the test if it never does so soon after its `timeout`, s."""
+    """Return the `LinkError` of an attempt; fail the test if no attempt raises it soon after its `timeout`, s."""
     for _ in range(_ATTEMPTS):
         begun = time.monotonic()
         error = refusal(attempt)
@@ -47,20 +47,20 @@ def punctual_refusal(attempt: Callable[[], object], *, timeout: float) -> LinkEr
 
 @contextmanager
 def faults_told() -> Iterator[list[str]]:
-    """Yield the faults that the run is told of, each behind its place."""
+    """Yield the faults that are reported to the run, each after its place."""
     told: list[str] = []
     with fails_run(lambda fault, where: told.append(f"{where}: {fault}")):
         yield told
 
 
 class ActionContract:
-    """The facts about actions that a link must keep to: two links of one graph, one offers, the other sends goals.
+    """The rules for actions of a link. Of two links to one graph, one offers the action, the other sends goals.
 
     Attributes:
-        action_type: of the action of the tests: an order, and a sequence as result and feedback.
-        other_action_type: of no action of the tests; its definition is known here as well.
+        action_type: of the tests' action: an order, and a sequence as result and feedback.
+        other_action_type: a type that no action of the tests has, but whose definition is known here.
         can_reject: whether an action that is offered over the link can reject a goal. A rosbridge of ROS 2 accepts all
-            goals by itself: there the goal is aborted.
+            goals by itself; there the goal is aborted instead.
     """
 
     action_type: ClassVar[str] = _FIBONACCI
@@ -68,14 +68,14 @@ class ActionContract:
     can_reject: ClassVar[bool] = True
 
     if TYPE_CHECKING:
-        # Of the contract that takes these in.
+        # Defined by the contract that inherits these tests.
         make_link: Callable[..., RobotLink]
         pass_time: Callable[[float], None]
         opened: Callable[..., AbstractContextManager[RobotLink]]
         until: Callable[..., None]
 
     def counted(self, execution: GoalExecution) -> Message:
-        """Execute a goal as the tutorial of ROS does: one step after the other, each told as feedback."""
+        """Execute a goal as in the tutorial of ROS: step by step, with feedback after each."""
         sequence = [0, 1]
         for _ in range(execution.goal["order"] - 1):
             if execution.is_cancel_requested:
@@ -86,7 +86,7 @@ class ActionContract:
         return {"sequence": sequence}
 
     def test_a_goal_is_executed_with_feedback_and_a_result(self) -> None:
-        """Hold that the result and the feedback of one goal come to who sent it, with every field."""
+        """Check that the client gets the result and the feedback of its goal, with every field."""
         told: list[Message] = []
         with self.opened() as robot, self.opened() as link:
             offer = robot.offer_action("count", self.action_type, self.counted)
@@ -100,12 +100,12 @@ class ActionContract:
             require(goal.status is GoalStatus.SUCCEEDED, f"a goal that succeeded is {goal.status}")
             require({"sequence": [5, 8]} in told, f"the feedback is {told}")
             require(goal.result(timeout=0.1) == result, "the result is told once only")
-            goal.cancel()  # of a goal that is over: nothing
+            goal.cancel()  # does nothing, as the goal is over
             offer.close()
             offer.close()
 
     def test_actions_are_listed_by_full_names_with_their_types(self) -> None:
-        """Hold that an offered action is found, and no more once it is closed."""
+        """Check that an offered action is listed until it is closed."""
         with self.opened() as robot, self.opened("alice") as link:
             offer = robot.offer_action("count", self.action_type, self.counted)
             self.until(lambda: link.actions().get("/count") == self.action_type, f"the actions are {link.actions()}")
@@ -114,7 +114,7 @@ class ActionContract:
             self.until(lambda: "/count" not in link.actions(), "an action that is not offered any more is listed")
 
     def test_a_goal_is_cancelled(self) -> None:
-        """Hold that a cancelled goal ends as such, soon, with what its server says of it."""
+        """Check that a cancelled goal soon ends as cancelled, with the result of its server."""
         with self.opened() as robot, self.opened() as link:
             robot.offer_action("count", self.action_type, self.counted)
             goal = self.begun(link)
@@ -125,7 +125,7 @@ class ActionContract:
             require(not result.has_succeeded, "a cancelled goal has succeeded")
 
     def test_a_goal_that_its_server_gives_up_is_aborted(self) -> None:
-        """Hold that the end without success is told, with the result that the server filled in."""
+        """Check that the client gets the aborted status, and the result that the server filled in."""
 
         def execute(execution: GoalExecution) -> Message:
             raise ActionAborted("no way", {"sequence": [execution.goal["order"]]})
@@ -138,7 +138,7 @@ class ActionContract:
             require(result.text in {"", "no way"}, f"the text is {result.text!r}")
 
     def test_an_action_server_that_fails_aborts_the_goal_and_fails_the_run(self) -> None:
-        """Hold that a fault of the execution is told to both sides, once."""
+        """Check that an exception in the execution is reported to both sides, once."""
 
         def execute(execution: GoalExecution) -> Message:
             raise ValueError(f"a fault at {execution.goal['order']}")
@@ -150,7 +150,7 @@ class ActionContract:
         require(told == ["the action of /count: a fault at 7"], f"the run was told {told}")
 
     def test_a_goal_that_is_rejected_is_refused(self) -> None:
-        """Hold that a server that is busy, or does not want a goal, is an error that says so."""
+        """Check that the error says that the server has rejected the goal."""
         with self.opened() as robot, self.opened() as link:
             robot.offer_action("count", self.action_type, self.counted, accept=lambda goal: goal["order"] > 0)
             link.send_goal("count", self.action_type, {"order": 1}, timeout=PATIENCE).result(timeout=PATIENCE)
@@ -163,7 +163,7 @@ class ActionContract:
             require("reject" in error.problem, f"the cause is not named: {error}")
 
     def test_an_action_that_is_not_there_is_refused_in_time(self) -> None:
-        """Hold that the nearest name is told, and another type, within the deadline."""
+        """Check that the error names the nearest action, or the true type, within the deadline."""
         with self.opened() as robot, self.opened() as link:
             robot.offer_action("count", self.action_type, self.counted)
             self.until(lambda: "/count" in link.actions(), "the action is not found")
@@ -177,7 +177,7 @@ class ActionContract:
             require("odrer" in error.problem and "'order'" in error.fix, f"the field is not named: {error}")
 
     def test_an_action_is_offered_once(self) -> None:
-        """Hold that a second server of one name is refused."""
+        """Check that a second server with the same name is refused."""
         with self.opened() as robot, self.opened() as link:
             robot.offer_action("count", self.action_type, self.counted)
             self.until(lambda: "/count" in link.actions(), "the action is not found")
@@ -185,7 +185,7 @@ class ActionContract:
             require("/count" in f"{error.where} {error.problem}", f"the action is not named: {error}")
 
     def test_a_goal_that_is_not_over_in_time_goes_on(self) -> None:
-        """Hold that `result` ends at its deadline, and can be asked again."""
+        """Check that `result` ends at its deadline, and can be called again."""
         with self.opened() as robot, self.opened() as link:
             robot.offer_action("count", self.action_type, self.counted)
             goal = link.send_goal("count", self.action_type, {"order": 12}, timeout=PATIENCE)
@@ -194,7 +194,7 @@ class ActionContract:
             require(goal.result(timeout=PATIENCE).has_succeeded, "the goal did not go on")
 
     def test_a_cancel_that_is_not_confirmed_is_an_error_in_time(self) -> None:
-        """Hold that a server that does not end a goal is no silence."""
+        """Check that it is an error if the server does not end the goal."""
         released: list[bool] = []
 
         def execute(execution: GoalExecution) -> Message:
@@ -213,7 +213,7 @@ class ActionContract:
             goal.result(timeout=PATIENCE)
 
     def test_a_fault_of_a_feedback_callback_fails_the_run_at_once(self) -> None:
-        """Hold that it is told while the goal is executed, once, and that the goal goes on."""
+        """Check that it is reported during the execution, once, and that the goal goes on."""
 
         def hear(message: Message) -> None:
             raise ValueError(f"a fault at {len(message)}")
@@ -226,7 +226,7 @@ class ActionContract:
         require(told == ["the callback of /count: a fault at 1"], f"the run was told {told}")
 
     def test_two_goals_are_kept_apart(self) -> None:
-        """Hold that each has its own feedback and result."""
+        """Check that each goal has its own feedback and result."""
         with self.opened() as robot, self.opened() as link:
             robot.offer_action("count", self.action_type, self.counted)
             told: tuple[list[Any], list[Any]] = ([], [])
@@ -239,7 +239,7 @@ class ActionContract:
             require({"sequence": [21, 34]} in told[1] and {"sequence": [21, 34]} not in told[0], f"feedback is {told}")
 
     def test_a_closed_link_leaves_no_goal_behind(self) -> None:
-        """Hold that goals that are not over are cancelled when their link is closed, and that offers end their own."""
+        """Check that closing a link cancels its goals that are not over, and ends those of its offers."""
         ended: list[str] = []
 
         def execute(execution: GoalExecution) -> Message:
@@ -265,7 +265,7 @@ class ActionContract:
                 require(refused is not GoalStatus.SUCCEEDED, "a goal whose server left succeeded")
 
     def begun(self, link: RobotLink) -> Goal:
-        """Send a goal that lasts, and wait until it is executed."""
+        """Send a long goal, and wait until its execution has begun."""
         told: list[Message] = []
         goal = link.send_goal(
             "count", self.action_type, {"order": _FOR_EVER}, on_feedback=told.append, timeout=PATIENCE
@@ -275,7 +275,7 @@ class ActionContract:
 
 
 def _end_of(goal: Goal) -> GoalStatus | None:
-    """Return how a goal ended whose server left, or None where that is an error."""
+    """Return the final status of a goal whose server has left, or None where that is an error."""
     try:
         return goal.result(timeout=PATIENCE).status
     except LinkError:

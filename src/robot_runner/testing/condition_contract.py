@@ -1,4 +1,4 @@
-"""What holds for every condition, as tests for its author to inherit."""
+"""The rules for every condition, as tests for its author to inherit."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from robot_runner.core.links.connect import SIMULATED
 from robot_runner.testing.fake_run import FakeClock, FakeLinks, make_context
 from robot_runner.testing.plugin_contract import require
 
-#: How long beginning to watch may take, s: a run must not be held up by it.
+#: The timeout for beginning to watch, s: it must not delay a run.
 _SOON = 20.0
-#: How long what holds, or is to hold, is awaited, s of the condition's clock.
+#: The timeout for a condition that holds, or is about to, s of the condition's clock.
 _PATIENCE = 30.0
-#: How long a condition that does not hold is awaited, s of its clock.
+#: How long a condition that never holds is awaited, s of its clock.
 _IN_VAIN = 0.3
 
 
 class ConditionContract:
-    """The facts that a condition must keep to; pytest finds them in a subclass whose name begins with `Test`.
+    """The rules that a condition must keep to; pytest finds the tests in a subclass whose name begins with `Test`.
 
     Attributes:
         robot: how the robot is reached in the tests.
@@ -44,21 +44,21 @@ class ConditionContract:
     robot: ClassVar[str | None] = SIMULATED
 
     def make_condition(self) -> Condition:
-        """Return a condition, the same at each call; for the author to write."""
+        """Return an equal condition at each call; for the author to write."""
         raise NotImplementedError
 
     def make_it_hold(self, context: RobotRunnerContext) -> None:
-        """Bring about what the condition asks for; it must not hold before."""
+        """Make the condition hold, which it must not do before."""
         raise NotImplementedError
 
     def make_links(self, clock: FakeClock) -> FakeLinks | None:
-        """Return what stands in for the robot's links; None, as here, uses the robot that `robot` names."""
+        """Return fakes in place of the robot's links; None, the default, uses the robot that `robot` names."""
         del clock
         return None
 
     @contextmanager
     def run(self, folder: Path) -> Iterator[RobotRunnerContext]:
-        """Open a run; what it has opened is closed with it."""
+        """Open a run, whose resources are closed at its end."""
         clock = FakeClock()
         links = self.make_links(clock)
         context = make_context(folder, robot=self.robot, links=links, clock=clock if links is not None else None)
@@ -68,13 +68,13 @@ class ConditionContract:
             context.resources.close()
 
     def test_it_says_what_is_to_hold_in_one_line(self) -> None:
-        """Hold that it completes the sentence "waiting until ..."."""
+        """Check that its text completes the sentence "waiting until ..."."""
         said = str(self.make_condition())
         require(said.strip() and "\n" not in said, f"the condition says {said!r}: write __str__, one line")
         require(not said.endswith("."), f"{said!r} ends a sentence; it has to stand in the middle of one")
 
     def test_its_check_speaks_in_findings(self) -> None:
-        """Hold that validation finds nothing wrong where it works, and says what to do elsewhere."""
+        """Check that `check` has no findings where the condition works, and says what to do elsewhere."""
         errors = [str(finding) for finding in self.make_condition().check(self.robot) if finding.is_error]
         require(not errors, f"the condition's check refuses the circumstances of these tests: {errors}")
         for finding in self.make_condition().check(None):
@@ -82,7 +82,7 @@ class ConditionContract:
             require(finding.fix or not finding.is_error, f"a finding offers no fix: {finding}")
 
     def test_it_holds_once_what_it_asks_for_is_there(self, tmp_path: Path) -> None:
-        """Hold that it does not hold before, and is waited for no longer than that."""
+        """Check that the condition does not hold before, and that the wait ends as soon as it does."""
         with self.run(tmp_path) as context, ExitStack() as opened:
             condition = self.make_condition()
             look = self._watched(condition, context, opened)()
@@ -93,7 +93,7 @@ class ConditionContract:
             require(condition.wait(context, timeout_s=_PATIENCE).holds, f"it does not hold that {condition}")
 
     def test_a_wait_in_vain_tells_what_was_awaited(self, tmp_path: Path) -> None:
-        """Hold that a wait ends after its time."""
+        """Check that a wait ends after its timeout, and that the error says what was awaited."""
         with self.run(tmp_path) as context:
             condition = self.make_condition()
             try:
@@ -104,7 +104,7 @@ class ConditionContract:
                 raise AssertionError(f"it holds that {condition} although nobody made it hold")
 
     def test_two_watches_know_nothing_of_each_other(self, tmp_path: Path) -> None:
-        """Hold that one object can be used in several runs at once: what a look needs belongs to one watch."""
+        """Check that one object can be used in several runs at once: state must belong to a watch."""
         with self.run(tmp_path / "one") as first, self.run(tmp_path / "other") as second, ExitStack() as opened:
             condition = self.make_condition()
             before = dict(vars(condition)) if hasattr(condition, "__dict__") else {}
@@ -115,7 +115,7 @@ class ConditionContract:
             require(before == after, "watching changed the condition: keep what a look needs in `watch`")
 
     def test_what_was_opened_is_closed(self, tmp_path: Path) -> None:
-        """Hold that no thread goes on once the watching and the run have ended."""
+        """Check that no thread is left once the watch and the run have ended."""
         before = set(threading.enumerate())
         with self.run(tmp_path) as context, ExitStack() as opened:
             self._watched(self.make_condition(), context, opened)()

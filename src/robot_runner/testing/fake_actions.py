@@ -1,4 +1,4 @@
-"""Actions of the scripted robot link: what a test says becomes of a goal, by the clock."""
+"""Actions of the scripted robot link: a test decides how goals end, and when on the clock."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from robot_runner.core.events.context import Clock
 from robot_runner.core.links.goals import ActionAborted, ActionCanceled, ActionResult, GoalStatus
 from robot_runner.core.links.robot import GoalExecution, Message
 
-#: How far a wait moves the clock on between two looks, s.
+#: The step of the clock between two checks of a wait, s.
 _POLL = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class FakeAction:
-    """What becomes of each goal that is sent to an action of the scripted link.
+    """The script of an action: how each goal that is sent to it goes.
 
     Attributes:
         result: fields of the result.
-        status: how the goal ends, if nobody cancels it; `REJECTED`: it is not accepted.
-        seconds: how long it takes.
-        feedback: told at even distances on the way.
-        text: what an actionlib server would say beside.
+        status: the final status of a goal that is not cancelled; with `REJECTED`, it is not accepted.
+        seconds: the duration of a goal.
+        feedback: sent at equal intervals during the goal.
+        text: the text that an actionlib server adds to the status.
         refuses_cancel: whether a cancel request is refused.
         action_type: its type; `*` where it does not matter.
 
@@ -43,13 +43,13 @@ class FakeAction:
 
 
 class FakeGoal:
-    """A goal that was sent to the scripted link, and when.
+    """A goal that was sent to the scripted link.
 
     Attributes:
         time: when it was sent, by the clock.
-        action: its action, as it was named.
-        action_type: as it was named.
-        goal: what was sent.
+        action: the name of the action, as it was given.
+        action_type: the type, as it was given.
+        goal: the message.
     """
 
     def __init__(
@@ -72,12 +72,12 @@ class FakeGoal:
 
     @property
     def status(self) -> GoalStatus:
-        """What it is at the clock's time."""
+        """The status at the clock's time."""
         self._go_on()
         return GoalStatus.EXECUTING if self._result is None else self._result.status
 
     def result(self, *, timeout: float) -> ActionResult:
-        """Let the clock go on until it is over.
+        """Move the clock on until the goal is over.
 
         Raises:
             LinkError: it is not over in time.
@@ -90,10 +90,10 @@ class FakeGoal:
         return self._result
 
     def cancel(self, *, timeout: float = 5.0) -> None:
-        """End it.
+        """Cancel the goal.
 
         Raises:
-            LinkError: the script refuses.
+            LinkError: the script refuses that.
         """
         del timeout
         if not self._is_going_on():
@@ -106,7 +106,7 @@ class FakeGoal:
         self._go_on()
 
     def feedback(self, message: Message) -> None:
-        """Tell feedback, as the execution of an action that is offered here."""
+        """Send feedback; for the `execute` of an action that is offered here."""
         self._on_feedback(message)
 
     def _is_going_on(self) -> bool:

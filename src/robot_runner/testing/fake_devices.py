@@ -1,4 +1,4 @@
-"""Scripted devices: a serial line whose bytes a test writes beforehand, and a robot that drives ideally."""
+"""Scripted devices: a computer's utilisation, a serial line, and an ideal robot."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from robot_runner.ros.watchdog import velocity_of
 from robot_runner.testing.fake_robot import Answer, FakeRobotLink
 from robot_runner.testing.fake_run import FakeClock
 
-# A computer whose utilisation a test writes down.
+# A computer with scripted utilisation.
 
-#: A percentage that stays the same, or one for each time on the run's clock.
+#: A constant percentage, or a function of the time on the run's clock.
 Utilisation = float | Callable[[float], float]
 
 
@@ -40,18 +40,18 @@ class _Sampler:
 
 
 class FakeHostLink:
-    """A `HostLink` to a computer that is as busy as the test says.
+    """A `HostLink` to a computer with scripted utilisation.
 
     Args:
         clock: the run's.
         cpu: CPU utilisation in percent, a number or a function of time.
         memory: memory utilisation in percent, a number or a function of time.
-        misses: says of a time whether the sample of that time is missing.
-        is_simulated: whether it says that it is a simulated computer.
+        misses: returns whether the sample of a time is missing.
+        is_simulated: whether it claims to be a simulated computer.
 
     Attributes:
         is_closed: whether it was closed.
-        is_simulated: what it was made with.
+        is_simulated: as given.
 
     Example:
         >>> from robot_runner.testing import FakeClock, FakeHostLink
@@ -93,7 +93,7 @@ class FakeHostLink:
         return UtilisationSample(time, _value(self._cpu, time), _value(self._memory, time))
 
     def close(self) -> None:
-        """Leave; closing twice does nothing."""
+        """Close the link; closing twice does nothing."""
         self.is_closed = True
 
 
@@ -102,19 +102,19 @@ def _value(utilisation: Utilisation, time: float) -> float:
 
 
 class FakeSerialLine:
-    """A `SerialLine` on which scripted bytes arrive when their time has come.
+    """A `SerialLine` on which scripted bytes arrive at their times.
 
     Args:
         clock: the run's.
-        chunks: what arrives; the times are those of the clock.
-        answer: what the device replies at once to what is sent; nothing where it returns `b""`.
-        lost_at: when the line is lost, s; once what arrived before was taken it raises.
-        is_simulated: whether it says that a simulated device is at its other end.
+        chunks: the bytes that arrive, with times on the clock.
+        answer: returns the device's immediate reply to sent bytes; `b""` for none.
+        lost_at: when the line is lost, s; reading raises once the bytes from before are drained.
+        is_simulated: whether it claims that its device is simulated.
 
     Attributes:
         written: the bytes that were sent to the device.
         is_closed: whether it was closed.
-        is_simulated: what it was made with.
+        is_simulated: as given.
 
     Example:
         >>> from robot_runner.measuring.serial_line import Chunk
@@ -146,7 +146,7 @@ class FakeSerialLine:
         self.is_simulated = is_simulated
 
     def drain(self) -> list[Chunk]:
-        """Return what has arrived since the last call.
+        """Return the chunks that have arrived since the last call.
 
         Raises:
             LinkError: the line was closed, or lost and drained.
@@ -159,7 +159,7 @@ class FakeSerialLine:
         return arrived
 
     def write(self, data: bytes) -> None:
-        """Note what is sent, and have the device answer it.
+        """Record the sent bytes, and let the device answer.
 
         Raises:
             LinkError: the line was closed or lost.
@@ -181,16 +181,16 @@ class FakeSerialLine:
 
 
 class FakeTurtlebot3Link(FakeRobotLink):
-    """A link to an ideal robot: it moves exactly as `cmd_vel` says and tells of it on `odom`, 30 times a second.
+    """A link to an ideal robot: it moves exactly as `cmd_vel` says, and publishes `odom` 30 times a second.
 
-    The services of the three tasks answer; `working_on` is the task that is going on.
+    The services of the three tasks answer; `working_on` is the task in progress.
 
     Attributes:
-        x: where it is, m.
-        y: where it is, m.
-        heading: where it looks, rad.
-        odometry_ends_at: the time from which on its odometry is silent, s.
-        slip: what of each movement does not happen, as a share from 0 to 1.
+        x: its position, m.
+        y: its position, m.
+        heading: its direction, rad.
+        odometry_ends_at: when its odometry falls silent, s.
+        slip: the share of each movement, from 0 to 1, that is lost.
 
     Example:
         >>> from robot_runner.testing import FakeClock
@@ -214,7 +214,7 @@ class FakeTurtlebot3Link(FakeRobotLink):
         clock.every(1 / 30, self._tell)
 
     def publish(self, topic: str, message_type: str, message: Message, *, qos: Qos = Qos.DEFAULT) -> None:
-        """Record the message; a velocity command holds until the next."""
+        """Record the message; a velocity command is executed until the next."""
         super().publish(topic, message_type, message, qos=qos)
         if full_name("", topic) == "/cmd_vel":
             self._move()
@@ -238,7 +238,7 @@ class FakeTurtlebot3Link(FakeRobotLink):
         return answer
 
     def _move(self) -> None:
-        """Move as was last commanded until now: along a circle, or straight on where it does not turn."""
+        """Execute the last command until now: along a circle, or straight on where it does not turn."""
         seconds, self._moved_until = self._clock.now() - self._moved_until, self._clock.now()
         half = self._rate * seconds / 2
         chord = self._speed * seconds * (math.sin(half) / half if half else 1.0)

@@ -1,4 +1,4 @@
-"""A robot link that tests script: it records what it is told."""
+"""A scripted robot link, which records publications, calls and goals."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ _WHERE = "FakeRobotLink"
 _NODE = "/fake_robot"
 _ANY_TYPE = "*"
 _DELIVER = "Deliver one while the clock is slept on: clock.at(1.0, lambda: link.deliver(...))."
-#: How far a wait moves the clock on between two looks, s.
+#: The step of the clock between two checks of a wait, s.
 _POLL = 0.01
-#: What a service answers: a response, an error to raise, or a function from the request to a response.
+#: The script of a service: a response, an error to raise, or a function from the request to a response.
 Answer = Mapping[str, Any] | Exception | Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
 
@@ -63,33 +63,33 @@ class _Subscription:
         self.is_closed = False
 
     def close(self) -> None:
-        """Receive no more; closing twice does nothing."""
+        """End the subscription; closing twice does nothing."""
         self.is_closed = True
 
 
 def _offer(offered: dict[str, Any], name: str) -> ExitStack:
-    """Return an offer of a service or action, which ends when it is closed; closing twice does nothing."""
+    """Return the offer of a service or action; closing it ends the offer, closing twice does nothing."""
     offer = ExitStack()
     offer.callback(offered.pop, name)
     return offer
 
 
 class FakeRobotLink:
-    """A `RobotLink` that records what it is told and says what the test has it say.
+    """A `RobotLink` that records operations and answers as a test scripts.
 
-    Names are taken as they are given; messages are not checked against their types. Raw messages are those of ROS 2.
+    Names are used as given; messages are not checked against their types. Raw messages are those of ROS 2.
 
     Attributes:
         publications: what was published, oldest first.
         calls: the services that were called, oldest first.
         goals: the goals that were sent, oldest first.
-        is_simulated: what it was made with.
+        is_simulated: as given.
         encoding: that of ROS 2.
         is_closed: whether it was closed.
-        fault: raised by whatever is asked of the link, once it is set.
-        known_topics: what others publish or subscribe on the graph, by name, with their types.
-        known_publishers: who else publishes a topic, by name; one node where it is left out and the topic is there.
-        known_subscribers: who else subscribes a topic; likewise.
+        fault: if set, every operation raises it.
+        known_topics: the types of topics that other nodes publish or subscribe, by name.
+        known_publishers: other publishers of a topic, by name; one node where left out and the topic exists.
+        known_subscribers: other subscribers of a topic; likewise.
 
     Example:
         >>> from robot_runner.testing import FakeClock, FakeRobotLink
@@ -131,7 +131,7 @@ class FakeRobotLink:
 
     @property
     def stands_still(self) -> bool:
-        """Whether the last velocity command on each topic was one to stand still, or none was given."""
+        """Whether the last velocity command on each topic was zero, or there was none."""
         commands = [(each, plain_type(each.message_type)) for each in self.publications]
         last = {
             full_name("", each.topic): velocity_of(kind, each.message) for each, kind in commands if kind in VELOCITIES
@@ -140,7 +140,7 @@ class FakeRobotLink:
 
     @property
     def topics_heard(self) -> set[str]:
-        """The topics that have a subscription which is not closed."""
+        """The topics with an open subscription."""
         return {
             topic
             for topic, subscriptions in self._subscriptions.items()
@@ -157,7 +157,7 @@ class FakeRobotLink:
         self.publications.append(Publication(self._clock.now(), topic, message_type, message, qos))
 
     def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT, is_commanded: bool = True) -> bool:
-        """Note the topic among those of the graph; whoever is there would receive it.
+        """Add the topic to the graph; all its subscribers count as connected.
 
         Raises:
             LinkError: the link was closed, or the fault that was set.
@@ -170,7 +170,7 @@ class FakeRobotLink:
     def subscribe(
         self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None
     ) -> _Subscription:
-        """Have `callback` called with what is delivered on the topic.
+        """Call `callback` with each message that is delivered on the topic.
 
         Raises:
             LinkError: the link was closed, or the fault that was set.
@@ -184,7 +184,7 @@ class FakeRobotLink:
     def subscribe_raw(
         self, topic: str, message_type: str, callback: Callable[[RawMessage], None], *, qos: Qos | None = None
     ) -> _Subscription:
-        """Have `callback` called with the bytes of what is delivered on the topic, completed as its type has it.
+        """Call `callback` with the bytes of each message that is delivered on the topic, completed by its type.
 
         Raises:
             LinkError: there is no such type, the link was closed, or the fault that was set.
@@ -206,10 +206,10 @@ class FakeRobotLink:
         *,
         timeout: float = 5.0,
     ) -> Message:
-        """Let the clock go on until what is delivered satisfies the condition (None: anything).
+        """Move the clock on until a delivered message satisfies the condition (None: any message).
 
         Raises:
-            LinkError: nothing does within `timeout` seconds of the clock, or as `subscribe`.
+            LinkError: none does within `timeout` seconds of the clock, or as `subscribe`.
         """
         first = FirstMessage(condition, timeout)
         subscription, deadline = self.subscribe(topic, message_type, first.take), self._clock.now() + timeout
@@ -221,7 +221,7 @@ class FakeRobotLink:
         return first.result(topic, lambda: _DELIVER)
 
     def deliver(self, topic: str, message: Message) -> None:
-        """Hand a message to all subscriptions of the topic."""
+        """Deliver a message to all subscriptions of the topic."""
         for subscription in list(self._subscriptions[topic]):
             if not subscription.is_closed:
                 subscription.callback(message)
@@ -244,10 +244,10 @@ class FakeRobotLink:
         return answer(request or {}) if callable(answer) else answer
 
     def offer(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> ExitStack:
-        """Have `call` answered by a function until the offer is closed.
+        """Let a function answer `call` until the offer is closed.
 
         Raises:
-            LinkError: there is such a service, the link was closed, or the fault that was set.
+            LinkError: the service exists already, the link was closed, or the fault that was set.
         """
         self._check()
         if service in self._services:
@@ -265,7 +265,7 @@ class FakeRobotLink:
         on_feedback: Callable[[Message], None] | None = None,
         timeout: float = 5.0,
     ) -> FakeGoal:
-        """Record the goal, which goes on as scripted.
+        """Record the goal, which proceeds as scripted.
 
         Raises:
             LinkError: the action was not scripted, has another type or rejects the goal, the link was closed, or the
@@ -291,10 +291,10 @@ class FakeRobotLink:
         *,
         accept: Callable[[Message], bool] | None = None,
     ) -> ExitStack:
-        """Have goals executed by a function, at once, where they are first waited for, until the offer is closed.
+        """Let a function execute goals until the offer is closed; each is executed when it is first waited for.
 
         Raises:
-            LinkError: there is such an action, the link was closed, or the fault that was set.
+            LinkError: the action exists already, the link was closed, or the fault that was set.
         """
         self._check()
         if action in self._actions:
@@ -304,12 +304,12 @@ class FakeRobotLink:
         return _offer(self._actions, action)
 
     def actions(self) -> dict[str, str]:
-        """Return the types of the actions; `*` where a test scripted one without."""
+        """Return the types of the actions; `*` for one that a test scripted without a type."""
         self._check()
         return {full_name("", name): script.action_type for name, script in self._actions.items()}
 
     def topics(self) -> dict[str, str]:
-        """Return the types of what is published and subscribed here, and of what the test says is there."""
+        """Return the types of the topics that are published and subscribed here, and of `known_topics`."""
         self._check()
         types = dict(self.known_topics)
         types |= {
@@ -322,7 +322,7 @@ class FakeRobotLink:
         return {full_name("", topic): plain_type(message_type) for topic, message_type in types.items()}
 
     def services(self) -> dict[str, str]:
-        """Return the types of the services; `*` where a test scripted one."""
+        """Return the types of the services; `*` for one that a test scripted."""
         self._check()
         return {full_name("", name): self._service_types.get(name, _ANY_TYPE) for name in self._services}
 
@@ -332,7 +332,7 @@ class FakeRobotLink:
         return [_NODE]
 
     def publishers(self, topic: str) -> list[GraphEndpoint]:
-        """Return the one node where the topic is there, and this link where it published; or what a test put there."""
+        """Return this link if it published, and `known_publishers`, or else one node where the topic exists."""
         self._check()
         name = full_name("", topic)
         types = self._advertised | {each.topic: each.message_type for each in self.publications}
@@ -343,14 +343,14 @@ class FakeRobotLink:
         return [*others, *([GraphEndpoint("/robot_runner", plain_type(own[-1]), is_own=True)] if own else [])]
 
     def subscribers(self, topic: str) -> list[GraphEndpoint]:
-        """Return the one node where the topic is there, or what a test put there."""
+        """Return `known_subscribers`, or else one node where the topic exists."""
         self._check()
         name = full_name("", topic)
         default = [GraphEndpoint(_NODE, self.topics()[name])] if name in self.topics() else []
         return list(self.known_subscribers.get(topic, default))
 
     def definition(self, message_type: str) -> str:
-        """Return the text of a type's definition, as ROS 2 has it.
+        """Return the text of a type's definition in ROS 2.
 
         Raises:
             LinkError: there is no such type.

@@ -1,4 +1,4 @@
-"""A run without an experiment around it: the six events, and the plugins that are under test."""
+"""A run without an experiment: the six events, and the plugins under test."""
 
 from __future__ import annotations
 
@@ -32,25 +32,25 @@ from robot_runner.measuring.host import HostLink
 from robot_runner.measuring.serial_line import SerialLine
 from robot_runner.ros.missions.joint_missions import sleep_with_others
 
-# A clock that tests move.
+# A clock that is moved by tests.
 
 
 class Repetition:
-    """Something that a fake clock does again and again until it is closed."""
+    """A periodic callback of a fake clock, until it is closed."""
 
     def __init__(self) -> None:
         self.is_closed = False
 
     def close(self) -> None:
-        """Do it no more; closing twice does nothing."""
+        """End the calls; closing twice does nothing."""
         self.is_closed = True
 
 
 class FakeClock:
-    """A `Clock` on which time goes by only while it is slept on; what was scheduled happens on the way.
+    """A `Clock` on which time passes only in `sleep`, which calls the scheduled callbacks at their times.
 
     Args:
-        start: what it shows at first, s.
+        start: the time that it shows at first, s.
 
     Example:
         >>> clock = FakeClock(start=100.0)
@@ -64,14 +64,14 @@ class FakeClock:
     def __init__(self, start: float = 0.0) -> None:
         self._now = start
         self._due: list[tuple[float, int, Callable[[], None]]] = []
-        self._numbers = count()  # what is due at the same time happens in the order in which it was scheduled
+        self._numbers = count()  # callbacks of the same time are called in the order of scheduling
 
     def now(self) -> float:
-        """Return the seconds that it shows."""
+        """Return the time that it shows, s."""
         return self._now
 
     def sleep(self, seconds: float) -> None:
-        """Move on; whatever a scheduled callback raises comes out of here."""
+        """Move the clock on; exceptions of scheduled callbacks propagate."""
         if sleep_with_others(seconds):
             return
         target = self._now + max(seconds, 0.0)
@@ -81,11 +81,11 @@ class FakeClock:
         self._now = max(self._now, target)
 
     def at(self, time: float, callback: Callable[[], None]) -> None:
-        """Have `callback` called when the clock shows `time`, or at the next sleep if it does already."""
+        """Call `callback` when the clock shows `time`, or at the next sleep if that has passed."""
         heapq.heappush(self._due, (max(time, self._now), next(self._numbers), callback))
 
     def every(self, period: float, callback: Callable[[], None]) -> Repetition:
-        """Have `callback` called every `period` seconds, first one period from now, until the result is closed."""
+        """Call `callback` every `period` seconds, first one period from now, until the result is closed."""
         repetition, begun = Repetition(), self._now
 
         def tick(number: int) -> None:
@@ -99,14 +99,14 @@ class FakeClock:
     call_every = every  # so that a `PeriodicSampler` takes its readings on this clock
 
 
-# A run's context for a test, with the gate for measures that a real run has.
+# A run's context for a test, with the broker for measures that a real run has.
 
 
 class RecordingBroker(MeasureBroker):
-    """The broker of a real run, which also keeps what it would report.
+    """The broker of a real run, which keeps its records instead of reporting them.
 
     Attributes:
-        records: what happened, oldest first, each with its kind (`measure`, `finding`, `window`, ...).
+        records: oldest first, each with its kind (`measure`, `finding`, `window`, ...).
 
     Example:
         >>> from robot_runner.core.events.measure import Measure, Origin
@@ -132,12 +132,12 @@ class RecordingBroker(MeasureBroker):
 
 
 class FakeLinks:
-    """What a test has stand in for the links of a robot; plugins get them as they would get real ones.
+    """Fakes in place of a robot's links; plugins get them as they would get real ones.
 
     Args:
-        robot: for `connect_robot`.
-        serial: for `open_serial_line`, whatever port is named there.
-        host: for `connect_host`, whatever computer is named there.
+        robot: returned by `connect_robot`.
+        serial: returned by `open_serial_line` for every port.
+        host: returned by `connect_host` for every computer.
         namespace: the robot's.
 
     Example:
@@ -159,27 +159,27 @@ class FakeLinks:
         self._named: dict[str, Closable | None] = {"port": serial, "computer": host}
 
     def plant(self, resources: Resources) -> None:
-        """Have the run find these links opened already."""
+        """Put these links among the opened resources of a run."""
         resources.open("simulation", _NoSimulation)
         for key, link in self._links.items():
             resources.open(key, partial(_itself, link))
 
     def resources(self) -> Resources:
-        """Return the resources of a run in which these links stand in for whatever is opened."""
+        """Return the resources of a run in which these links replace the real ones."""
         resources = _FakeResources(self._named)
         self.plant(resources)
         return resources
 
 
 class _FakeResources(Resources):
-    """Opens no port and no computer that a fake stands in for: a test is not to talk to what is plugged in."""
+    """Returns the fake for any port or computer that it replaces: a test must not talk to real devices."""
 
     def __init__(self, named: Mapping[str, Closable | None]) -> None:
         super().__init__()
         self._named = named
 
     def open(self, key: str, opener: Callable[[], R]) -> R:
-        """Return what was opened under `key`, or the fake that stands in for it."""
+        """Return the resource that was opened under `key`, or its fake."""
         fake = self._named.get(key.partition(" ")[0])
         return super().open(key, opener if fake is None else lambda: cast("R", fake))
 
@@ -189,7 +189,7 @@ def _itself(link: Closable) -> Closable:
 
 
 class _NoSimulation:
-    """Stands where the simulation of a run would be, so that none is started."""
+    """Takes the place of a run's simulation, so that none is started."""
 
     def close(self) -> None:
         """Do nothing."""
@@ -215,7 +215,7 @@ def make_context(
         folder: where the run's folder is made, such as pytest's `tmp_path`.
         plugins: the plugins of the experiment; without any, the context is the config's.
         robot: how the robot is reached.
-        links: stand in for the robot's links; without them the embedded robot is used, where `robot` names it.
+        links: replace the robot's links; without them the embedded robot is used, where `robot` names it.
         clock: the run's clock; left out, a `FakeClock` where `links` are given, else that of the robot.
         combination: the treatment of each factor.
         run_seed: the seed of the run.
@@ -224,7 +224,7 @@ def make_context(
 
     Raises:
         LinkError: `robot` cannot be reached.
-        PluginError: a plugin has no name, or one that it cannot have.
+        PluginError: a plugin has no name, or one that is not valid.
 
     Example:
         >>> from pathlib import Path
@@ -275,10 +275,10 @@ class Rehearsal:
 
     Args:
         context: the run's, as `make_context` makes it.
-        plugins: whose callbacks are called.
+        plugins: the subscribers.
 
     Raises:
-        ConfigError: a callback's signature does not fit.
+        ConfigError: the signature of a callback is not valid.
     """
 
     def __init__(self, context: RobotRunnerContext, *plugins: Plugin) -> None:
@@ -291,17 +291,17 @@ class Rehearsal:
             self._manager.subscribe_methods(plugin, owner=plugin.name, kind=kind)
 
     def emit(self, event: RobotRunnerEvents, *, but_not: Collection[str] = ()) -> None:
-        """Emit one event, publish what `populate_run_data` returned, and raise what a callback raised.
+        """Emit one event, publish the values that `populate_run_data` returned, and raise a callback's exception.
 
-        The mission begins with `launch_mission`, and has ended when the measurement is stopped. The plugins named in
-        `but_not` do not hear the event.
+        The mission begins at `launch_mission`, and ends at `stop_measurement`. The plugins named in `but_not` do not
+        get the event.
         """
         self._check(self._emission(event, but_not))
 
     def execute(self, mission: Callable[[], None]) -> None:
         """Emit all six events, with `mission` beside the callbacks of `launch_mission`.
 
-        What was opened is closed and the systems are made safe before anything is raised. A mission that
+        Before an exception propagates, closing events are emitted and the systems are made safe. A mission that
         `context.stop_mission` ends is no failure: the systems are made safe, and the run goes on.
         """
         is_stopped = False
@@ -326,7 +326,7 @@ class Rehearsal:
             raise
 
     def make_safe(self) -> None:
-        """Make all systems safe, the last one first; what one of them raises is raised after all were asked."""
+        """Make all systems safe, the last one first; an exception of one propagates after all were called."""
         with ExitStack() as asking:
             for system in self._systems:
                 asking.callback(made_safe, system, self._contexts[system.name])
@@ -361,8 +361,8 @@ def rehearse(
 
     Args:
         context: the run's, as `make_context` makes it.
-        plugins: the subscribers; systems before profilers, closing events in reverse.
-        mission: what happens while profilers measure; for a profiler alone, something like
+        plugins: the subscribers; systems come before profilers, at closing events in reverse.
+        mission: executed while profilers measure; for a profiler alone, something like
             `lambda: context.clock.sleep(2.0)`.
 
     Example:

@@ -1,4 +1,4 @@
-"""What holds for every link to a graph with publishers of any kind, as tests for its author to inherit."""
+"""The rules for every link to a graph with publishers of any kind, as tests for its author to inherit."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from robot_runner.testing.fake_run import FakeLinks, make_context
 from robot_runner.testing.link_contract import FaultyCallback, RobotLinkContract
 from robot_runner.testing.plugin_contract import require
 
-#: What drives a robot, and one of them as ROS 2 spells it.
+#: The types of velocity commands, one of them in the spelling of ROS 2.
 _COMMAND_TYPES = (TWIST, TWIST_STAMPED, "geometry_msgs/msg/Twist")
 _TRIGGER = "std_srvs/Trigger"
 _STRING = "std_msgs/String"
@@ -30,17 +30,17 @@ _BATTERY = "sensor_msgs/BatteryState"
 _IMAGE = "sensor_msgs/Image"
 _SCAN = "sensor_msgs/LaserScan"
 _MANY = 200
-#: More than a socket keeps at once.
+#: More than fits into a socket's buffers.
 _LAST_BYTES = 4_000_000
 _MINUTE_NS = 60_000_000_000
 
 
 class GraphLinkContract(RobotLinkContract):
-    """The facts of `RobotLinkContract`, and those about two links of one graph that reach each other.
+    """The rules of `RobotLinkContract`, and those for two links to one graph.
 
     Attributes:
-        discovery: how long, s, a publisher and a subscriber may take to find each other.
-        keeps_last: whether what is published `TRANSIENT_LOCAL` is there for later subscribers.
+        discovery: how long, s, a publisher and a subscriber may take to discover each other.
+        keeps_last: whether later subscribers get the last message that was published with `TRANSIENT_LOCAL`.
 
     Example:
         >>> from robot_runner.core.events.context import SystemClock
@@ -58,7 +58,7 @@ class GraphLinkContract(RobotLinkContract):
     def received_on(
         self, link: RobotLink, topic: str, message_type: str, publisher: RobotLink, message: Message
     ) -> list[Message]:
-        """Subscribe, and publish until the first message arrives; return the list of what arrives from now on."""
+        """Subscribe, and publish until the first message arrives; return the list that collects later messages."""
         received: list[Message] = []
         link.subscribe(topic, message_type, received.append)
 
@@ -70,7 +70,7 @@ class GraphLinkContract(RobotLinkContract):
         return received
 
     def receive_with_faults(self, link: RobotLink, publisher: RobotLink) -> None:
-        """Subscribe with a callback that raises, and publish until it was called again."""
+        """Subscribe with a callback that raises, and publish until it is called again."""
         receive = FaultyCallback()
         link.subscribe("chatter", _STRING, receive)
 
@@ -81,7 +81,7 @@ class GraphLinkContract(RobotLinkContract):
         self.until(was_called_again, "nothing is received after a fault", timeout=self.discovery)
 
     def test_conditions_of_a_graph_hold_once_what_they_ask_for_is_there(self) -> None:
-        """Hold that nodes, topics, services, messages, fields and a battery can be awaited."""
+        """Check that nodes, topics, services, messages, fields and a battery can be awaited."""
         with self.opened() as robot, self.opened() as link, ExitStack() as opened:
             context = make_context(Path("unused"), links=FakeLinks(robot=link), clock=SystemClock())
             robot.offer("task/ready", _TRIGGER, lambda _: {"success": True})
@@ -109,7 +109,7 @@ class GraphLinkContract(RobotLinkContract):
                 require(not look.holds and look.seen, f"it holds that {condition}, or nothing is said of it")
 
     def test_a_message_arrives_with_every_field(self) -> None:
-        """Hold that texts, numbers, arrays, bytes, times and nested fields arrive as they were sent."""
+        """Check that texts, numbers, arrays, bytes, times and nested fields arrive as they were sent."""
         image = {
             "header": {"stamp": {"sec": 12, "nanosec": 345}, "frame_id": "caméra"},
             "height": 2,
@@ -127,7 +127,7 @@ class GraphLinkContract(RobotLinkContract):
             require((received["height"], received["is_bigendian"]) == (2, 0), f"numbers are {received}")
 
     def test_floats_that_are_no_numbers_arrive(self) -> None:
-        """Hold that a laser may say that it sees nothing."""
+        """Check NaN and infinity, by which a laser says that it sees nothing."""
         with self.opened() as robot, self.opened() as link:
             scan = {"ranges": [1.5, math.inf, math.nan], "angle_max": 1.25}
             ranges = self.received_on(link, "scan", _SCAN, robot, scan)[0]["ranges"]
@@ -135,7 +135,7 @@ class GraphLinkContract(RobotLinkContract):
             require(ranges[:2] == [1.5, math.inf] and math.isnan(ranges[2]), f"the ranges are {ranges}")
 
     def test_bytes_are_those_of_the_message(self) -> None:
-        """Hold that a recorder gets what a bag of this generation of ROS holds."""
+        """Check that raw bytes are encoded as in a bag of this generation of ROS."""
         from robot_runner.ros.type_catalogue import TypeCatalogue  # noqa: PLC0415  # it needs rosbags
 
         with self.opened() as robot, self.opened() as link:
@@ -149,7 +149,7 @@ class GraphLinkContract(RobotLinkContract):
             require(abs(raw[0].received_ns - time.time_ns()) < _MINUTE_NS, "the time is not that of this machine")
 
     def test_all_subscriptions_receive_until_they_are_closed(self) -> None:
-        """Hold that one subscription's end is not another's."""
+        """Check that closing one subscription does not end another."""
         with self.opened() as robot, self.opened() as link:
             first: list[Message] = []
             subscription = link.subscribe("chatter", _STRING, first.append)
@@ -162,7 +162,7 @@ class GraphLinkContract(RobotLinkContract):
             require(len(first) == count, "a closed subscription receives")
 
     def test_a_fault_of_a_callback_does_not_end_the_subscription(self) -> None:
-        """Hold that the next message is received all the same, and that closing the link raises the fault."""
+        """Check that the next message is still received, and that closing the link raises the exception."""
         with self.opened() as robot:
             link = self.make_link()
             try:
@@ -172,13 +172,13 @@ class GraphLinkContract(RobotLinkContract):
             require("a fault of the callback" in error.problem, f"the fault is not named: {error}")
 
     def test_a_fault_in_a_thread_of_the_link_fails_the_run_at_once(self) -> None:
-        """Hold that the run is told once, by whichever thread calls the callback, and that closing raises no more."""
+        """Check that it is reported to the run once, from any thread, and that closing does not raise it again."""
         with self.opened() as robot, faults_told() as told, self.opened() as link:
             self.receive_with_faults(link, robot)
             require(told == ["the callback of /chatter: a fault of the callback"], f"the run was told {told}")
 
     def test_a_closed_link_receives_no_more(self) -> None:
-        """Hold that the end of a link is that of its subscriptions, and not of another link's."""
+        """Check that closing a link ends its subscriptions, but not those of another link."""
         with self.opened() as robot, self.opened() as other:
             link = self.make_link()
             try:
@@ -192,7 +192,7 @@ class GraphLinkContract(RobotLinkContract):
             require(len(mine) == count, "a closed link receives messages")
 
     def test_both_forms_of_a_name_are_one_topic(self) -> None:
-        """Hold that a full name within the namespace is that of the relative one, to publishers and subscribers."""
+        """Check that a relative name and its full name are the same topic, to publishers and subscribers."""
         with self.opened("alice") as robot, self.opened("/alice") as link:
             self.received_on(link, "/alice/chatter", _STRING, robot, {"data": "a"})
             robot.publish("/alice/chatter", _STRING, {"data": "b"})
@@ -201,7 +201,7 @@ class GraphLinkContract(RobotLinkContract):
             self.until(lambda: found[-1]["data"] in {"b", "c"}, "what follows is not received", timeout=self.discovery)
 
     def test_who_publishes_and_who_subscribes_a_topic_is_listed(self) -> None:
-        """Hold that publishers and subscribers are told with their types, one's own among them, until they leave."""
+        """Check that publishers and subscribers, also the link's own, are listed with their types until they leave."""
         with self.opened() as link:
             with self.opened() as robot:
                 self.received_on(link, "chatter", _STRING, robot, {"data": "a"})
@@ -214,7 +214,7 @@ class GraphLinkContract(RobotLinkContract):
             self.until(lambda: not link.publishers("chatter"), "a publisher that left is listed for ever")
 
     def test_a_topic_is_on_the_graph_before_its_first_message(self) -> None:
-        """Hold that an advertised topic reaches at once, from its first message on, who subscribed it before."""
+        """Check that existing subscribers receive an advertised topic from its first message on."""
         with self.opened() as robot, self.opened() as link:
             arrivals: list[float] = []
             robot.subscribe("begun", _STRING, lambda _: arrivals.append(time.monotonic()))
@@ -229,7 +229,7 @@ class GraphLinkContract(RobotLinkContract):
             require(arrivals[0] - begun < 1.0, f"the first message took {arrivals[0] - begun:.2f} s")
 
     def test_who_has_subscribed_since_a_topic_was_advertised_is_reached_once_it_is_advertised_again(self) -> None:
-        """Hold that the first message reaches who subscribed after the topic was advertised, too."""
+        """Check that nodes that subscribed after the first `advertise` receive the first message, too."""
         with self.opened() as robot, self.opened() as link:
             require(isinstance(link, Advertiser), "the link cannot advertise")
             cast("Advertiser", link).advertise("later", _STRING)
@@ -241,7 +241,7 @@ class GraphLinkContract(RobotLinkContract):
             self.until(lambda: bool(arrived), "the first message did not arrive")
 
     def test_what_is_published_last_arrives_although_the_link_is_closed_at_once(self) -> None:
-        """Hold that who leaves has said what it said: the last message may be what makes a robot safe."""
+        """Check that closing a link does not lose its last message, which may be the one that stops the robot."""
         with self.opened() as robot, self.opened() as link:
             received: list[Any] = []
             robot.subscribe("last", _STRING, lambda message: received.append(message["data"][0]), qos=Qos.RELIABLE)
@@ -254,7 +254,7 @@ class GraphLinkContract(RobotLinkContract):
             self.until(lambda: "!" in received, "the last message did not arrive")
 
     def test_many_messages_arrive_in_order_and_without_loss(self) -> None:
-        """Hold that what is published and subscribed reliably is all there."""
+        """Check that no message is lost between a reliable publisher and a reliable subscriber."""
         with self.opened() as robot, self.opened() as link:
             received: list[Message] = []
             link.subscribe("numbers", "std_msgs/Int32", received.append, qos=Qos.RELIABLE)
@@ -266,7 +266,7 @@ class GraphLinkContract(RobotLinkContract):
             require(numbers == list(range(_MANY)), f"{_MANY - len(numbers)} of {_MANY} messages are missing")
 
     def test_the_first_message_that_satisfies_a_condition_is_returned(self) -> None:
-        """Hold that `wait_for` passes over the others, and returns as soon as it has the message."""
+        """Check that `wait_for` skips the others, and returns as soon as the message arrives."""
         with self.opened() as robot, self.opened() as link:
             numbers = iter(range(100_000))
             is_over = threading.Event()
@@ -290,7 +290,7 @@ class GraphLinkContract(RobotLinkContract):
             require(time.monotonic() - begun < PATIENCE, "`wait_for` went on waiting when the message was there")
 
     def test_a_last_message_is_there_for_later_subscribers(self) -> None:
-        """Hold that `TRANSIENT_LOCAL` is that of ROS: latched."""
+        """Check that `TRANSIENT_LOCAL` works as in ROS (latched)."""
         if not self.keeps_last:
             return
         with self.opened() as robot, self.opened() as link:
@@ -301,7 +301,7 @@ class GraphLinkContract(RobotLinkContract):
             require(received[0] == {"data": "arena"}, f"the last message is {received[0]}")
 
     def test_a_topic_with_another_type_is_refused(self) -> None:
-        """Hold that both types are named, to subscribers and to publishers."""
+        """Check that the error names both types, for subscribers and for publishers."""
         with self.opened() as robot, self.opened() as link:
             self.received_on(link, "chatter", _STRING, robot, {"data": "a"})
             for error in (
@@ -311,7 +311,7 @@ class GraphLinkContract(RobotLinkContract):
                 require(_STRING in error.problem and "std_msgs/Int32" in error.problem, f"types are missing: {error}")
 
     def test_a_service_of_another_type_is_refused(self) -> None:
-        """Hold that calling it is an error within its deadline that says so."""
+        """Check that a call raises an error that says so, within its deadline."""
         with self.opened() as robot, self.opened() as link:
             robot.offer("lamp", _TRIGGER, lambda _: {"success": True})
             link.call("lamp", _TRIGGER)
@@ -321,7 +321,7 @@ class GraphLinkContract(RobotLinkContract):
             require("lamp" in f"{error.where} {error.problem}", f"the service is not named: {error}")
 
     def test_a_service_that_does_not_answer_is_given_up_at_the_deadline(self) -> None:
-        """Hold that a call ends though its service does not."""
+        """Check that a call ends although its service does not."""
         released = threading.Event()
 
         def answer(request: Message) -> dict[str, Any]:
@@ -338,8 +338,8 @@ class GraphLinkContract(RobotLinkContract):
                 released.set()
 
     def test_a_goal_that_is_accepted_too_late_is_cancelled(self) -> None:
-        """Hold that a robot does not carry out what nobody waits for any more."""
-        if not self.can_reject:  # whoever is between accepts at once
+        """Check that a robot does not execute a goal whose client has given up."""
+        if not self.can_reject:  # the server in between accepts at once
             return
         ended: list[str] = []
 
@@ -361,7 +361,7 @@ class GraphLinkContract(RobotLinkContract):
             self.until(lambda: ended, "a goal that was accepted too late goes on", timeout=PATIENCE)
 
     def test_topics_of_one_robot_are_not_those_of_another(self) -> None:
-        """Hold that a relative name is the robot's own."""
+        """Check that a relative name belongs to the link's robot only."""
         with self.opened("alice") as alice, self.opened("bob") as bob, self.opened() as link:
             others: list[Message] = []
             bob.subscribe("chatter", _STRING, others.append)
@@ -371,7 +371,7 @@ class GraphLinkContract(RobotLinkContract):
             require(all(message == {"data": "b"} for message in others), f"bob receives {others}")
 
     def test_a_robot_that_was_driven_is_stopped_when_the_link_is_closed(self) -> None:
-        """Hold that the last command that the robot receives is to stand still."""
+        """Check that the last command that the robot receives is zero."""
         for number, message_type in enumerate(_COMMAND_TYPES):
             with self.opened() as robot:
                 link, topic = self.make_link(), f"cmd_vel_{number}"

@@ -1,4 +1,4 @@
-"""What holds for every robot link, as tests for its author to inherit."""
+"""The rules for every robot link, as tests for its author to inherit."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _TRIGGER = "std_srvs/Trigger"
 
 
 class FaultyCallback:
-    """Raises at each message, and counts them."""
+    """A callback that counts messages, and raises at each."""
 
     def __init__(self) -> None:
         self.calls = 0
@@ -36,13 +36,13 @@ class FaultyCallback:
 
 
 class RobotLinkContract(ActionContract):
-    """The facts that a link to any robot must keep to; pytest finds them in a subclass whose name begins with `Test`.
+    """The rules for a link to any robot; pytest finds the tests in a subclass whose name begins with `Test`.
 
     A link to a graph with publishers of any kind also keeps to `GraphLinkContract`.
 
     Attributes:
         topic: a topic that some robot publishes, of type nav_msgs/Odometry.
-        publishes: whether there is such a robot behind the link, without the test's publishing anything.
+        publishes: whether such a robot is behind the link, so that the test need not publish.
 
     Example:
         >>> from robot_runner.simulator.simulated_link import SimulatedRobotLink
@@ -61,23 +61,23 @@ class RobotLinkContract(ActionContract):
     publishes: ClassVar[bool] = True
 
     def make_link(self, namespace: str = "") -> RobotLink:
-        """Return a new link to the robot of this namespace, all to one graph; for the author to write."""
+        """Return a new link to the robot of this namespace, always on the same graph; for the author to write."""
         raise NotImplementedError
 
     def pass_time(self, seconds: float) -> None:
-        """Let time go by, so that messages may arrive; to be overridden where the robot has a clock of its own."""
+        """Let time pass, so that messages can arrive; to be overridden where the robot has a clock of its own."""
         time.sleep(seconds)
 
     @contextmanager
     def opened(self, namespace: str = "") -> Iterator[RobotLink]:
-        """Open a link that is closed whatever happens."""
+        """Open a link, which is closed in any case."""
         with ExitStack() as closing:
             link = self.make_link(namespace)
             closing.callback(link.close)
             yield link
 
     def until(self, claim: Callable[[], object], otherwise: str, *, timeout: float = 60.0) -> None:
-        """Let time go by until the claim holds; fail the test if it does not within `timeout` s."""
+        """Let time pass until the claim holds; fail the test if it does not within `timeout` s."""
         passed = 0.0
         deadline = time.monotonic() + timeout
         while not claim():
@@ -88,14 +88,14 @@ class RobotLinkContract(ActionContract):
     # --- what it is ---
 
     def test_it_is_a_robot_link(self) -> None:
-        """Hold that it has all that the protocol asks for."""
+        """Check that it has all members of the protocol."""
         with self.opened() as link:
             require(isinstance(link, RobotLink), f"{link!r} lacks members of RobotLink")
             require(isinstance(link.is_simulated, bool), "is_simulated is no bool")
             require(link.encoding in Encoding, "encoding is no Encoding")
 
     def test_it_can_be_closed_twice_and_not_used_after(self) -> None:
-        """Hold that a closed link refuses, and does not hang or crash."""
+        """Check that a closed link raises errors, and does not hang or crash."""
         link = self.make_link()
         link.close()
         link.close()
@@ -106,27 +106,27 @@ class RobotLinkContract(ActionContract):
     # --- messages ---
 
     def test_a_misspelt_field_is_named_with_its_path(self) -> None:
-        """Hold that the error names the field and the nearest one."""
+        """Check that the error names the field and the nearest one."""
         with self.opened() as link:
             error = refusal(lambda: link.publish("cmd_vel", _TWIST, {"linear": {"X": 1.0}}))
             require("linear.X" in error.problem, f"the field is not named: {error}")
             require("'x'" in error.fix, f"the nearest is not named: {error}")
 
     def test_a_value_of_another_kind_is_named_with_its_path(self) -> None:
-        """Hold that a text for a number, and a command that is not a number, are refused."""
+        """Check that a text for a number, and a command that is NaN, are refused."""
         with self.opened() as link:
             for value in ("fast", None, float("nan"), float("inf")):
                 error = refusal(partial(link.publish, "cmd_vel", _TWIST, {"angular": {"z": value}}))
                 require("angular.z" in error.problem, f"the field is not named: {error}")
 
     def test_an_unknown_type_is_refused(self) -> None:
-        """Hold that a type that there is not is an error at once, not silence."""
+        """Check that a type that does not exist is an error at once."""
         with self.opened() as link:
             refusal(lambda: link.publish("cmd_vel", "geometry_msgs/Twit", {}))
             refusal(lambda: link.subscribe(self.topic, "nav_msgs/Odometri", lambda _: None))
 
     def test_a_definition_comes_with_those_that_it_is_made_of(self) -> None:
-        """Hold that a recorder gets the text that bags store."""
+        """Check that the definition is the text that bags store."""
         with self.opened() as link:
             text = link.definition(_TWIST)
             require("linear" in text and "angular" in text, f"that is no definition of {_TWIST}: {text!r}")
@@ -136,7 +136,7 @@ class RobotLinkContract(ActionContract):
     # --- what the robot publishes ---
 
     def test_what_the_robot_publishes_is_received(self) -> None:
-        """Hold that messages are mappings with every field, until the subscription is closed."""
+        """Check that messages are mappings with every field, until the subscription is closed."""
         with self.opened() as link:
             if not self.publishes:
                 return
@@ -152,7 +152,7 @@ class RobotLinkContract(ActionContract):
             subscription.close()
 
     def test_bytes_of_what_the_robot_publishes_are_received(self) -> None:
-        """Hold that raw messages come with their time."""
+        """Check that raw messages have their time of reception."""
         with self.opened() as link:
             if not self.publishes:
                 return
@@ -164,7 +164,7 @@ class RobotLinkContract(ActionContract):
             require(first[0].received_ns <= first[1].received_ns, "time goes back")
 
     def test_a_message_that_never_comes_is_waited_for_until_the_deadline(self) -> None:
-        """Hold that `wait_for` ends, and says what did not come."""
+        """Check that `wait_for` ends, and says which message did not arrive."""
         with self.opened() as link:
             error = punctual_refusal(
                 lambda: link.wait_for(self.topic, _ODOMETRY, lambda _: False, timeout=0.3), timeout=0.3
@@ -172,7 +172,7 @@ class RobotLinkContract(ActionContract):
             require(self.topic in f"{error.where} {error.problem}", f"the topic is not named: {error}")
 
     def test_a_fault_of_the_condition_is_raised_where_it_is_waited_for(self) -> None:
-        """Hold that a wrong condition is no silence."""
+        """Check that an exception in the condition is not swallowed."""
         with self.opened() as link:
             if not self.publishes:
                 return
@@ -183,7 +183,7 @@ class RobotLinkContract(ActionContract):
             raise AssertionError("the condition's KeyError was lost")
 
     def test_a_message_that_comes_is_returned_before_the_deadline(self) -> None:
-        """Hold that `wait_for` does not wait out its timeout."""
+        """Check that `wait_for` returns before its timeout."""
         with self.opened() as link:
             if not self.publishes:
                 return
@@ -193,21 +193,21 @@ class RobotLinkContract(ActionContract):
             require(time.monotonic() - begun < PATIENCE, "`wait_for` waited on although the message was there")
 
     def test_a_fault_of_a_callback_is_raised_at_the_latest_when_the_link_is_closed(self) -> None:
-        """Hold that a run cannot succeed over a callback that raised."""
+        """Check that a run cannot succeed after an exception in a callback."""
         if not self.publishes:
             return
         receive, link = FaultyCallback(), self.make_link()
         try:
             link.subscribe(self.topic, _ODOMETRY, receive)
             self.until(lambda: receive.calls, "nothing was received")
-        except ValueError:  # callbacks are called while time goes by
+        except ValueError:  # callbacks may be called while time passes
             link.close()
             return
         error = refusal(link.close)
         require("a fault of the callback" in error.problem, f"the fault is not named: {error}")
 
     def test_a_fault_of_a_callback_fails_the_run_at_once(self) -> None:
-        """Hold that a mission does not go on over a callback that raised, whoever calls it; it is told once."""
+        """Check that an exception in a callback ends the mission, in whichever thread, and is reported once."""
         if not self.publishes:
             return
         receive = FaultyCallback()
@@ -222,13 +222,13 @@ class RobotLinkContract(ActionContract):
     # --- services ---
 
     def test_a_service_that_is_not_there_is_refused_in_time(self) -> None:
-        """Hold that a missing service is named, within the deadline."""
+        """Check that the error names the missing service, within the deadline."""
         with self.opened() as link:
             error = punctual_refusal(lambda: link.call("no/such/service", _TRIGGER, timeout=1.0), timeout=1.0)
             require("no/such/service" in f"{error.where} {error.problem}", f"the service is not named: {error}")
 
     def test_an_offered_service_answers(self) -> None:
-        """Hold that requests and responses are mappings with every field, until the offer is closed."""
+        """Check that requests and responses are mappings with every field, until the offer is closed."""
         asked: list[Message] = []
 
         def answer(request: Message) -> Message:
@@ -249,7 +249,7 @@ class RobotLinkContract(ActionContract):
             refusal(lambda: link.call("lamp", "std_srvs/SetBool", {"data": True}, timeout=1.0))
 
     def test_a_service_is_offered_once(self) -> None:
-        """Hold that a second offer of one name is refused."""
+        """Check that a second offer with the same name is refused."""
         with self.opened() as robot, self.opened() as link:
             offer = robot.offer("door", _TRIGGER, lambda _: {"success": True})
             link.call("door", _TRIGGER)
@@ -258,7 +258,7 @@ class RobotLinkContract(ActionContract):
             offer.close()
 
     def test_a_fault_of_an_offered_service_is_the_caller_s_error(self) -> None:
-        """Hold that a service that fails is no silence and ends neither side."""
+        """Check that the caller gets an error if a service fails, and that neither side ends."""
 
         def answer(request: Message) -> Message:
             del request
@@ -269,7 +269,7 @@ class RobotLinkContract(ActionContract):
             refusal(lambda: link.call("lamp", _TRIGGER, timeout=2.0))
 
     def test_a_fault_of_an_offered_service_fails_the_run_at_once(self) -> None:
-        """Hold that a mission does not go on over a service of its own that raised."""
+        """Check that an exception in an offered service ends the mission."""
 
         def answer(request: Message) -> Message:
             raise LinkError(f"the lamp is broken, asked {request}", where="lamp", fix="Change it.")
@@ -283,7 +283,7 @@ class RobotLinkContract(ActionContract):
     # --- the graph ---
 
     def test_the_graph_is_listed(self) -> None:
-        """Hold that topics and services are listed by full names with their types, and nodes by full names."""
+        """Check that topics and services are listed by full names with their types, and nodes by full names."""
         with self.opened() as robot, self.opened() as link:
             robot.offer("lamp", _TRIGGER, lambda _: {"success": True})
             robot.publish("cmd_vel", _TWIST, {})
@@ -295,7 +295,7 @@ class RobotLinkContract(ActionContract):
             require(all(name.startswith("/") for name in nodes), f"{nodes} are no full names")
 
     def test_who_publishes_what_the_robot_publishes_is_listed(self) -> None:
-        """Hold that a robot behind the link is told as a publisher, by the type of its topic."""
+        """Check that a robot behind the link is listed as a publisher, with the type of its topic."""
         if not self.publishes:
             return
         with self.opened() as link:
@@ -304,7 +304,7 @@ class RobotLinkContract(ActionContract):
             require(not any(each.is_own for each in found), f"the link says that it is the robot: {found}")
 
     def test_robots_are_kept_apart_by_their_namespaces(self) -> None:
-        """Hold that a service of one robot is not that of another, and that a full name reaches either."""
+        """Check that relative names reach only the link's robot, and full names any robot."""
         with self.opened("alice") as alice, self.opened("/bob") as bob:
             alice.offer("who", _TRIGGER, lambda _: {"success": True, "message": "alice"})
             bob.offer("who", _TRIGGER, lambda _: {"success": True, "message": "bob"})

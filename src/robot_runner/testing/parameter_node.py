@@ -12,7 +12,7 @@ from robot_runner.ros.parameter_values import ParameterKind, ParameterValue, as_
 
 
 class _ServingNode:
-    """A node that offers services of one package, each below its name, until it leaves the graph."""
+    """A node that offers services of one package, below its name, until it is closed."""
 
     def __init__(
         self, link: Offerer, name: str, package: str, answers: Mapping[str, Callable[[Message], Message]]
@@ -29,21 +29,21 @@ class _ServingNode:
 
 
 class ParameterNode(_ServingNode):
-    """A node that has parameters, behind any link that can offer services.
+    """A node with parameters, over any link that can offer services.
 
     Args:
-        link: over which it offers the six services of parameters; of ROS 2.
+        link: offers the six services for parameters; of ROS 2.
         name: of the node, such as `/planner`.
-        parameters: their values at first; None for one that has no value yet, and takes any.
-        read_only: which of them are read-only.
-        limits: the least and the greatest value of some; others are refused.
+        parameters: the initial values; None for one that has no value yet, and accepts any.
+        read_only: the read-only parameters.
+        limits: the least and the greatest value of some; other values are refused.
         refuses: returns why a value is refused, or an empty text.
-        is_rclcpp: whether it answers as rclcpp does, which tells nothing at all where one of several names is unknown;
-            rclpy tells what it knows, and the others as not set.
+        is_rclcpp: whether it answers like rclcpp, which returns nothing if one of several names is unknown; rclpy
+            returns the known ones, and the others as not set.
 
     Attributes:
-        values: its parameters, which a test may change as somebody else would.
-        changes: what was set over its services, oldest first.
+        values: the parameters, which a test may change as another node would.
+        changes: the values that were set over its services, oldest first.
 
     Example:
         >>> from robot_runner.testing import FakeClock, FakeRobotLink
@@ -90,7 +90,7 @@ class ParameterNode(_ServingNode):
         return as_wire(self.values.get(name), self._kind(name))
 
     def _kind(self, name: str) -> ParameterKind:
-        """Return a parameter's kind: that which it was declared with, where it is not of any kind."""
+        """Return a parameter's kind: the declared one, unless the parameter accepts any."""
         return self._kinds.get(name) or kind_of(self.values.get(name))
 
     def _list(self, asked: Message) -> Message:
@@ -161,17 +161,17 @@ _TRANSITIONS = (
 
 
 class LifecycleNode(_ServingNode):
-    """A managed node, behind any link that can offer services.
+    """A managed node, over any link that can offer services.
 
     Args:
-        link: over which it offers the services of its life cycle; of ROS 2.
+        link: offers the services of the life cycle; of ROS 2.
         name: of the node.
-        state: at first.
-        refuses: the labels of the transitions that its callbacks let fail.
+        state: the initial state.
+        refuses: the labels of the transitions whose callbacks fail.
 
     Attributes:
-        state: in which it is.
-        transitions: the labels of those that it made, oldest first.
+        state: the present state.
+        transitions: the labels of the past transitions, oldest first.
 
     Example:
         >>> from robot_runner.plugins import bring_to

@@ -1,4 +1,4 @@
-"""What holds for every profiler, as tests for its author to inherit."""
+"""The rules for every profiler, as tests for its author to inherit."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from robot_runner.core.links.connect import SIMULATED
 from robot_runner.core.plugin import Circumstances, Plugin, Profiler
 from robot_runner.testing.fake_run import FakeClock, FakeLinks, RecordingBroker, Rehearsal, make_context
 
-#: Time between two closings of the same, s, so that a plugin that closes anew would notice.
+#: The time between two closings, s, so that the second would change the results of a plugin that repeats the work.
 _BETWEEN_CLOSINGS = 0.2
 
 
 class MissionFailed(Exception):  # noqa: N818 - it is what a mission of a test raises, not an error of ours
-    """Raised by a contract in the middle of a mission, to see what a plugin does then."""
+    """Raised by a contract in the middle of a mission, to test a plugin's reaction."""
 
 
 def require(claim: object, otherwise: str) -> None:
@@ -38,7 +38,7 @@ class PluginContract:
     Attributes:
         robot: how the robot is reached in the tests.
         combination: the treatments of the run, by factor.
-        is_repeatable: whether two runs under equal conditions yield equal values, as on simulated robots.
+        is_repeatable: whether two runs under equal conditions have equal values, as on simulated robots.
     """
 
     robot: ClassVar[str | None] = SIMULATED
@@ -46,11 +46,11 @@ class PluginContract:
     is_repeatable: ClassVar[bool] = True
 
     def make_plugin(self) -> Plugin:
-        """Return a new plugin, the same at each call; for the author to write."""
+        """Return a new and equal plugin at each call; for the author to write."""
         raise NotImplementedError
 
     def make_links(self, clock: FakeClock) -> FakeLinks | None:
-        """Return what stands in for the robot's links; None, as here, uses the robot that `robot` names."""
+        """Return fakes in place of the robot's links; None, the default, uses the robot that `robot` names."""
         del clock
         return None
 
@@ -69,13 +69,13 @@ class PluginContract:
         )
 
     def mission(self, context: RobotRunnerContext) -> None:
-        """Do what happens while profilers measure."""
+        """Execute the mission, while profilers measure."""
 
     @contextmanager
     def rehearsal(
         self, folder: Path, plugin: Plugin, *, run_seed: int = 1
     ) -> Iterator[tuple[RobotRunnerContext, Rehearsal]]:
-        """Open a run for the plugin; what it has opened is closed with it."""
+        """Open a run for the plugin, whose resources are closed at its end."""
         context = self.make_context(folder, plugin, run_seed=run_seed)
         try:
             yield context, Rehearsal(context, plugin)
@@ -83,20 +83,20 @@ class PluginContract:
             context.resources.close()
 
     def execute(self, folder: Path, plugin: Plugin) -> Mapping[str, MeasureValue]:
-        """Execute a whole run and return what was published."""
+        """Execute a whole run and return the published values."""
         with self.rehearsal(folder, plugin) as (context, rehearsal):
             rehearsal.execute(lambda: self.mission(context))
             return dict(context.measures)
 
     def test_its_name_can_be_that_of_a_folder(self) -> None:
-        """Hold that the name is one that a plugin may have."""
+        """Check that the name is valid for a plugin."""
         plugin = self.make_plugin()
         require(isinstance(plugin, Plugin), f"{plugin!r} does not derive from System or Profiler")
         require(hasattr(plugin, "name"), "the plugin has no name: call super().__init__(name=name) in __init__")
         Plugin(name=plugin.name)
 
     def test_its_measures_have_names_of_their_own_and_a_description(self) -> None:
-        """Hold that the run table's schema can be written from the measures."""
+        """Check that the run table's schema can be written from the measures."""
         names = [measure.name for measure in self.make_plugin().measures]
         require(len(set(names)) == len(names), f"two measures have one name: {names}")
         for measure in self.make_plugin().measures:
@@ -104,7 +104,7 @@ class PluginContract:
             require(measure.description.strip(), f"measure {measure.name!r} has no description")
 
     def test_its_callbacks_can_be_called(self) -> None:
-        """Hold that it has a callback for an event, none is misspelt, and each takes a context or nothing."""
+        """Check that it has a callback, none is misspelt, and each takes a context or nothing."""
         manager, plugin = EventManager(), self.make_plugin()
         manager.subscribe_methods(plugin, owner=plugin.name, kind=OwnerKind.PROFILER)
         called = [event for event in RobotRunnerEvents if manager.subscribers(event)]
@@ -113,7 +113,7 @@ class PluginContract:
         require(not misspelt, f"methods are nearly called like ours, and nothing calls them: {misspelt}")
 
     def test_its_check_finds_nothing_wrong_where_it_works(self) -> None:
-        """Hold that validation passes under the circumstances of these tests, and speaks in findings elsewhere."""
+        """Check that `check` has no findings under the circumstances of these tests, and only findings elsewhere."""
         factors = {name: [treatment] for name, treatment in self.combination.items()}
         found = list(self.make_plugin().check(Circumstances(robot=self.robot, factors=factors)))
         errors = [str(finding) for finding in found if finding.is_error]
@@ -123,7 +123,7 @@ class PluginContract:
             require(finding.fix or not finding.is_error, f"a finding offers no fix: {finding}")
 
     def test_a_good_run_publishes_every_measure(self, tmp_path: Path) -> None:
-        """Hold that each declared measure gets a value or None, and that numbers are finite and have a unit."""
+        """Check that each declared measure gets a value or None, and that numbers are finite and have a unit."""
         plugin = self.make_plugin()
         published = self.execute(tmp_path, plugin)
         missing = {measure.name for measure in plugin.measures} - set(published)
@@ -135,7 +135,7 @@ class PluginContract:
                 require(measure.unit, f"measure {measure.name!r} is the number {value} and declares no unit")
 
     def test_it_writes_nothing_outside_its_folder(self, tmp_path: Path, monkeypatch: Any) -> None:
-        """Hold that raw data go to `context.raw_data_folder` only."""
+        """Check that raw data are written to `context.raw_data_folder` only."""
         (elsewhere := tmp_path / "elsewhere").mkdir()
         monkeypatch.chdir(elsewhere)
         plugin = self.make_plugin()
@@ -145,7 +145,7 @@ class PluginContract:
         require(not stray, f"the plugin wrote outside its folder: {[str(path) for path in stray]}")
 
     def test_two_of_its_kind_keep_their_raw_data_apart(self, tmp_path: Path) -> None:
-        """Hold that a second instance with another name leaves the files of the first alone."""
+        """Check that a second instance with another name does not change the files of the first."""
         first, second = self.make_plugin(), self.make_plugin()
         second.name = f"{first.name}-2"
         self.execute(tmp_path, first)
@@ -155,13 +155,13 @@ class PluginContract:
         require(not changed, f"an instance named {second.name!r} changed files of {first.name!r}: {changed}")
 
     def test_closing_what_was_never_opened_does_no_harm(self, tmp_path: Path) -> None:
-        """Hold that the closing events may come without the opening ones."""
+        """Check that closing events may come without opening events."""
         with self.rehearsal(tmp_path, self.make_plugin()) as (_, rehearsal):
             rehearsal.emit(RobotRunnerEvents.STOP_MEASUREMENT)
             rehearsal.emit(RobotRunnerEvents.STOP_RUN)
 
     def test_closing_twice_does_no_harm(self, tmp_path: Path) -> None:
-        """Hold that a second closing changes nothing about the results."""
+        """Check that closing again does not change the results."""
         plugin = self.make_plugin()
         with self.rehearsal(tmp_path / "twice", plugin) as (context, rehearsal):
             for event in (
@@ -180,7 +180,7 @@ class PluginContract:
         self._require_equal(published, self.execute(tmp_path / "once", self.make_plugin()))
 
     def test_a_second_run_does_not_depend_on_the_first(self, tmp_path: Path) -> None:
-        """Hold that an instance that has executed a run yields what a new one would."""
+        """Check that an instance that has executed a run has the same values as a new one."""
         used = self.make_plugin()
         with self.rehearsal(tmp_path / "first", used, run_seed=2) as (context, rehearsal):
 
@@ -193,7 +193,7 @@ class PluginContract:
         self._require_equal(second, self.execute(tmp_path / "new", self.make_plugin()))
 
     def test_a_mission_that_fails_is_closed(self, tmp_path: Path) -> None:
-        """Hold that after an exception the closing events do their work, and the next run goes well."""
+        """Check that the closing events work after an exception, and that the next run succeeds."""
         plugin = self.make_plugin()
         with self.rehearsal(tmp_path / "failed", plugin) as (context, rehearsal):
 
@@ -223,12 +223,12 @@ def _doubted(context: RobotRunnerContext) -> Iterator[str]:
             yield from fields.get("measures", ()) if kind == "finding" else ()
 
 
-#: So far may the window that a profiler tells of differ from the mission, s.
+#: By how much the window that a profiler reports may differ from the mission, s.
 _SAME_WINDOW = 0.001
 
 
 class _SlowNeighbour(Profiler):
-    """Measures nothing, and takes its time to start and to stop."""
+    """A profiler that measures nothing, but is slow to start and to stop."""
 
     def __init__(self, seconds: float) -> None:
         super().__init__(name="SlowNeighbour")
@@ -242,7 +242,7 @@ class _SlowNeighbour(Profiler):
 
 
 class ProfilerContract(PluginContract):
-    """The facts that a profiler must keep to; pytest finds them in a subclass whose name begins with `Test`.
+    """The rules that a profiler must keep to; pytest finds the tests in a subclass whose name begins with `Test`.
 
     Attributes:
         measuring_seconds: how long each run measures, s on the run's clock.
@@ -265,18 +265,18 @@ class ProfilerContract(PluginContract):
     tolerance: ClassVar[float | None] = None
 
     def mission(self, context: RobotRunnerContext) -> None:
-        """Let time go by."""
+        """Let time pass."""
         context.clock.sleep(self.measuring_seconds)
 
     def test_it_is_a_profiler(self) -> None:
-        """Hold that it derives from `Profiler`, so that it is called at events after the systems."""
+        """Check that it derives from `Profiler`, so that it is called after the systems."""
         plugin = self.make_plugin()
         require(isinstance(plugin, Profiler), f"{plugin!r} does not derive from Profiler")
 
     def test_values_are_about_the_mission_alone(self, tmp_path: Path) -> None:
-        """Hold that a slow profiler, listed before or behind, changes no value; or that values are doubted.
+        """Check that a slow profiler, listed before or after, changes no value, or that values are doubted.
 
-        Listed behind, it has the profiler sample for some seconds before the mission and for some after it.
+        If it is listed after, this profiler samples for some seconds before and after the mission, too.
         """
         short, _ = self._with_neighbour(tmp_path / "before", is_first=True)
         long, doubted = self._with_neighbour(tmp_path / "behind", is_first=False)
@@ -289,7 +289,7 @@ class ProfilerContract(PluginContract):
         )
 
     def _with_neighbour(self, folder: Path, *, is_first: bool) -> tuple[dict[str, MeasureValue], set[str]]:
-        """Return what is published beside a slow neighbour, and whose values are doubted."""
+        """Return the values published beside a slow profiler, and which of them are doubted."""
         plugin, neighbour = self.make_plugin(), _SlowNeighbour(self.neighbour_seconds)
         context = self.make_context(folder, plugin)
         plugins = (neighbour, plugin) if is_first else (plugin, neighbour)
@@ -307,7 +307,7 @@ class ProfilerContract(PluginContract):
         return (ours is None) == (those is None) if tolerance is None else ours == those
 
     def _require_window(self, folder: Path, plugin: Plugin, context: RobotRunnerContext) -> None:
-        """Hold that the window in `quality.json`, where there is one, is the mission."""
+        """Check that the window in `quality.json`, where there is one, is the mission."""
         path = folder / "runs" / context.run_id / plugin.name / "quality.json"
         said = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
         mission = context.times.window(SystemClock() if said.get("clock") == "machine" else None)
@@ -319,13 +319,13 @@ class ProfilerContract(PluginContract):
         require(is_same, f"its quality.json has a window {told}")
 
     def test_a_run_that_never_measured_is_closed(self, tmp_path: Path) -> None:
-        """Hold that a run that fails before its measurement can be closed."""
+        """Check that a run that fails before its measurement can be closed."""
         with self.rehearsal(tmp_path, self.make_plugin()) as (_, rehearsal):
             rehearsal.emit(RobotRunnerEvents.START_RUN)
             rehearsal.emit(RobotRunnerEvents.STOP_RUN)
 
     def test_a_measurement_of_no_length_does_no_harm(self, tmp_path: Path) -> None:
-        """Hold that a mission that fails at once leaves a value or None, and no exception."""
+        """Check that a mission that fails at once leads to values or None, but to no exception."""
         with self.rehearsal(tmp_path, self.make_plugin()) as (context, rehearsal):
             rehearsal.execute(lambda: None)
             declared = {measure.name for measure in self.make_plugin().measures}

@@ -51,15 +51,15 @@ def typed_array(kind: str, numbers: Sequence[Any]) -> CBORTag:
 
 
 def with_typed_arrays(shape: Shape, values: Mapping[str, Any], message: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a message of the protocol with its arrays of numbers and bytes as CBOR has them.
+    """Return a message of the protocol with its arrays of numbers and bytes in CBOR.
 
     Args:
         shape: of its type.
-        values: the message as the protocol has it in JSON.
-        message: the same message as ours.
+        values: the message in the protocol's JSON.
+        message: the same message as a plain mapping.
 
     Raises:
-        Refusal: it has an array that the servers cannot write so (cbor_conversion.py of rosbridge_library 0.11).
+        Refusal: servers cannot write one of its arrays in CBOR (cbor_conversion.py of rosbridge_library 0.11).
     """
     return {field.name: _value(field, values[field.name], message[field.name]) for field in shape.fields}
 
@@ -79,14 +79,14 @@ def _value(field: Field, value: Any, ours: Any) -> Any:
 
 
 class Refusal(Exception):  # noqa: N818 - what a server says in a status message, which is no error of the test's
-    """An operation that a server refuses, in its words."""
+    """A refused operation, with the server's message."""
 
 
 class Client(Protocol):
-    """Something that subscribes, publishes or offers: a connection, or the test itself."""
+    """A subscriber, publisher or offerer: a connection, or the test itself."""
 
     def receive(self, topic: ServedTopic, message: Message) -> None:
-        """Take a message of a topic."""
+        """Receive a message of a topic."""
 
 
 @dataclass(slots=True)
@@ -96,10 +96,10 @@ class ServedTopic:
     Attributes:
         name: full name.
         type_name: of its messages.
-        publishers: by id, with whether they are latched.
+        publishers: whether each is latched, by id.
         subscribers: by id and name of the subscription.
         last: the last message of a latched topic.
-        published_until: when the server ends to publish it without clients, monotonic, s.
+        published_until: until when the server stays a publisher without clients, monotonic, s.
     """
 
     name: str
@@ -111,7 +111,7 @@ class ServedTopic:
 
     @property
     def is_published(self) -> bool:
-        """Whether the server publishes it, for a client or still."""
+        """Whether the server publishes it, for a client or after the last one has left."""
         return bool(self.publishers) or time.monotonic() < self.published_until
 
     @property
@@ -122,7 +122,7 @@ class ServedTopic:
 
 @dataclass(frozen=True, slots=True)
 class ServedService:
-    """A service: its type, and what answers, which is an object with a method for it or a function of the test's."""
+    """A service: its type, and its server, which is an object with a method for it or a function of the test."""
 
     type_name: str
     owner: object
@@ -130,15 +130,15 @@ class ServedService:
 
 
 class Graph:
-    """Topics and services by full name; a user of it holds the server's lock.
+    """Topics and services by full name; callers hold the server's lock.
 
     Args:
-        types: what messages are made of.
+        types: the message types.
 
     Attributes:
-        action_types: returns the type of each action that is offered; for rosapi.
-        unregister_timeout: how long the server goes on to publish what its last client has left, s. That of
-            rosbridge_suite is 10.
+        action_types: returns the type of each offered action; for rosapi.
+        unregister_timeout: how long the server stays a publisher after the last client has left, s; 10 in
+            rosbridge_suite.
     """
 
     def __init__(self, types: TypeCatalogue) -> None:
@@ -149,18 +149,18 @@ class Graph:
         self.unregister_timeout = 0.0
 
     def advertise(self, name: str, type_name: str, publisher: object, *, is_latched: bool = False) -> None:
-        """Take a publisher; raises a `Refusal` where the topic carries another type."""
+        """Add a publisher; raise a `Refusal` where the topic has another type."""
         self._topic(name, type_name).publishers[id(publisher)] = is_latched
 
     def unadvertise(self, name: str, publisher: object) -> None:
-        """Let a publisher go."""
+        """Remove a publisher."""
         topic = self.topics.get(name)
         if topic is not None and topic.publishers.pop(id(publisher), None) is not None:
             topic.published_until = time.monotonic() + self.unregister_timeout
             self._tidy(name)
 
     def publish(self, name: str, message: Message, publisher: object) -> None:
-        """Hand a complete message to the subscribers of the topic."""
+        """Send a complete message to the subscribers of the topic."""
         topic = self.topics.get(name)
         if topic is None or id(publisher) not in topic.publishers:
             raise Refusal(f"publish: topic {name} is not advertised")
@@ -170,7 +170,7 @@ class Graph:
             subscriber.receive(topic, message)
 
     def subscribe(self, name: str, type_name: str | None, subscriber: Client, label: str) -> None:
-        """Take a subscriber; raises a `Refusal` where the topic carries another type."""
+        """Add a subscriber; raise a `Refusal` where the topic has another type."""
         if type_name is None and name not in self.topics:
             raise Refusal(f"subscribe: cannot infer the type of topic {name}, which is not published yet")
         topic = self._topic(name, type_name or self.topics[name].type_name)
@@ -179,7 +179,7 @@ class Graph:
             subscriber.receive(topic, topic.last)
 
     def unsubscribe(self, name: str, subscriber: Client, label: str | None) -> None:
-        """Let a subscriber go, from one subscription or, without its label, from all of the topic."""
+        """Remove one subscription of a subscriber or, without a label, all of the topic."""
         topic = self.topics.get(name)
         if topic is not None:
             for key in [key for key in topic.subscribers if key[0] == id(subscriber) and label in {None, key[1]}]:
@@ -187,7 +187,7 @@ class Graph:
             self._tidy(name)
 
     def forget(self, client: Client) -> None:
-        """Let a client go from everywhere."""
+        """Remove a client from all topics and services."""
         for name in list(self.topics):
             self.unsubscribe(name, client, None)
             self.unadvertise(name, client)
@@ -211,10 +211,10 @@ class Graph:
 
 
 def received(shape: Shape, values: object, *, where: str) -> dict[str, Any]:
-    """Return a message of the protocol, which may lack fields, as a complete one of ours.
+    """Convert a message of the protocol, which may lack fields, to a complete plain mapping.
 
     Raises:
-        Refusal: it has a field that the type has not.
+        Refusal: it has a field that the type does not have.
         LinkError: a value is not of its field's kind.
     """
     defaults = to_protocol(shape, completed(shape, {}, where=where))
@@ -236,14 +236,14 @@ def _merged(defaults: Mapping[str, Any], given: object, where: str) -> dict[str,
 
 
 class ServedRosapi:
-    """Answers questions about a graph.
+    """Answers the services of rosapi about a graph.
 
     Attributes:
-        nodes: full names of the nodes that there are, that of the server first.
+        nodes: full names of the nodes, the server's first.
         parameters: the parameter server of ROS 1, by full names.
-        has_ended: whether it has failed and answers no more, as in ROS 2 where it is asked for the details of a service
-            type that the robot has not installed.
-        hangs: whether it is there and does not answer, as a node that is stopped, or was killed a moment ago.
+        has_ended: whether it has crashed, as in ROS 2 after a request for the details of a service type that is not
+            installed on the robot.
+        hangs: whether it is listed but does not answer, like a node that is suspended, or was killed a moment ago.
     """
 
     def __init__(self, graph: Graph, generation: int, distro: str) -> None:
@@ -255,7 +255,7 @@ class ServedRosapi:
         self.has_ended = self.hangs = False
 
     def answer(self, service: str, request: Mapping[str, Any]) -> dict[str, Any] | None:
-        """Return the response of a service of rosapi's, or None if it is another service, or rosapi has ended."""
+        """Return the response of a service of rosapi, or None for another service, or if rosapi has ended."""
         topics, services, types = self._graph.topics, self._graph.services, self._graph.types
         questions: dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {
             "get_time": lambda _: {"time": self._stamp()},
@@ -294,7 +294,7 @@ class ServedRosapi:
             raise
 
     def _parameter_questions(self) -> dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]]:
-        """Return what rosapi answers of parameters, whose values are JSON."""
+        """Return rosapi's services for parameters, whose values are JSON."""
         there = self.parameters
 
         def change(asked: Mapping[str, Any]) -> dict[str, Any]:
@@ -313,7 +313,7 @@ class ServedRosapi:
         }
 
     def _endpoints(self, name: str, kind: str) -> list[str]:
-        """Return the server's node where any client has the topic: a graph does not see who is behind a rosbridge."""
+        """Return the server's node where any client uses the topic: the clients themselves are not on the graph."""
         topic = self._graph.topics.get(name)
         if topic is None:
             return []
@@ -331,7 +331,7 @@ class ServedRosapi:
 
 
 def _nested(parameters: Mapping[str, Any], name: str) -> Any:
-    """Return the parameter of this name, or all below it as a mapping; None where there is none."""
+    """Return the parameter of this name, or those below it as a mapping; None where there is none."""
     below = {each.removeprefix(f"{name}/").partition("/")[0] for each in parameters if each.startswith(f"{name}/")}
     return {each: _nested(parameters, f"{name}/{each}") for each in sorted(below)} or parameters.get(name)
 

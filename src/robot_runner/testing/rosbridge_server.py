@@ -1,4 +1,4 @@
-"""A rosbridge server for tests, with a graph of its own behind it; it takes no ROS.
+"""A rosbridge server for tests, with a graph of its own; it needs no ROS.
 
 Source: rosbridge v2.0 protocol specification.
 """
@@ -41,7 +41,7 @@ _logger = logging.getLogger(__name__)
 
 
 class ServedClient:
-    """A client that is connected to a server by a WebSocket, from its first to its last frame."""
+    """The server's side of a client's WebSocket connection."""
 
     def __init__(self, server: RosbridgeServer, connection: Any) -> None:
         self._server = server
@@ -51,10 +51,10 @@ class ServedClient:
         self._fragment_sizes: dict[str, int] = {}
         self._open_requests: dict[str, tuple[ServedClient, Any]] = {}
         self._is_authenticated = False
-        self.asking: set[str] = set()  # the calls of services that have not answered
+        self.asking: set[str] = set()  # calls of services that are not answered yet
 
     def serve(self) -> None:
-        """Take operations until the connection ends."""
+        """Handle operations until the connection ends."""
         reader = FrameReader()
         with suppress(*send_errors()):
             for frame in self._connection:
@@ -75,7 +75,7 @@ class ServedClient:
             self._connection.close()
 
     def receive(self, topic: ServedTopic, message: Message) -> None:
-        """Send a message of a topic, in the compression that was asked for."""
+        """Send a message of a topic, in the requested compression."""
         compression = self._compressions.get(topic.name, "none")
         operation: dict[str, Any] = {"op": "publish", "topic": topic.name}
         types, name = self._server.graph.types, plain_type(topic.type_name)
@@ -87,7 +87,7 @@ class ServedClient:
         shape = types.shape(name)
         values = self._server.spelt(to_protocol(shape, message))
         if compression == "cbor":
-            with suppress(Refusal):  # which a server writes to its log alone
+            with suppress(Refusal):  # a real server only logs it
                 self._send_bytes({**operation, "msg": with_typed_arrays(shape, values, message)})
         else:
             self._send({**operation, "msg": values}, self._fragment_sizes.get(topic.name))
@@ -123,7 +123,7 @@ class ServedClient:
             **dict.fromkeys(self._server.actions.takers, lambda op: self._server.actions.take(op, self)),
         }
         if self._server.secret and not self._is_authenticated:
-            # As rosauth: the SHA-512 of the secret and all that the client says, in this order.
+            # As in rosauth: the SHA-512 of the secret and these fields, in this order.
             said = "".join(str(operation.get(name)) for name in ("client", "dest", "rand", "t", "level", "end"))
             mac = hashlib.sha512((self._server.secret + said).encode()).hexdigest()
             self._is_authenticated = operation["op"] == "auth" and operation.get("mac") == mac
@@ -232,21 +232,21 @@ class RosbridgeServer:
     """A rosbridge server on a free port of this machine, in threads.
 
     Args:
-        generation: of the ROS that it is a bridge to.
-        has_rosapi: whether rosapi runs beside it.
-        tells: whether it sends status messages, as the protocol says; today's servers only write them to their log.
-        compressions: that it knows; a server sends JSON where it does not know one.
-        types: files and folders with message types that the robot has beyond the standard ones.
-        tls: by which it proves who it is; None for a server without TLS.
-        authorization: the HTTP header without which it answers 401; empty for a server that asks for none.
-        secret: by which clients authenticate themselves as rosauth has it, or are hung up on; empty for none.
+        generation: of ROS.
+        has_rosapi: whether rosapi runs, too.
+        tells: whether it sends status messages, as the protocol says; today's servers only log them.
+        compressions: those that it supports; it sends JSON in place of any other.
+        types: files and folders with the robot's message types beyond the standard ones.
+        tls: with its certificate; None for a server without TLS.
+        authorization: the HTTP header that it requires, or answers 401; empty for none.
+        secret: for the authentication of clients by rosauth, without which they are disconnected; empty for none.
 
     Attributes:
-        graph: topics and services behind it.
-        actions: actions behind it, where it is a bridge to ROS 2.
+        graph: its topics and services.
+        actions: its actions, for ROS 2.
         lock: to be held while the graph is used.
-        calls_in_turn: whether nothing more is taken of a connection until the service that it calls has answered, as
-            by default (`call_services_in_new_thread`) in ROS 2.
+        calls_in_turn: whether a connection's operations wait until the service that it calls has answered, as by
+            default in ROS 2 (`call_services_in_new_thread`).
 
     Example:
         >>> from robot_runner.core.events.context import SystemClock
@@ -309,12 +309,12 @@ class RosbridgeServer:
 
     @property
     def url(self) -> str:
-        """What `robot` is set to, to reach it."""
+        """The value of `robot` in a config, to reach it."""
         return f"{self._scheme}://127.0.0.1:{self.port}"
 
     @property
     def encoding(self) -> Encoding:
-        """How its generation of ROS lays out bytes."""
+        """The encoding of raw messages in its generation of ROS."""
         return Encoding.ROS1 if self.generation == 1 else Encoding.CDR
 
     def publish(self, topic: str, message_type: str, message: Message, *, is_latched: bool = False) -> None:
@@ -330,21 +330,21 @@ class RosbridgeServer:
             self.graph.services[service] = ServedService(self._spelt_type(service_type, "srv"), self, answer)
 
     def drop_connections(self) -> None:
-        """End all connections, as a robot does whose battery is empty, and go on listening."""
+        """Close all connections, as when the battery of the robot is empty, and go on listening."""
         for client in list(self._clients):
             client.close()
 
     def close(self) -> None:
-        """End; closing twice does nothing."""
+        """End the server; closing twice does nothing."""
         self._server.shutdown()
         self.drop_connections()
         self._thread.join(5.0)
 
     def call(self, caller: ServedClient, number: Any, service: str, request: Mapping[str, Any]) -> None:
-        """Have a service answer to a client; called with the lock held.
+        """Let a service answer a client; called with the lock held.
 
         Raises:
-            Refusal: there is no such service, or the request is not one of its type.
+            Refusal: there is no such service, or the request is not of its type.
         """
         if self._rosapi.hangs and service.startswith("/rosapi/"):
             caller.asking.add(str(number))
@@ -365,15 +365,15 @@ class RosbridgeServer:
             caller.respond(number, service, values, is_good=True)
 
     def forget(self, client: ServedClient) -> None:
-        """Let a client go."""
+        """Remove a client."""
         if client in self._clients:
             self._clients.remove(client)
 
     def receive(self, topic: object, message: Message) -> None:
-        """Take nothing: the nodes behind the server subscribe no topics."""
+        """Do nothing: the nodes behind the server subscribe no topics."""
 
     def spelt(self, values: Any) -> Any:
-        """Return values as they can be written in JSON: NaN and infinity are null."""
+        """Return values for JSON: null in place of NaN and infinity."""
         if isinstance(values, float):
             return values if math.isfinite(values) else None
         if isinstance(values, dict):
@@ -395,5 +395,5 @@ class RosbridgeServer:
 
 def _quiet() -> logging.Logger:
     logger = logging.getLogger(f"{__name__}.websockets")
-    logger.setLevel(logging.CRITICAL)  # clients that vanish are what tests are about
+    logger.setLevel(logging.CRITICAL)  # tests let clients vanish on purpose
     return logger

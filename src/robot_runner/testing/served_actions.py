@@ -1,4 +1,4 @@
-"""The actions of the rosbridge server of the tests, by the operations that rosbridge_suite has for them."""
+"""The actions of the rosbridge server for tests, with the operations of rosbridge_suite."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class _Client(Protocol):
 
 @dataclass(slots=True)
 class _Goal:
-    """A goal that is executed: whose it is, and how either side calls it."""
+    """A goal in progress: its client, and its ids on both sides."""
 
     action: str
     sender: _Client
@@ -50,19 +50,19 @@ class _Action:
 
 
 class ServedActions:
-    """Actions by full name, and their goals; a user of it holds the server's lock.
+    """Actions by full name, and their goals; callers hold the server's lock.
 
     Args:
-        graph: on which the states of goals are published.
-        is_known: whether the server knows these operations at all, as those of ROS 2 do since rosbridge_suite 2.0.
+        graph: for the topics with the states of goals.
+        is_known: whether the server supports these operations, as in ROS 2 since rosbridge_suite 2.0.
 
     Attributes:
-        takers: what takes each operation about actions.
-        is_known: the same; to be changed.
+        takers: the handler of each operation.
+        is_known: as given; may be changed.
         offered: the actions.
-        tells_rejection: whether a goal that is not taken is answered at all, as servers since 3.0 do.
+        tells_rejection: whether a rejected goal is answered, as servers since 3.0 do.
         rejects: which goals the server's action servers reject, by action.
-        keeps_actions: whether an action stays on the graph that nobody offers any more, as with servers of 2.x.
+        keeps_actions: whether a withdrawn action stays on the graph, as with servers of 2.x.
     """
 
     def __init__(self, graph: Graph, *, is_known: bool) -> None:
@@ -84,17 +84,17 @@ class ServedActions:
         graph.action_types = lambda: {name: each.type_name for name, each in self.offered.items()}
 
     def take(self, operation: Mapping[str, Any], client: _Client) -> None:
-        """Deal with an operation about actions.
+        """Handle an operation about actions.
 
         Raises:
-            Refusal: it cannot be.
+            Refusal: it is not possible.
         """
         if not self.is_known:
             raise Refusal(f"Unknown operation: {operation['op']}")
         self.takers[operation["op"]](operation, client)
 
     def forget(self, client: _Client) -> None:
-        """Let a client go: its actions are withdrawn; the goals that it sent go on, as with a real server."""
+        """Remove a client: its actions are withdrawn; the goals that it sent go on, as with a real server."""
         for name in [name for name, action in self.offered.items() if action.owner is client]:
             self._withdraw(name)
 
@@ -153,7 +153,7 @@ class ServedActions:
                 self._ask_for_end(action, goal)
 
     def _cancel_called(self, name: str, request: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Answer the hidden service of the action: of one goal, or of all where none is named."""
+        """Answer the action's hidden cancel service, for one goal, or for all where none is named."""
         action, key = self.offered[name], request["goal_info"]["goal_id"]["uuid"]
         for goal in list(action.goals.values()):
             if key in {goal.key, bytes(16)}:
@@ -199,7 +199,7 @@ class ServedActions:
         return received(shape, operation.get("values") or {}, where=operation["action"])
 
     def receive(self, topic: object, message: Mapping[str, Any]) -> None:
-        """Take nothing: it subscribes no topics."""
+        """Do nothing: no topics are subscribed."""
 
     def _publish(self, action: _Action, name: str) -> None:
         seconds, nanoseconds = divmod(time.time_ns(), 1_000_000_000)

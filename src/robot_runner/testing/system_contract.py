@@ -1,4 +1,4 @@
-"""What holds for every system, as tests for its author to inherit."""
+"""The rules for every system, as tests for its author to inherit."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from robot_runner.testing.fake_robot import FakeRobotLink
 from robot_runner.testing.fake_run import Rehearsal, context_for
 from robot_runner.testing.plugin_contract import MissionFailed, PluginContract, require
 
-#: A robot that was told to stop is given this long, s, and then may not move by more than this, m and rad.
+#: How long a robot may take to stop, s, and how far it may move after that, m and rad.
 _STOPPING_SECONDS = 0.5
 _STANDING_SECONDS = 0.5
 _STANDING_TOLERANCE = 0.002
-#: When the process of a run dies, as parts of the run's time.
+#: When the process of a run dies, as shares of the run's duration.
 _DEATHS = (0.3, 0.6)
-#: How long a run lasts at least that is broken off, s.
+#: The least duration of a run that is broken off, s.
 _LEAST_SECONDS = 1.0
-#: How long a thread of the contract may take to come where it is awaited, s.
+#: The timeout for waiting for a thread of the contract, s.
 _DEADLINE = 60.0
 
 
 class SystemContract(PluginContract):
-    """The facts that a system must keep to; pytest finds them in a subclass whose name begins with `Test`.
+    """The rules that a system must keep to; pytest finds the tests in a subclass whose name begins with `Test`.
 
     Attributes:
         namespace: the robot's ROS namespace.
@@ -53,7 +53,7 @@ class SystemContract(PluginContract):
     goes_on_without_its_process: ClassVar[bool] = True
 
     def robot_stands_still(self, context: RobotRunnerContext) -> bool:
-        """Return whether the robot stands still, by its odometry; to be overridden for a robot without any."""
+        """Return whether the robot stands still, by its odometry; to be overridden for a robot without odometry."""
         link = connect_robot(context, namespace=self.namespace)
         if isinstance(link, FakeRobotLink):
             return link.stands_still
@@ -67,18 +67,18 @@ class SystemContract(PluginContract):
         return _moved(before, heard[-1]) < _STANDING_TOLERANCE
 
     def test_it_is_a_system(self) -> None:
-        """Hold that it derives from `System`, so that it is called at events before the profilers."""
+        """Check that it derives from `System`, so that it is called before the profilers."""
         plugin = self.make_plugin()
         require(isinstance(plugin, System), f"{plugin!r} does not derive from System")
 
     def test_the_robot_stands_still_after_a_good_run(self, tmp_path: Path) -> None:
-        """Hold that the mission's end is the end of all motion."""
+        """Check that all motion has ended after the mission."""
         with self.rehearsal(tmp_path, self.make_plugin()) as (context, rehearsal):
             rehearsal.execute(lambda: self.mission(context))
             require(self.robot_stands_still(context), "the robot still moves after a good run")
 
     def test_the_robot_stands_still_whenever_the_mission_breaks_off(self, tmp_path: Path) -> None:
-        """Hold that an exception at any moment of the mission stops the robot."""
+        """Check that an exception at any moment of the mission stops the robot."""
         duration = self._seconds_of_a_good_run(tmp_path / "good")
         for point in range(self.breaking_points):
             moment = duration * (point + 0.5) / self.breaking_points
@@ -88,7 +88,7 @@ class SystemContract(PluginContract):
             )
 
     def test_the_robot_is_stopped_by_a_process_that_did_not_move_it(self, tmp_path: Path) -> None:
-        """Hold that `make_safe` needs nothing that the run's callbacks have kept: its process may have been killed."""
+        """Check that `make_safe` needs no state of the run's callbacks, whose process may have been killed."""
         duration = self._seconds_of_a_good_run(tmp_path / "good") if self.goes_on_without_its_process else 0.0
         for number, moment in enumerate(duration * part for part in _DEATHS if duration):
             require(
@@ -98,7 +98,7 @@ class SystemContract(PluginContract):
             )
 
     def test_it_can_be_made_safe_at_any_time_and_twice(self, tmp_path: Path) -> None:
-        """Hold that `make_safe` works before, after and without a run."""
+        """Check that `make_safe` works before, after and without a run."""
         plugin = self.make_plugin()
         with self.rehearsal(tmp_path, plugin) as (context, rehearsal):
             rehearsal.make_safe()
@@ -115,7 +115,7 @@ class SystemContract(PluginContract):
             return context.clock.now() - begun
 
     def _lasting_mission(self, context: RobotRunnerContext, begun: float) -> None:
-        """Have the mission, and let time go by where the run takes none: what drives all the while is to be caught."""
+        """Execute the mission, and let time pass if it takes none, to detect a robot that still drives."""
         self.mission(context)
         if context.clock.now() <= begun:
             context.clock.sleep(_LEAST_SECONDS)
@@ -163,7 +163,7 @@ class SystemContract(PluginContract):
 
 
 class _DyingClock:
-    """The run's clock, on which one sleep lasts until the contract is over, as that of a process that was killed."""
+    """The run's clock, on which one sleep lasts until the contract is over, as in a process that was killed."""
 
     def __init__(self, clock: Clock, dies_at: float) -> None:
         self._clock = clock

@@ -362,7 +362,7 @@ def test_factorials_blocks_and_ranks_are_adjusted(tmp_path: Path, more: dict[str
 
 
 def test_sizes_by_rank_of_adjusted_values_have_no_interval() -> None:
-    # That of Feng and Cliff knows nothing of the slope: it holds in 78 to 97 %, by simulation.
+    # It would know nothing of the slope: it holds in 78 to 97 %, by simulation.
     random = np.random.default_rng(5)
     rows = [(task, float(random.normal()), float(random.normal())) for task in "ab" for _ in range(6)]
     plan = AnalysisPlan(measures=["y"], covariates=["x"])

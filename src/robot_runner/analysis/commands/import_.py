@@ -32,7 +32,7 @@ _TEXTS = ("name", "table", "run_id", "status", "repetition", "block", "run_folde
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     parser.add_argument("folder", metavar="FOLDER", help="the folder that holds the run table and the runs' folders")
     parser.add_argument(
         "--to", metavar="FOLDER", help="the experiment folder to make; NAME_imported in the current folder if left out"
@@ -89,7 +89,7 @@ def _add_repeated(parser: Parser, option: str, metavar: str, text: str) -> None:
 
 
 def execute(arguments: Namespace) -> int:
-    """Show what was understood; write it, if that is wanted; say how it differs from the table's own values."""
+    """Show what was understood; write it, if wanted; show where recomputed values differ from the table's."""
     require_libraries()
     from robot_runner.analysis.importing.adoption import adopt  # noqa: PLC0415 - takes a second to import
     from robot_runner.analysis.importing.understanding import understand  # noqa: PLC0415 - as above
@@ -198,11 +198,11 @@ def _shown(arguments: Namespace, understanding: Understanding) -> int:
 
 
 def _make_sure(arguments: Namespace, understanding: Understanding) -> None:
-    """Ask at a terminal whether it is right.
+    """Ask at a terminal whether the understanding is right.
 
     Raises:
         AnalysisError: with `--yes`, something is not sure; its findings name the options that settle it.
-        UsageError: it is not right, or nobody can be asked.
+        UsageError: the user says no, or there is no terminal.
     """
     if arguments.yes:
         AnalysisError.refuse(understanding.questions)

@@ -1,4 +1,4 @@
-"""What `robot-runner import` shows: what was understood, how sure that is, and how recomputed measures agree."""
+"""The output of `robot-runner import`: what was understood, how sure that is, and how recomputed measures agree."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.importing.understanding import Understanding
 
 _SHOWN_DIFFERENCES = 5
-#: As many rows and columns as one reads before saying yes.
+#: The numbers of rows and columns that a user will read before saying yes.
 _SHOWN_ROWS, _SHOWN_COLUMNS = 3, 25
 _STATUSES = {"Done": "done", "Failed": "failed", "-": "to do"}
 
@@ -62,7 +62,7 @@ def _column_lines(found: Understanding) -> Iterator[str]:
         ]
         for guess in found.roles.guesses
     ]
-    # What is not sure is shown, however many columns there are.
+    # Unsure columns are always shown.
     kept = [row for place, row in enumerate(rows) if place < _SHOWN_COLUMNS or row[3] == "unsure"]
     firsts = [f"row {place + 1}" for place in range(min(_SHOWN_ROWS, len(found.table.rows)))]
     headings = ["column", "role", "unit", "sure?", *firsts, "because"]
@@ -91,7 +91,7 @@ def _samples_words(samples: Any) -> str:
 
 
 def print_adoption(console: UserConsole, adoption: Adoption) -> None:
-    """Print how the recomputed measures agree with the table's own, and where everything is."""
+    """Print how recomputed measures agree with the table's, and where the files are."""
     from robot_runner.analysis.importing.recomputation import TOLERANCE, agreements  # noqa: PLC0415 - as above
 
     console.print("\nRecomputed from the samples, beside the table's own values", style="bold")

@@ -49,7 +49,7 @@ _DIFFERS = 1
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     add_config(parser)
     add_set(parser)
     parser.add_argument("--power", metavar="FILE", help="register this power.json, which `power --output` has written")
@@ -71,7 +71,7 @@ def execute(arguments: Namespace) -> int:
     target = Path(arguments.output).expanduser() if arguments.output else path
     replaced = _replaced(target, is_asked=arguments.replace)
     power = _power(arguments.power, content)
-    # The date stands at the top, for people.
+    # The date comes first, for human readers.
     made = write_registration(
         target, {"registered_at": utc_now(), **content, "power": power, **({"replaces": replaced} if replaced else {})}
     )
@@ -83,7 +83,7 @@ def execute(arguments: Namespace) -> int:
 
 
 def _content(arguments: Namespace) -> tuple[Path, dict[str, Any], Experiment]:
-    """Return where the registration of a config belongs, what it holds, and the experiment."""
+    """Return the path of a config's registration, its content, and the experiment."""
     loaded = load_config(Path(arguments.config), parse_assignments(arguments.set))
     preparation = prepare(loaded.source.path, loaded.overrides, lambda _path, _overrides: loaded, is_for_here=False)
     experiment = preparation.experiment
@@ -102,7 +102,7 @@ def _refuse_begun(experiment: Experiment) -> None:
 
 
 def _replaced(target: Path, *, is_asked: bool) -> dict[str, Any] | None:
-    """Return which registration is replaced; None where there is none."""
+    """Return the date and digest of the registration that is replaced; None where there is none."""
     if not target.exists():
         return None
     earlier = read_registration(target)
@@ -117,8 +117,8 @@ def _power(path: str | None, content: Mapping[str, Any]) -> dict[str, Any] | Non
     """Return the power that was computed for this study.
 
     Raises:
-        UsageError: the file is another's.
-        StorageError: it cannot be read.
+        UsageError: the file is not of this study.
+        StorageError: the file cannot be read.
     """
     if path is None:
         return None
@@ -148,7 +148,7 @@ def _power(path: str | None, content: Mapping[str, Any]) -> dict[str, Any] | Non
 
 
 def _blocks(name: str | None) -> str | None:
-    """Return how `power` calls blocks: those of a factor that only counts are the repetitions."""
+    """Return the name of the blocks in `power`: blocks of a factor that only counts are the repetitions."""
     return REPETITION if name is not None and _counts(name) else name
 
 
@@ -206,7 +206,7 @@ def _print(console: UserConsole, made: Registration, target: Path, *, is_found: 
 
 
 def _too_few(content: Mapping[str, Any]) -> Iterator[str]:
-    """Yield where the config plans fewer repetitions than the power analysis says."""
+    """Yield each scenario that needs more repetitions than the config plans."""
     design = content["design"]
     counted_by = (len(texts) for name, texts in design["factors"].items() if _counts(name))
     planned = next(counted_by, design["repetitions"])
@@ -218,7 +218,7 @@ def _too_few(content: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _text(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield a registration in words."""
+    """Yield the facts of a registration in words, with their labels."""
     design, plan = content["design"], content["analysis"]
     yield "Experiment", f"{content['experiment']} ({content['config']['file']})"
     factors = " x ".join(f"{name} ({', '.join(texts)})" for name, texts in design["factors"].items())

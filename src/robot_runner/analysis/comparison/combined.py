@@ -1,4 +1,4 @@
-"""What several experiments say together of the effects of treatments, and how the averages of one effect are made.
+"""The results of a meta-analysis, and the averages of one effect over experiments.
 
 Sources: Paule and Mandel, Consensus values and weighting factors (Journal of Research of the National Bureau of
 Standards 87, 1982); Hartung and Knapp, On tests of the overall treatment effect in meta-analysis with normally
@@ -36,9 +36,9 @@ class Pooled:
 
     Attributes:
         error: its standard error.
-        freedom: the degrees of freedom of that; infinite for a normal distribution.
-        interval: at 1 - alpha; None, as the p-value, where all experiments found exactly the same.
-        p_value: that the average is zero.
+        freedom: the degrees of freedom of the error; infinite for a normal distribution.
+        interval: at 1 - alpha; like the p-value, None where all experiments have exactly the same estimate.
+        p_value: for an average of zero.
     """
 
     estimate: float
@@ -50,15 +50,15 @@ class Pooled:
 
 @dataclass(frozen=True, slots=True)
 class Heterogeneity:
-    """How far experiments differ beyond what their own runs explain.
+    """How much experiments differ beyond the variation of their own runs.
 
     Attributes:
         q: Cochran's Q, with one degree of freedom less than there are experiments.
-        p_value: that they do not, by Welch's F: Q alone takes standard errors to be known, and errs in up to 17 %
-            where experiments have five runs a treatment.
+        p_value: for no heterogeneity, by Welch's F: Q itself assumes known standard errors, and has up to 17 % false
+            positives where experiments have five runs a treatment.
         tau_squared: the variance between experiments (Paule and Mandel).
         tau_squared_interval: by the profile of Q.
-        i_squared: the share of that variance in all of it, in percent; its interval is that of tau squared.
+        i_squared: the share of that variance in the total, in percent; its interval follows from that of tau squared.
     """
 
     q: float
@@ -72,13 +72,13 @@ class Heterogeneity:
 
 @dataclass(frozen=True, slots=True)
 class Combined:
-    """One effect over all experiments that tell of it.
+    """One effect over all experiments that estimate it.
 
     Attributes:
-        common: where all experiments estimate one and the same effect (also called fixed effect).
-        random: the average of the effects that experiments of this kind have (random effects).
-        common_weights, random_weights: the share of each experiment, summing up to 1.
-        prediction: where the effect in a further experiment is expected; None for two experiments.
+        common: the effect if it is the same in all experiments (common or fixed effect).
+        random: the average of effects that vary between experiments (random effects).
+        common_weights, random_weights: the weight of each experiment, summing up to 1.
+        prediction: the prediction interval of the effect in a further experiment; None for two experiments.
     """
 
     common: Pooled
@@ -91,18 +91,18 @@ class Combined:
 
 @dataclass(frozen=True, slots=True)
 class EffectIn:
-    """What one experiment says of an effect: a line of a forest plot.
+    """One experiment's estimate of an effect: a line of a forest plot.
 
     Attributes:
-        experiment: its name among those that are combined.
-        runs: with a value, of the treatments that are compared.
+        experiment: its name in the meta-analysis.
+        runs: the number of runs with a value, of the compared treatments.
         estimate: the difference of means (or the contrast), in the unit of the measure.
         error: its standard error, with `freedom` degrees of freedom (Welch, Satterthwaite).
         interval: at 1 - alpha.
         g: Hedges' g; None with a single degree of freedom.
-        g_error: its standard error, at the average g of all; within blocks at its own.
-        g_freedom: the degrees of freedom of that; infinite where the standard deviation is known no better than the
-            error of the difference is.
+        g_error: its standard error, at the average g of all experiments; within blocks at its own g.
+        g_freedom: the degrees of freedom of `g_error`; infinite where the standard deviation has no more of them than
+            the error of the difference.
     """
 
     experiment: str
@@ -122,15 +122,15 @@ class CombinedEffect:
     """A difference of two treatments, or a contrast of several, over all experiments.
 
     Attributes:
-        factor: whose treatments are compared.
+        factor: the factor of the compared treatments.
         weights: the weight of each treatment's mean.
         statement: the hypothesis of a plan that names the contrast; empty for a pair.
-        experiments: those that tell of it.
+        experiments: the estimates of the experiments that have the effect.
         difference: in the unit of the measure.
         standardised: Hedges' g; None where an experiment has none.
-        adjusted_p_value: of the random-effects average, after Holm, for the number of effects on this measure.
-        is_significant: whether it is below alpha; None where there is none.
-        conclusion: in plain sentences.
+        adjusted_p_value: of the random-effects average, adjusted by Holm for the number of effects on this measure.
+        is_significant: whether `adjusted_p_value` is below alpha; None where there is none.
+        conclusion: the result in plain sentences.
     """
 
     factor: str
@@ -159,12 +159,12 @@ class CombinedMeasure:
     """One measure of several experiments.
 
     Attributes:
-        names: what each experiment that has it calls it.
-        unit: that all values were converted to.
+        names: its name in each experiment that has it.
+        unit: the unit to which all values were converted.
         origins: where the values come from, by experiment.
         is_primary: whether a plan names it among its primary measures.
-        effects: one a pair of treatments of each factor, then contrasts of hypotheses.
-        not_computed: what could not be combined and why.
+        effects: one for each pair of treatments of each factor, then contrasts of hypotheses.
+        not_computed: what could not be combined, with the reason.
     """
 
     name: str
@@ -186,11 +186,11 @@ class MetaAnalysis:
     """Several experiments combined.
 
     Attributes:
-        experiments: in the order in which they were given.
+        experiments: in the given order.
         alpha: the level of significance.
-        factors: those that two and more of them vary.
-        differing: circumstances that differ: what, then how it is in each.
-        findings: what a reader has to know of the matching: names that differ, units that were converted.
+        factors: the factors that at least two experiments vary.
+        differing: circumstances that differ: the circumstance, then its value in each experiment.
+        findings: notes on the matching for readers: names that differ, units that were converted.
     """
 
     experiments: tuple[Side, ...]
@@ -201,16 +201,16 @@ class MetaAnalysis:
     findings: tuple[Finding, ...]
 
     def measure(self, name: str) -> CombinedMeasure:
-        """Return what was found of one measure.
+        """Return the results of one measure.
 
         Raises:
-            KeyError: it was not combined.
+            KeyError: the measure was not combined.
         """
         return {each.name: each for each in self.measures}[name]
 
 
 _CLOSE = 1e-13
-#: Estimates that lie closer together than this share of their errors are the same but for rounding.
+#: Estimates that are closer together than this share of their errors differ only by rounding.
 _SAME = 1e-6
 _PROFILE = "profile of Q"
 _FEWEST_TO_PREDICT = 3
@@ -219,16 +219,16 @@ _FEWEST_TO_PREDICT = 3
 def combine(estimates: Sequence[float], errors: Sequence[float], freedom: Sequence[float], *, alpha: float) -> Combined:
     """Combine the estimates of one effect by two and more experiments.
 
-    The average over all experiments that could be made (random effects) is that of Paule and Mandel with the interval
-    of Hartung, Knapp, Sidik and Jonkman. The common effect takes all experiments to estimate one and the same; its
-    standard error is Meier's, since weights are estimated, too. `combine_effects` of statsmodels finds the same; it is
-    not used, since the variance between experiments is a root that its interval needs as well, and since the iteration
-    there, where it is to be more exact than by default, ends at 0 in one of eight cases.
+    The average over a population of experiments (random effects) is that of Paule and Mandel with the interval of
+    Hartung, Knapp, Sidik and Jonkman. The common effect assumes one effect in all experiments; its standard error is
+    Meier's, because the weights are estimated, too. `combine_effects` of statsmodels gives the same results. It is not
+    used because the variance between experiments is a root that its interval needs as well, and because its iteration,
+    if it is to be more exact than by default, ends at 0 in one of eight cases.
 
     Args:
-        estimates: one an experiment.
+        estimates: one for each experiment.
         errors: their standard errors, above 0.
-        freedom: the degrees of freedom of these; infinite where they are known.
+        freedom: the degrees of freedom of the errors; infinite where they are known.
         alpha: the level of significance.
     """
     values, variances, freedoms = np.array(estimates), np.square(errors), np.array(freedom)
@@ -256,7 +256,7 @@ def combine(estimates: Sequence[float], errors: Sequence[float], freedom: Sequen
 
 
 class _Spread(NamedTuple):
-    """How far estimates lie apart, as Q with weights that allow for a variance between experiments."""
+    """The spread of estimates: Q, with weights that include a variance between experiments."""
 
     values: Floats
     variances: Floats
@@ -266,10 +266,10 @@ class _Spread(NamedTuple):
         return float(np.sum(weights * (self.values - np.average(self.values, weights=weights)) ** 2))
 
     def at(self, wanted: float) -> float:
-        """Return the variance between experiments of which Q is so much; 0 where it is less already."""
+        """Return the variance between experiments for which Q has this value; 0 where Q is smaller without any."""
         if self.q(0.0) <= wanted:
             return 0.0
-        # Beyond unit / wanted even unweighted squares are too small. The root is sought in a unit of its own size.
+        # Beyond unit / wanted even unweighted squares are too small. The root is searched in a unit of its own size.
         unit = float(np.sum((self.values - self.values.mean()) ** 2))
         return unit * float(optimize.brentq(lambda each: self.q(unit * each) - wanted, 0.0, 2 / wanted, rtol=_CLOSE))
 
@@ -302,7 +302,7 @@ def _heterogeneity(spread: _Spread, freedoms: Floats, tau_squared: float, alpha:
 
 
 def _welch_p_value(q: float, shares: Floats, freedoms: Floats) -> float:
-    """Return how probable so large a Q is where all experiments estimate the same: Welch's F (1951)."""
+    """Return the probability of a Q at least this large if all experiments have the same effect: Welch's F (1951)."""
     count = len(shares)
     unknown = float(np.sum((1 - shares) ** 2 / freedoms))
     if unknown == 0:
@@ -312,7 +312,7 @@ def _welch_p_value(q: float, shares: Floats, freedoms: Floats) -> float:
 
 
 def _prediction(mean: float, error: float, tau_squared: float, count: int, alpha: float) -> Interval | None:
-    """Return where the effect in a further experiment is expected (Higgins et al. 2009)."""
+    """Return the prediction interval of the effect in a further experiment (Higgins et al. 2009)."""
     if count < _FEWEST_TO_PREDICT:
         return None
     reach = math.sqrt(tau_squared + error**2) * float(stats.t.ppf(1 - alpha / 2, count - 2))

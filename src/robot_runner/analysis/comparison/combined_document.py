@@ -1,4 +1,4 @@
-"""Several experiments combined: in sentences, as a document with forest plots, and as JSON."""
+"""A meta-analysis in sentences, as a document with forest plots, and as JSON."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _MOST_CARDS = 8
 
 
 def json_of_meta_analysis(found: MetaAnalysis) -> str:
-    """Return a meta-analysis as JSON; what is missing, not computed or infinite is null."""
+    """Return a meta-analysis as JSON; missing, not computed and infinite values are null."""
     return json.dumps({"format": _FORMAT, **plain(found)}, indent=2, ensure_ascii=False, allow_nan=False)
 
 
@@ -167,7 +167,7 @@ def _lines(effect: CombinedEffect) -> Iterator[ForestLine]:
 
 
 def effect_table(found: MetaAnalysis, measure: CombinedMeasure, effect: CombinedEffect) -> Table:
-    """Return what each experiment says of an effect, then what they say together."""
+    """Return a table of each experiment's estimate of an effect, then of the averages."""
     level = f"{100 * (1 - found.alpha):g} %"
     fields = (
         text("Experiment", "label"),
@@ -202,7 +202,7 @@ _WORDS = {3: "Three", 4: "Four"}
 
 
 def conclusion_of_effect(effect: CombinedEffect, measure: str, unit: str, alpha: float) -> str:
-    """Return what an effect is on average, how far experiments differ, and what a further one may find."""
+    """Return sentences on the average effect, the heterogeneity, and the effect expected in a further experiment."""
     return " ".join(_sentences(effect, measure, difference_unit(unit), alpha))
 
 
@@ -259,7 +259,7 @@ def _between(interval: Interval, unit: str, word: str = "and") -> str:
 
 
 def what_so_many_tell(count: int) -> str:
-    """Return what so few experiments can tell, and what they cannot."""
+    """Return a warning of what so few experiments cannot tell."""
     if count == _PAIR:
         return (
             "Two experiments do not tell how experiments vary: the interval of the average has one degree of freedom, "

@@ -1,10 +1,10 @@
 """Statistics of two experiments: tests of difference and equivalence, limits of agreement, practical equivalence.
 
-Of practical equivalence it is told how probable it is that a difference is too small to matter. The prior is the
-reference prior of each mean and standard deviation, p(mean, sd) = 1 / sd: the posterior of a mean is Student's t about
-the mean that was found. Of two independent experiments the difference then has the distribution of Behrens and Fisher,
-of pairs it has Student's t (Box and Tiao, Bayesian Inference in Statistical Analysis, 1973, chapter 2; Kruschke,
-Bayesian estimation supersedes the t test, Journal of Experimental Psychology: General 142, 2013, for the region).
+Practical equivalence is the posterior probability that a difference is too small to matter. The prior is the reference
+prior of each mean and standard deviation, p(mean, sd) = 1 / sd, so that the posterior of a mean is Student's t around
+the sample mean. The difference then has the Behrens-Fisher distribution for two independent experiments, and Student's
+t for pairs (Box and Tiao, Bayesian Inference in Statistical Analysis, 1973, chapter 2; Kruschke, Bayesian estimation
+supersedes the t test, Journal of Experimental Psychology: General 142, 2013, for the region).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 _PERCENT = 100.0
 _FEWEST = 2
-#: Spread below which values are equal but for rounding, as a share of their size.
+#: Values with a smaller spread, as a share of their size, differ only by rounding.
 _ROUNDING = 1e-12
 
 
@@ -46,7 +46,7 @@ class DifferenceTest:
 
 
 def why_not_testable(first: Floats, second: Floats, *, is_paired: bool, units: Units = APART) -> str:
-    """Return why nothing can be tested, or nothing where it can."""
+    """Return why the difference cannot be tested; empty where it can."""
     if min(len(first), len(second)) < _FEWEST:
         return f"There are {len(first)} and {len(second)} runs; {_FEWEST} are needed of each."
     if why := units.why_unknown:
@@ -72,21 +72,21 @@ def _hardly_varies(first: Floats, second: Floats, spread: float, *, is_paired: b
 
 
 def spread_of(values: Floats) -> float | None:
-    """Return the standard deviation; None of a single value, and of values that cannot be computed with."""
+    """Return the standard deviation; None for a single value, and for values too large or small to compute with."""
     return float(values.std(ddof=1)) if len(values) >= _FEWEST and not out_of_range(values) else None
 
 
 def difference_test(
     first: Floats, second: Floats, *, alpha: float, is_paired: bool, units: Units = APART
 ) -> DifferenceTest:
-    """Test the difference of two means, second less first: Welch's t-test, or one of pairs.
+    """Test the difference of two means, second minus first: Welch's t-test, or one of pairs.
 
     Args:
         first: values of the first experiment.
-        second: values of the second; of pairs in the same order.
+        second: values of the second; pairs have the same order.
         alpha: the level of significance.
-        is_paired: whether values belong together.
-        units: which values vary together.
+        is_paired: whether values are pairs.
+        units: the units whose values vary together.
     """
     result = _t_test(second, first, is_paired=is_paired, units=units)
     method = ("paired t" if is_paired else "Welch's t") + units.in_words
@@ -98,14 +98,14 @@ def difference_test(
 
 
 def equivalence_p_value(first: Floats, second: Floats, bound: Bound, *, is_paired: bool, units: Units = APART) -> float:
-    """Return the p-value of two one-sided tests (TOST): the second mean lies within the bound around the first one.
+    """Return the p-value of two one-sided tests (TOST) that the second mean lies within a bound around the first.
 
     Args:
         first: values of the first experiment.
-        second: values of the second; of pairs in the same order.
-        bound: what would not matter.
-        is_paired: whether values belong together.
-        units: which values vary together.
+        second: values of the second; pairs have the same order.
+        bound: the largest difference that does not matter.
+        is_paired: whether values are pairs.
+        units: the units whose values vary together.
     """
     lower, upper = _edges(first, bound)
     above = _t_test(second, lower, is_paired=is_paired, units=units, alternative="greater")
@@ -114,13 +114,13 @@ def equivalence_p_value(first: Floats, second: Floats, bound: Bound, *, is_paire
 
 
 def proportion_test(first: Floats, second: Floats, *, alpha: float, units: Units = APART) -> DifferenceTest:
-    """Test the difference of two proportions, second less first, by Newcombe's score intervals.
+    """Test the difference of two proportions, second minus first, by Newcombe's score intervals.
 
     Args:
         first: answers of the first experiment, 1 for yes and 0 for no.
         second: answers of the second.
         alpha: the level of significance.
-        units: which answers vary together.
+        units: the units whose answers vary together.
     """
     one, other, chance = shares_of(first, second, units)
     ends = [difference_ends(other, one, float(chance.isf(each))) for each in (alpha / 2, alpha)]
@@ -133,9 +133,9 @@ def proportion_test(first: Floats, second: Floats, *, alpha: float, units: Units
 
 
 def equivalent_proportions(first: Floats, second: Floats, bound: Bound, *, units: Units = APART) -> float:
-    """Return the p-value of two one-sided tests: the second proportion lies within a bound around the first one.
+    """Return the p-value of two one-sided tests that the second proportion lies within a bound around the first.
 
-    With a bound in percent it is tested against multiples of the first one, which is not known exactly either.
+    With a bound in percent, it is tested against multiples of the first proportion, which is an estimate itself.
     """
     one, other, chance = shares_of(first, second, units)
     share = bound.value / _PERCENT if bound.is_relative else 0.0
@@ -153,10 +153,10 @@ def _means_test(
 
 
 def _t_test(one: Floats, other: Floats, *, is_paired: bool, units: Units, **settings: str) -> Any:
-    """Return scipy's t-test of pairs, or Welch's; of values that vary together the same of their units."""
+    """Return scipy's t-test of pairs, or Welch's; for values that vary together, the same test for units."""
     if units.are_shared:
         return _means_test(one, other, is_paired=is_paired, units=units, **settings)
-    with quiet():  # of experiments whose own values are all equal scipy says that precision may be lost
+    with quiet():  # scipy warns of lost precision where all values of an experiment are equal
         if is_paired:
             return stats.ttest_1samp(one - other, 0.0, **settings)
         return stats.ttest_ind(one, other, equal_var=False, **settings)
@@ -177,10 +177,10 @@ def agreement_of(
     """Return relative error and limits of agreement, or None where there is no pair.
 
     Args:
-        groups: by combination: the values of the first and the second experiment; of pairs in the same order.
-        is_paired: whether values belong together; otherwise those of one combination are put beside each other.
-        has_limits: whether differences can be normal, as limits take for granted; those of yes and no cannot.
-        has_shares: whether a percentage of a value says anything, as it does not in degC.
+        groups: the values of the first and the second experiment, by combination; pairs have the same order.
+        is_paired: whether values are pairs; otherwise values of one combination are paired in their order.
+        has_limits: whether differences can be normal, as the limits assume; differences of yes and no cannot.
+        has_shares: whether a percentage of a value is meaningful, as it is not in degC.
     """
     pairs = {
         label: [(float(one), float(other)) for one, other in zip(first, second, strict=False)]
@@ -211,13 +211,13 @@ def agreement_of(
 
 
 def _error(pairs: Sequence[tuple[float, float]]) -> float | None:
-    """Return the mean absolute percentage error of the second values, in percent of the first ones."""
+    """Return the mean absolute percentage error of the second values, in percent of the first."""
     if any(one == 0 for one, _ in pairs):
         return None
     return float(np.mean([abs(other - one) / abs(one) for one, other in pairs])) * _PERCENT
 
 
-#: Intervals that the integral is cut into at most, where one posterior is much narrower than the other.
+#: The largest number of subintervals of the integral, for posteriors of very different widths.
 _PARTS = 500
 _NUMBER = re.compile(r"\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(.*?)\s*")
 
@@ -227,8 +227,8 @@ class Regions:
     """Regions of practical equivalence of several measures: differences that do not matter.
 
     Attributes:
-        general: for every measure, or for every one in a unit, by that unit (empty for any).
-        own: by measure, with the unit.
+        general: regions of all measures in a unit, by that unit (empty for any).
+        own: regions of single measures, by name, with the unit.
 
     Example:
         >>> Regions.parse(["2%", "Energy=5 J"]).of("Energy", "kJ")
@@ -240,10 +240,10 @@ class Regions:
 
     @classmethod
     def parse(cls, texts: Iterable[str]) -> Regions:
-        """Read regions, each as `2%`, `5` or `5 J`, or of one measure as `Energy=5 J`.
+        """Read regions, each as `2%`, `5` or `5 J`, or for one measure as `Energy=5 J`.
 
         Raises:
-            AnalysisError: one cannot be read, or a measure has two.
+            AnalysisError: a text is not a region, or a measure has two.
         """
         general: dict[str, Bound] = {}
         own: dict[str, tuple[str, Bound]] = {}
@@ -276,7 +276,7 @@ class Regions:
 
 
 def _read(text: str) -> tuple[str, Bound]:
-    """Return the unit of a region, empty for a percentage or where none is written, and its half-width."""
+    """Return the unit of a region (empty for a percentage, or if there is none) and its half-width."""
     fix = "Give a percentage, or a number with or without a unit: --rope 2%, or --rope '5 J'."
     found = _NUMBER.fullmatch(text)
     if found is None:
@@ -294,12 +294,12 @@ def _in_unit(bound: Bound, given: str, wanted: str) -> Bound | None:
     if not given or given == wanted:
         return bound
     units = of_one_quantity(given, wanted)
-    # Of a difference, offsets cancel out.
+    # Offsets of units cancel out in a difference.
     return None if units is None else Bound(bound.value * units[0].factor / units[1].factor)
 
 
 class _Posterior(NamedTuple):
-    """Student's t of a mean."""
+    """The posterior of a mean: Student's t."""
 
     mean: float
     scale: float
@@ -322,18 +322,18 @@ class _Posterior(NamedTuple):
 def practical_equivalence(
     first: Floats, second: Floats, bound: Bound, *, alpha: float, is_paired: bool, units: Units = APART
 ) -> PracticalEquivalence | None:
-    """Return how probable it is that the second mean lies below, within and above a region about the first one.
+    """Return the probabilities that the second mean lies below, within and above a region around the first.
 
     Args:
-        first: values of the first experiment, two and more.
-        second: values of the second; of pairs in the same order.
-        bound: the half-width of the region; a percentage is of the first mean, which is not known exactly either.
-        alpha: the credible interval of the difference holds 1 - alpha.
-        is_paired: whether values belong together.
-        units: which values vary together.
+        first: values of the first experiment, at least two.
+        second: values of the second; pairs have the same order.
+        bound: the half-width of the region; a percentage is of the first mean, which is an estimate itself.
+        alpha: the credible interval of the difference is at 1 - alpha.
+        is_paired: whether values are pairs.
+        units: the units whose values vary together.
 
     Returns:
-        None where values do not vary, so that there is no posterior.
+        The probabilities; None where values do not vary, so that there is no posterior.
     """
     if is_paired:
         return _of_pairs(first, second, bound, alpha, units)
@@ -361,7 +361,7 @@ def _of_pairs(first: Floats, second: Floats, bound: Bound, alpha: float, units: 
 
 
 def _edges(first: Floats, bound: Bound) -> list[Floats]:
-    """Return the values less the bound and plus it, the lower ones first: a percentage turns negative ones round."""
+    """Return the values minus and plus the bound, the lower ones first: a percentage swaps them for negative values."""
     if not bound.is_relative:
         return [first - bound.value, first + bound.value]
     share = bound.value / _PERCENT
@@ -374,14 +374,14 @@ def _result(first: Floats, bound: Bound, below: float, above: float, interval: I
 
 
 def _probability(one: _Posterior, other: _Posterior, edge: Callable[[float], float]) -> float:
-    """Return how probable it is that the other mean lies below an edge that depends on the one."""
+    """Return the probability that the other mean lies below an edge that depends on the one."""
     found = integrate.quad(lambda share: other.below(edge(one.quantile(share))), 0.0, 1.0, limit=_PARTS)
     return min(1.0, max(0.0, float(found[0])))
 
 
 def _quantile(one: _Posterior, other: _Posterior, share: float) -> float:
-    """Return the quantile of the difference, other less one."""
-    # Beyond the sum of two tails of half the probability (Bonferroni), so that they enclose it.
+    """Return the quantile of the difference, other minus one."""
+    # The sums of quantiles at half the probability enclose the root (Bonferroni).
     part = min(share, 1 - share) / 2
     low = other.quantile(part) - one.quantile(1 - part)
     high = other.quantile(1 - part) - one.quantile(part)

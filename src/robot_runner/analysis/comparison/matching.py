@@ -1,4 +1,4 @@
-"""What two experiments have in common: which runs and measures are compared; and which circumstances differ."""
+"""Match the runs and measures of two experiments, and find the circumstances that differ."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class MatchedRuns:
 
     Attributes:
         treatments: the combination, by factor.
-        first, second: their rows in the run tables; of pairs in the same order.
-        units: which of them vary together.
+        first, second: their rows in the run tables; pairs have the same order.
+        units: the units whose runs vary together.
     """
 
     treatments: Mapping[str, str]
@@ -38,7 +38,7 @@ class MatchedRuns:
     units: Units = APART
 
     def values(self, first: str, second: str, *, is_paired: bool) -> MatchedValues:
-        """Return the values of a measure in each, without missing ones; of pairs, both or none."""
+        """Return the values of a measure in both, without missing ones; of pairs, both values or none."""
         ours, theirs = numbers_of(self.first[first]), numbers_of(self.second[second])
         known = (np.isfinite(ours), np.isfinite(theirs))
         if is_paired:
@@ -47,7 +47,7 @@ class MatchedRuns:
 
 
 class MatchedValues(NamedTuple):
-    """The values of a measure in both experiments, and which of them vary together."""
+    """The values of a measure in both experiments, and the units whose values vary together."""
 
     first: Floats
     second: Floats
@@ -56,10 +56,10 @@ class MatchedValues(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Matching:
-    """How the runs of two experiments were matched: by which factors, one group a combination; notes for readers.
+    """Matched runs of two experiments: the factors, one group for each combination, and notes for readers.
 
     Attributes:
-        blocks: the columns of either experiment that are no treatments.
+        blocks: the columns of either experiment that are design columns but not treatments.
     """
 
     first: Results
@@ -71,20 +71,20 @@ class Matching:
 
     @property
     def together(self) -> tuple[str, ...]:
-        """What runs have in common that therefore count together."""
+        """The units whose runs count together."""
         return tuple(dict.fromkeys(name for each in self.groups for name in each.units.names))
 
 
 def are_answers(matching: Matching, names: tuple[str, str]) -> bool:
-    """Whether a measure is yes or no in both experiments."""
+    """Return whether the values of a measure are yes or no in both experiments."""
     runs = (matching.first.runs[names[0]], matching.second.runs[names[1]])
     return all(isinstance(each.dtype, pd.BooleanDtype) for each in runs)
 
 
 def match_runs(first: Results, second: Results, *, is_paired: bool) -> Matching:
-    """Match the runs that are done by the treatments of the factors that both experiments have.
+    """Match the runs that are done by the treatments of the factors of both experiments.
 
-    What the design of either adds beside treatments, such as days, is none in the other, too.
+    A column that is not a treatment in one design, such as the day, counts as none in the other, too.
     """
     columns = unit_columns_of_both(first, second)
     blocks = tuple(dict.fromkeys(name for each in columns for name in each.every))
@@ -112,12 +112,12 @@ def chosen_measures(first: Results, second: Results, wanted: str | Sequence[str]
     """Return the measures to compare, by their names in each experiment.
 
     Args:
-        first: the experiment that is compared with.
+        first: the reference experiment.
         second: the other one.
-        wanted: names, or `one=other` where they differ; None for all that both have, but for texts.
+        wanted: names, or `one=other` where they differ; None for all measures of both, except texts.
 
     Raises:
-        AnalysisError: an experiment has no such measure, or there is none that both have.
+        AnalysisError: an experiment has no such measure, or they have none in common.
     """
     if wanted is None:
         shared = [(name, name) for name in first.measures if name in second.measures]
@@ -125,13 +125,13 @@ def chosen_measures(first: Results, second: Results, wanted: str | Sequence[str]
             ours, theirs = next(iter(first.measures), "A"), next(iter(second.measures), "B")
             fix = f"Say which to compare: --measure {ours}={theirs}."
             raise AnalysisError("the experiments have no measure of one name", where=second.name, fix=fix)
-        # What is text in both, as which robot it was, would leave all of them undecided.
+        # A measure that is text in both, such as the robot's name, would make the common verdict undecided.
         return [each for each in shared if not all(map(are_texts, (first, second), each))] or shared
     return [_named(first, second, text) for text in several(wanted)]
 
 
 def _named(first: Results, second: Results, text: str) -> tuple[str, str]:
-    if text in first.measures and text in second.measures:  # it may hold a = of its own
+    if text in first.measures and text in second.measures:  # a name may contain =
         return text, text
     ours, equals, theirs = text.partition("=")
     names = (ours, theirs if equals else ours)
@@ -195,25 +195,25 @@ def _by_combination(results: Results, factors: tuple[str, ...]) -> dict[tuple[st
         return {(): done}
     by: dict[tuple[str, ...], pd.DataFrame] = {}
     for key, rows in done.groupby(list(factors), observed=True, sort=True):
-        # Beside 0.5, the treatment 1 is 1.0, and still the same one.
+        # A treatment 1 becomes 1.0 beside 0.5, and must still match 1.
         by[tuple(f"{each:.17g}" if isinstance(each, float) else str(each) for each in key)] = rows
     return by
 
 
 def _treatments(rows: pd.DataFrame, factors: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the treatments that runs of one combination have, as texts."""
+    """Return the treatments of a combination as texts."""
     return tuple(str(rows[name].iloc[0]) for name in factors)
 
 
 def _paired(
     first: Results, second: Results, ours: pd.DataFrame, theirs: pd.DataFrame, blocks: tuple[str, ...]
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the rows that belong together: by run id within one experiment, else by repetition, else in order.
+    """Return the rows as pairs: by run id within one experiment, otherwise by repetition, otherwise in order.
 
-    Runs of one repetition and of blocks of the same name are pairs, where both experiments have these.
+    Where both experiments have repetitions and blocks, runs of the same repetition and block are pairs.
 
     Raises:
-        AnalysisError: that does not tell which run belongs to which.
+        AnalysisError: nothing tells which run belongs to which.
     """
     if first.folder == second.folder:
         keys = (ours[RUN_ID], theirs[RUN_ID])
@@ -244,11 +244,11 @@ _UNPAIRED = "Compare without --paired, or experiments that have the same factors
 
 
 def of_one_quantity(own: str, wanted: str) -> tuple[Unit, Unit] | None:
-    """Return two units that values can be converted between; None where one is not known, or is of another quantity."""
+    """Return two units that convert to each other; None where one is not known, or they measure other quantities."""
     ours, theirs = unit_of(own), unit_of(wanted)
     if ours is None or theirs is None:
         return None
-    if {own, wanted} == {"%", "1"}:  # a share, which elsewhere may as well be a number without any unit
+    if {own, wanted} == {"%", "1"}:  # a share; elsewhere 1 may be any number without a unit
         ours, theirs = (_SHARE if each.symbol == "1" else each for each in (ours, theirs))
     return (ours, theirs) if ours.si == theirs.si else None
 
@@ -257,7 +257,7 @@ _SHARE = Unit("1", "%", 100.0)
 
 
 def in_unit(values: Any, own: str, wanted: str) -> Any:
-    """Return a number, or several, in the wanted unit; as they are where that cannot be told."""
+    """Return a number, or several, in the wanted unit; unchanged where the units do not convert."""
     units = of_one_quantity(own, wanted)
     if units is None or units[0] == units[1]:
         return values
@@ -265,18 +265,18 @@ def in_unit(values: Any, own: str, wanted: str) -> Any:
 
 
 def are_numbers(values: pd.Series) -> bool:
-    """Whether a measure can be computed with: a text among its values may say why there is no number."""
+    """Return whether a measure is numeric; a text among its values may say why there is no number."""
     return bool(pd.api.types.is_numeric_dtype(values))
 
 
 def are_texts(results: Results, measure: str) -> bool:
-    """Whether there are values of a measure that cannot be computed with."""
+    """Return whether a measure has values that are not numeric."""
     values = results.done[measure]
     return bool(values.notna().any()) and not are_numbers(values)
 
 
 def numbers_of(values: pd.Series) -> Floats:
-    """Return the values of a measure; NaN where one is missing, and everywhere where they are no numbers."""
+    """Return the values of a measure; NaN for a missing one, and for all where the measure is not numeric."""
     if not are_numbers(values):
         return np.full(len(values), np.nan)
     return np.asarray(values.to_numpy(dtype=np.float64, na_value=np.nan))
@@ -297,7 +297,7 @@ _ASPECTS = (
 
 
 def names_of(*experiments: Results) -> tuple[str, ...]:
-    """Return names that tell experiments apart: their own, those of their folders, or the order in which they stand."""
+    """Return unique names of experiments: their own, those of their folders, or their own with an ordinal."""
     own = tuple(each.name for each in experiments)
     for names in (own, tuple(each.folder.name for each in experiments)):
         if len(set(names)) == len(names):
@@ -312,7 +312,7 @@ _ORDINALS = {0: "first", 1: "second", 2: "third"}
 
 
 def differing_circumstances(*experiments: Results) -> tuple[tuple[str, ...], ...]:
-    """Return what differs between experiments: what it is, then how it is in each."""
+    """Return the circumstances that differ between experiments: the circumstance, then its value in each."""
     rows = [("Runs that are done", *(str(len(each.done)) for each in experiments))]
     rows += [(name, *(_shown(_within(each.manifest, keys)) for each in experiments)) for name, keys in _ASPECTS]
     blocks = {name for each in unit_columns_of_both(*experiments) for name in each.every}

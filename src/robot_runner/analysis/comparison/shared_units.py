@@ -1,11 +1,11 @@
-"""Runs that vary together, as those of one block, whole plot, subject or robot: which they are, and how means vary.
+"""Units (blocks, whole plots, subjects, robots) whose runs vary together, and the cluster-robust variance of means.
 
-What differs by chance from one experiment to the next is then its units as a whole, and not its runs alone. The
-variance of a mean is robust to whatever runs of a unit share (Liang and Zeger, Biometrika 73, 1986); where units cross,
-as days and operators do, it is that of each kind, less what both have (Cameron, Gelbach and Miller, Journal of Business
-and Economic Statistics 29, 2011). Units are few: bias and degrees of freedom are corrected as Bell and McCaffrey do
-(Survey Methodology 28, 2002), for units that vary as a whole. With as many runs in each unit, the test of two means is
-Welch's of the means of units.
+Chance between experiments is then the difference between units, not only between runs. The variance of a mean is robust
+to any dependence of a unit's runs (Liang and Zeger, Biometrika 73, 1986). Where units cross, as days and operators do,
+it is the sum for each kind, minus that of their intersection (Cameron, Gelbach and Miller, Journal of Business and
+Economic Statistics 29, 2011). As units are few, bias and degrees of freedom are corrected like Bell and McCaffrey
+(Survey Methodology 28, 2002), for runs of a unit that vary as a whole. With the same number of runs in each unit, the
+test of two means is Welch's test of the units' means.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.results import Results
 
-    #: For each kind of unit, the number of the unit of each run.
+    #: For each kind of unit, the index of the unit of each run.
     Kinds = tuple[Numbers, ...]
 
-#: What variances of means that are equal may be once they were computed, of their squared size.
+#: A variance of a mean below this share of its square is 0 but for rounding.
 _ROUNDING = 1e-26
 
 
 @dataclass(frozen=True, slots=True)
 class UnitColumns:
-    """The columns of an experiment that are no treatments: blocks, whole plots, subjects, periods, robots.
+    """The columns of a design that are not treatments: blocks, whole plots, subjects, periods, robots.
 
     Attributes:
         every: all of them.
-        kinds: for each kind of unit that runs share by chance, the columns that tell which unit it is, its own first.
-            Periods are no such units: they are the same in each experiment.
+        kinds: for each kind of random unit, the columns that identify the unit, its own first. Periods are not random
+            units: they are the same in each experiment.
     """
 
     every: tuple[str, ...] = ()
@@ -51,11 +51,11 @@ class UnitColumns:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What the kinds are called."""
+        """The names of the kinds."""
         return tuple(dict.fromkeys(columns[0] for columns in self.kinds))
 
     def numbers(self, runs: pd.DataFrame) -> Kinds:
-        """Return the number of the unit of each run, of each kind."""
+        """Return the index of the unit of each run, for each kind."""
         return tuple(
             np.asarray(runs[list(columns)].astype("str").groupby(list(columns), sort=False).ngroup(), dtype=np.intp)
             for columns in self.kinds
@@ -63,10 +63,10 @@ class UnitColumns:
 
 
 def unit_columns_of_both(*experiments: Results) -> tuple[UnitColumns, ...]:
-    """Return what the designs of two experiments add beside treatments.
+    """Return the columns that the designs of two experiments have beside treatments.
 
-    Several robots are units unless both experiments have used the very same ones: those are the same units, and how
-    they differ adds nothing to the difference of experiments that share the runs out among them alike.
+    Several robots are units unless both experiments used the same ones: how these differ cancels out of the difference
+    of experiments that distribute their runs over them in the same way.
     """
     found = [_unit_columns(each) for each in experiments]
     if not same_robots(*experiments):
@@ -90,7 +90,7 @@ def unit_columns_of_both(*experiments: Results) -> tuple[UnitColumns, ...]:
 
 
 def same_robots(*experiments: Results) -> tuple[str, ...]:
-    """Return the several robots that each of the experiments used; nothing where they differ, or are planned blocks."""
+    """Return the robots, if each experiment used the same several; none where they differ, or are planned blocks."""
     found: set[tuple[str, ...]] = set()
     for each in experiments:
         name = _robots_column(each)
@@ -100,12 +100,12 @@ def same_robots(*experiments: Results) -> tuple[str, ...]:
 
 
 def _are_several(done: pd.DataFrame, kind: Sequence[str]) -> bool:
-    """Return whether there are several units of a kind; one alone tells nothing of how they differ, and is no kind."""
+    """Return whether there are several units of a kind; a single one tells nothing about differences between units."""
     return set(kind) <= set(done) and len(done[list(kind)].astype("str").drop_duplicates()) > 1
 
 
 def _unit_columns(results: Results) -> UnitColumns:
-    """Return what the design of an experiment adds beside its treatments, as its report takes it."""
+    """Return the columns that a design has beside treatments, as in the experiment's report."""
     known = KnownDesign.of_manifest(results.manifest, results.runs.columns)
     planned = results.plan.blocks if results.plan is not None else None
     block = planned if planned in results.runs.columns else results.block
@@ -118,13 +118,13 @@ def _unit_columns(results: Results) -> UnitColumns:
 
 
 def _numbered_anew(done: pd.DataFrame, plot: str, blocks: Sequence[str]) -> Iterator[str]:
-    """Yield the blocks within which whole plots are numbered anew: several of them have a plot of the same number."""
+    """Return the blocks that restart the numbering of whole plots: several of them have a plot of the same number."""
     plots = done.groupby(plot, observed=True)
     return (name for name in blocks if len(done) and plots[name].nunique().max() > 1)
 
 
 def _robots_column(results: Results) -> str | None:
-    """Return the column that says on which of several robots a run was executed, if there were several."""
+    """Return the column of the robot on which a run was executed, if there were several robots."""
     owned = (name for name in results.measures if results.columns[name].owner == ROBOTS_OWNER)
     return next((name for name in owned if _are_several(results.done, (name,))), None)
 
@@ -149,7 +149,7 @@ class Units(NamedTuple):
         return cls(first, second, tuple(dict.fromkeys(several)))
 
     def of_runs(self, first: NDArray[np.bool_], second: NDArray[np.bool_]) -> Units:
-        """Return the units of some of the runs, numbered without gaps."""
+        """Return the units of a selection of runs, numbered without gaps."""
         ours, theirs = (
             tuple(_crossed([each[chosen]]) for each in kinds)
             for kinds, chosen in zip(self.kinds, (first, second), strict=True)
@@ -158,7 +158,7 @@ class Units(NamedTuple):
 
     @property
     def name(self) -> str:
-        """What such a unit is called."""
+        """The name of the units."""
         return " or ".join(self.names)
 
     @property
@@ -168,39 +168,39 @@ class Units(NamedTuple):
 
     @property
     def of_pairs(self) -> Kinds:
-        """The units of pairs: those of either run."""
+        """The units of pairs: those of both runs."""
         return (*self.first, *self.second)
 
     @property
     def are_shared(self) -> bool:
-        """Whether several runs are of one unit, in either experiment."""
+        """Whether several runs share a unit, in either experiment."""
         return any(map(_is_shared, self.of_pairs))
 
     @property
     def counts(self) -> tuple[int | None, int | None]:
-        """How many units each experiment has, of the kind of which there are fewest; None where runs are apart."""
+        """The number of units in each experiment, of the kind with the fewest; None where runs are independent."""
         shared = [[_count(each) for each in kinds if _is_shared(each)] for kinds in self.kinds]
         return min(shared[0], default=None), min(shared[1], default=None)
 
     @property
     def why_unknown(self) -> str:
-        """Why units do not tell how much they differ by chance; empty where they do."""
+        """Why the variance between units is not known; empty where it is."""
         if 1 not in self.counts:
             return ""
         return f"All runs of one experiment are of one {self.name}: how much these differ by chance is not known."
 
     @property
     def in_words(self) -> str:
-        """What a test or an interval has to say where runs of a unit count together."""
+        """The words for a test or an interval where runs of a unit count together; empty where they do not."""
         return f", runs of one {self.name} counting together" if self.are_shared else ""
 
 
-#: Runs that stand by themselves.
+#: Independent runs.
 APART = Units()
 
 
 class Estimate(NamedTuple):
-    """A mean, the variance of it, and the degrees of freedom of that."""
+    """A mean, its variance, and the degrees of freedom of the variance."""
 
     mean: float
     variance: float
@@ -208,7 +208,7 @@ class Estimate(NamedTuple):
 
 
 def estimate_of(values: Floats, kinds: Kinds) -> Estimate:
-    """Return the mean of two and more runs with its variance, where those of one unit vary together.
+    """Return the mean of at least two runs with its variance, where runs of a unit vary together.
 
     Example:
         >>> estimate_of(np.array([1.0, 1.0, 3.0, 3.0]), (np.array([0, 0, 1, 1]),))
@@ -224,7 +224,7 @@ def estimate_of(values: Floats, kinds: Kinds) -> Estimate:
         for several in combinations(shared, count)
     ]
     both = sum(variance * (-1) ** (count + 1) for (variance, _), count in parts)
-    # By chance the sum may be less than what the units of one kind say: no mean is better known than that.
+    # By chance the sum may be smaller than the variance by one kind of unit, which is a lower limit.
     variance = max([both, *(each for (each, _), count in parts if count == 1)])
     fewest = min(freedom for (_, freedom), _ in parts)
     if variance <= _ROUNDING * mean**2:
@@ -234,7 +234,7 @@ def estimate_of(values: Floats, kinds: Kinds) -> Estimate:
 
 
 def _variance(residuals: Floats, units: Numbers) -> tuple[float, float]:
-    """Return the variance of a mean by what units add to it, and its degrees of freedom."""
+    """Return the cluster-robust variance of a mean, and its degrees of freedom."""
     count = np.bincount(units)
     sums, share = np.bincount(units, residuals) / len(units), count / len(units)
     weights, total = share**2, float(share @ share)
@@ -252,12 +252,12 @@ def _is_shared(units: Numbers) -> bool:
 
 
 def _crossed(kinds: Sequence[Numbers]) -> Numbers:
-    """Return the number of what each run has of all of these kinds, from 0 and without gaps."""
+    """Return the index of each run's combination of units of these kinds, from 0 and without gaps."""
     return np.asarray(np.unique(np.column_stack(kinds), axis=0, return_inverse=True)[1].ravel(), dtype=np.intp)
 
 
 def _coarsest(kinds: Sequence[Numbers]) -> list[Numbers]:
-    """Return the kinds of units that lie in no units of another kind."""
+    """Return the kinds of units that are not nested in another kind."""
     found: list[Numbers] = []
     for each in sorted(kinds, key=_count):
         if all(_count(_crossed((each, other))) > _count(each) for other in found):
@@ -266,9 +266,9 @@ def _coarsest(kinds: Sequence[Numbers]) -> list[Numbers]:
 
 
 def shares_of(first: Floats, second: Floats, units: Units) -> tuple[Share, Share, Any]:
-    """Return two proportions, each of as many runs as it is worth, and what their difference is distributed as.
+    """Return two proportions with their effective numbers of runs, and the distribution of their difference.
 
-    Where answers vary together, it is t in the place of z, with the degrees of freedom of the experiment that has fewer
+    Where answers vary together, this is t in the place of z, with the smaller degrees of freedom of the two experiments
     (Dean and Pagano, Journal of Survey Statistics and Methodology 3, 2015).
     """
     shares = []
@@ -284,7 +284,7 @@ def shares_of(first: Floats, second: Floats, units: Units) -> tuple[Share, Share
 
 
 class MeansTest(NamedTuple):
-    """Student's t of a difference whose variance is known to some degrees of freedom; as scipy's tests are."""
+    """A t-test of a difference whose variance has some degrees of freedom, with the interface of scipy's tests."""
 
     difference: float
     error: float
@@ -293,7 +293,7 @@ class MeansTest(NamedTuple):
 
     @classmethod
     def of_means(cls, one: Estimate, other: Estimate, alternative: str = "two-sided") -> MeansTest:
-        """Test the difference of two independent means, one less other, with Welch's degrees of freedom."""
+        """Test the difference of two independent means, one minus other, with Welch's degrees of freedom."""
         variance = one.variance + other.variance
         spread = sum(each.variance**2 / each.freedom for each in (one, other))
         return cls(one.mean - other.mean, variance**0.5, variance**2 / spread if spread else 1.0, alternative)
@@ -305,14 +305,14 @@ class MeansTest(NamedTuple):
 
     @property
     def pvalue(self) -> float:
-        """How probable a difference is that is at least as large, where there is none."""
+        """The probability of a difference at least this large if there is none."""
         t = self.difference / self.error
         if self.alternative == "two-sided":
             return 2 * float(stats.t.sf(abs(t), self.freedom))
         return float(stats.t.sf(t if self.alternative == "greater" else -t, self.freedom))
 
     def confidence_interval(self, confidence_level: float) -> Ends:
-        """Return where the difference lies with this confidence."""
+        """Return the confidence interval of the difference."""
         reach = self.error * float(stats.t.isf((1 - confidence_level) / 2, self.freedom))
         return Ends(self.difference - reach, self.difference + reach)
 

@@ -1,4 +1,4 @@
-"""Courses of samples over a mission, thinned out to what a figure can show, with its phases and events."""
+"""Courses of samples over a mission, binned to the resolution of a figure, with phases and events."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ if TYPE_CHECKING:
 _MOST_BINS = 500
 _NICE = (1.0, 2.0, 2.5, 5.0, 10.0)
 _FEWEST_FOR_A_BAND = 2
-_SHADE = "#f1f4f7"  # behind a course
-_SHADES = ("#eef1f4", "#c9d3dd", "#dde4ea", "#b7c4d1")  # of names
+_SHADE = "#f1f4f7"  # background of a phase
+_SHADES = ("#eef1f4", "#c9d3dd", "#dde4ea", "#b7c4d1")  # boxes of phase names
 _POINTS = 5.8
-#: The mean width of a letter of DejaVu Sans, as a share of the size of the font.
+#: The mean width of a letter of DejaVu Sans, as a share of the font size.
 _LETTER = 0.62
 _INCH = 72.0  # points
 
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """A measure over the time of a mission, in bins of equal width; NaN where there is no sample.
+    """A measure over the time of a mission, in bins of equal width; NaN in a bin without samples.
 
     Attributes:
-        label: whose it is: a run's id or a treatment.
+        label: a run's id or a treatment.
         time: the middle of each bin, s since the start of the mission.
         middle: the mean in each bin.
-        low, high: of one run the least and the greatest sample in the bin; of several runs their mean less and
-            plus one standard deviation between runs, and NaN where there are fewer than two.
-        runs: how many runs it comes from.
+        low, high: for one run, the smallest and largest sample in the bin; for several runs, their mean minus and plus
+            one standard deviation between runs, and NaN where there are fewer than two.
+        runs: the number of runs.
     """
 
     label: str
@@ -54,7 +54,7 @@ class PhaseSpan:
     """One phase of a mission.
 
     Attributes:
-        name: what the robot does in it.
+        name: the phase's name.
         start, end: s since the start of the mission.
     """
 
@@ -65,15 +65,15 @@ class PhaseSpan:
 
 @dataclass(frozen=True)
 class MissionCourses:
-    """A sampled measure over the time of a mission, of all runs that are shown.
+    """A sampled measure over the time of a mission, of all shown runs.
 
     Attributes:
-        label: what was sampled, with its unit, as in `Power (W)`.
-        order: the treatments in the order in which all figures show them.
+        label: the name of the measure with its unit, as in `Power (W)`.
+        order: the treatments in their order in all figures.
         runs: the courses of each treatment's runs; treatments without any are left out.
         width: of a bin, s.
-        phases: of the mission, where all runs went through the same ones.
-        events: when they were, s since the start of the mission, by name.
+        phases: the phases of the mission, where all runs went through the same ones.
+        events: the times of events, s since the start of the mission, by name.
     """
 
     label: str
@@ -99,11 +99,11 @@ _NOTHING = (np.empty(0),) * 4
 
 
 def bin_width(duration: float, period: float) -> float:
-    """Return a round width of bins in s, so that there are at most so many, each with a sample.
+    """Return a round width of bins, s, for a limited number of bins with at least one sample each.
 
     Args:
-        duration: s that are to be covered.
-        period: s from one sample to the next.
+        duration: of the mission, s.
+        period: between samples, s.
 
     Example:
         >>> bin_width(95.0, 0.005)
@@ -115,7 +115,7 @@ def bin_width(duration: float, period: float) -> float:
 
 
 def course_of_run(label: str, time: Floats, values: Floats, width: float) -> Course:
-    """Return the course of one run, of values at ascending times in s; NaN where there is no value."""
+    """Return the course of one run from values at ascending times, s; NaN for a missing value."""
     there = np.isfinite(values) & np.isfinite(time)
     time, values = time[there], values[there]
     if not len(time):
@@ -134,7 +134,7 @@ def course_of_run(label: str, time: Floats, values: Floats, width: float) -> Cou
 
 
 def mean_course(label: str, courses: Sequence[Course], width: float) -> Course:
-    """Return the mean of several runs with their spread, from courses with bins of this width."""
+    """Return the mean and spread of several runs from courses with bins of this width."""
     given = [course for course in courses if len(course.time)]
     if not given:
         return Course(label, *_NOTHING, runs=0)
@@ -154,25 +154,25 @@ def mean_course(label: str, courses: Sequence[Course], width: float) -> Course:
 
 
 def shade_phases(axes: Axes, phases: Sequence[PhaseSpan]) -> None:
-    """Shade every other phase, so that the borders are seen behind the course."""
+    """Shade every other phase, so that the borders are visible behind the course."""
     for place, phase in enumerate(phases):
         if place % 2:
             axes.axvspan(phase.start, phase.end, color=_SHADE, linewidth=0, zorder=0)
 
 
 def strip_height(phases: Sequence[PhaseSpan], seconds: float, width: float) -> float:
-    """Return how high the strip of names must be, inches."""
+    """Return the height that the strip of names needs, inches."""
     upright = [phase.name for phase in phases if not _fits(phase, seconds, width)]
     return 0.14 if not upright else 0.12 + max(map(_inches, upright))
 
 
 def draw_phase_names(axes: Axes, phases: Sequence[PhaseSpan], seconds: float, width: float) -> None:
-    """Fill an axes with a box and a name for each phase; names that do not fit stand upright."""
+    """Fill an axes with a box and a name for each phase; names that do not fit are rotated."""
     axes.set_axis_off()
     axes.set_ylim(0, 1)
     names = list(dict.fromkeys(phase.name for phase in phases))
     for phase in phases:
-        # By its name, so that the same phase looks the same wherever it comes.
+        # By name, so that a phase that recurs has the same shade.
         shade = _SHADES[names.index(phase.name) % len(_SHADES)]
         axes.axvspan(phase.start, phase.end, facecolor=shade, edgecolor="white", linewidth=0.8)
         axes.text(
@@ -199,7 +199,7 @@ def draw_events(axes: Axes, events: Mapping[str, float], seconds: float) -> None
             xycoords=("data", "axes fraction"),
             xytext=(1.5 if is_early else -1.5, 0),
             textcoords="offset points",
-            annotation_clip=True,  # an event after the last sample lies outside, and would take the room of the axes
+            annotation_clip=True,  # an event after the last sample would shrink the axes
             rotation=90,
             ha="left" if is_early else "right",
             va="bottom" if is_high else "top",
@@ -209,7 +209,7 @@ def draw_events(axes: Axes, events: Mapping[str, float], seconds: float) -> None
 
 
 def _is_high(axes: Axes, moment: float) -> bool:
-    """Whether the first course in an axes is in its upper half at this moment, where a name would hide it."""
+    """Return whether the first course in an axes is in the upper half at this time, where a name would hide it."""
     times, values = (np.asarray(each, dtype=float) for each in axes.lines[0].get_data())
     near = values[np.abs(times - moment) <= 0.05 * max(float(np.ptp(times)), 1e-9)] if len(times) else values
     near = near[np.isfinite(near)]

@@ -1,4 +1,4 @@
-"""Figures of the values of all runs: boxes by treatment, quantiles of residuals, residuals in the order of runs."""
+"""Figures of the values of all runs: box plots by treatment, Q-Q plots of residuals, residuals in the order of runs."""
 
 from __future__ import annotations
 
@@ -38,25 +38,25 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.statistics.outcome import Proportion
 
-#: Fewer values than this make a density that says more about the method than about the values.
+#: A density of fewer values shows more of the method than of the values.
 _ENOUGH_FOR_A_VIOLIN = 20
-_MOST_UPRIGHT = 8  # groups beside each other; more lie beneath each other
+_MOST_UPRIGHT = 8  # groups beside each other; more are drawn as rows
 _MOST_NAMED_OUTLIERS = 6
-#: How far apart names must be so that none hides another, as a share of the range of all values.
+#: The smallest distance of names that do not overlap, as a share of the range of all values.
 _APART_UPRIGHT, _APART_ALONG = 0.05, 0.3
-_ROW = 0.17  # height of a group that lies, inches
-_BESIDE_NAMES = 30  # letters of a line beneath the half of the figure that names of groups leave
+_ROW = 0.17  # height of a group in a row, inches
+_BESIDE_NAMES = 30  # letters of a line beneath the half of the figure beside the groups' names
 _MANY_POINTS = 60
 _MOST_NAMES = 60
 
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """The values of the runs that had one treatment.
+    """The values of the runs with one treatment.
 
     Attributes:
-        label: the treatment, or several with ` / ` between.
-        values: one a run; none is missing.
+        label: the treatment, or several separated by ` / `.
+        values: one for each run; none is missing.
         run_ids: the run of each value.
         mean_low, mean_high: confidence interval of the mean, where one was computed.
 
@@ -73,7 +73,7 @@ class Group:
 
     @property
     def size(self) -> int:
-        """How many runs there are."""
+        """The number of runs."""
         return len(self.values)
 
     @property
@@ -86,7 +86,7 @@ class Group:
 def draw_distribution(
     groups: Sequence[Group], *, value_label: str, group_label: str, outliers: frozenset[str] = frozenset()
 ) -> Figure:
-    """Draw boxes (median, quartiles, Tukey's whiskers) with a point for each run and a diamond for the mean."""
+    """Draw box plots (median, quartiles, Tukey's whiskers) with a point for each run and a diamond for the mean."""
     is_upright = len(groups) <= _MOST_UPRIGHT
     figure, axes = new_axes(COLUMN, 2.3 if is_upright else min(HIGHEST, 0.6 + _ROW * len(groups)))
     for place, (group, look) in enumerate(zip(groups, looks(len(groups)), strict=True)):
@@ -99,7 +99,7 @@ def draw_distribution(
 
 @figure_style()
 def draw_proportions(groups: Sequence[Proportion], *, value_label: str, group_label: str) -> Figure:
-    """Draw a point for the percentage of each group, with its confidence interval where it has one."""
+    """Draw a point for the percentage of each group, with its confidence interval if it has one."""
     is_upright = len(groups) <= _MOST_UPRIGHT
     figure, axes = new_axes(COLUMN, 2.3 if is_upright else min(HIGHEST, 0.6 + _ROW * len(groups)))
     for place, (group, look) in enumerate(zip(groups, looks(len(groups)), strict=True)):
@@ -112,13 +112,13 @@ def draw_proportions(groups: Sequence[Proportion], *, value_label: str, group_la
             axes.errorbar([place], [group.percent], yerr=reach, **drawn)
         else:
             axes.errorbar([group.percent], [place], xerr=reach, **drawn)
-    (axes.set_ylim if is_upright else axes.set_xlim)(-3, 103)  # so that 0 and 100 % are seen
+    (axes.set_ylim if is_upright else axes.set_xlim)(-3, 103)  # so that points at 0 and 100 % are visible
     _name_groups(figure, axes, [group.label for group in groups], value_label, group_label)
     return figure
 
 
 def _name_groups(figure: Figure, axes: Axes, labels: Sequence[str], value_label: str, group_label: str) -> None:
-    """Name the groups of a figure, beside each other where they are few."""
+    """Name the groups of a figure, along the x axis if they are few."""
     names = shortened_apart(labels)
     if len(names) <= _MOST_UPRIGHT:
         name_places(figure, axes, labels)
@@ -170,7 +170,7 @@ def _turned(places: Any, values: Any, is_upright: bool) -> tuple[Any, Any]:
 
 
 def _spread(values: Floats) -> Floats:
-    """Return how far each point steps aside, so that points of near values do not hide each other."""
+    """Return a sideways offset for each point, so that points of similar values do not hide each other."""
     offsets = np.zeros(len(values))
     if len(values) < 2 or np.ptp(values) == 0:  # noqa: PLR2004 - one point hides no other
         return np.linspace(-0.15, 0.15, len(values)) if len(values) > 1 else offsets
@@ -209,7 +209,7 @@ def _name_outliers(axes: Axes, groups: Sequence[Group], outliers: frozenset[str]
 def draw_quantiles(
     theoretical: Sequence[float], observed: Sequence[float], *, slope: float, intercept: float, value_label: str
 ) -> Figure:
-    """Draw residuals against the quantiles of the standard normal distribution; on the line they are normal."""
+    """Draw a Q-Q plot: residuals against quantiles of the standard normal distribution; normal ones lie on the line."""
     width = COLUMN * 0.75
     figure, axes = new_axes(width, width * 0.85)
     ends = [min(theoretical, default=-1.0), max(theoretical, default=1.0)]
@@ -230,7 +230,7 @@ def draw_run_order(
     place_label: str = "Place in the order of execution",
     slope: float | None = None,
 ) -> Figure:
-    """Draw what the model of its design leaves of a measure, over the order of execution."""
+    """Draw the residuals of a measure's model over the order of execution."""
     figure, axes = new_axes(COLUMN, 2.1)
     axes.axhline(0.0, color=GREY, linewidth=0.6)
     x, y = np.asarray(places, dtype=float), np.asarray(residuals, dtype=float)

@@ -50,7 +50,7 @@ def draw_interaction(
 ) -> Figure:
     """Draw the mean of each combination of two factors; lines that are not parallel hint at an interaction."""
     figure, axes = new_axes(COLUMN, 2.5)
-    shift = min(0.06, 0.3 / max(1, len(groups)))  # so that intervals stand beside each other
+    shift = min(0.06, 0.3 / max(1, len(groups)))  # so that intervals do not overlap
     for number, (treatment, look) in enumerate(looks_by(groups).items()):
         offset = (number - (len(groups) - 1) / 2) * shift
         members = groups[treatment]
@@ -81,7 +81,7 @@ class Estimate:
     Attributes:
         label: the combination.
         low, high: confidence interval of the difference.
-        bound: what would not matter, in the same unit; None where nothing was stated.
+        bound: the largest difference that does not matter, in the same unit; None where none was stated.
     """
 
     label: str
@@ -125,7 +125,7 @@ def draw_agreement(
         first, second = np.asarray(pairs[name], dtype=float).reshape(-1, 2).T
         draw_points(axes, (first + second) / 2, second - first, look, label=verbatim(name))
     for level, word in ((bias, "bias"), (lower, "lower limit"), (upper, "upper limit")):
-        if level is not None and (word == "bias" or lower != upper):  # what lies on each other cannot be read
+        if level is not None and (word == "bias" or lower != upper):  # overlapping labels cannot be read
             axes.axhline(level, color=INK, linewidth=0.9, linestyle="-" if word == "bias" else DASHED)
             axes.annotate(
                 f"{word} {'+' * (level > 0)}{shown_number(level)} {verbatim(unit)}".rstrip(),
@@ -139,14 +139,14 @@ def draw_agreement(
             )
     axes.margins(y=0.14)
     label_axes(axes, f"Mean of both: {value_label}", grid="y")
-    one, other = shortened_apart(names, 24)  # what fits along the axis
+    one, other = shortened_apart(names, 24)  # letters that fit along the axis
     axes.set_ylabel(f"{other} less\n{one}{f' ({verbatim(unit)})' if unit else ''}")
     add_legend(figure, len(pairs), handlelength=1.0)
     return figure
 
 
 _LINE = 0.26  # height of a line, inches
-_HEAVIEST = 9.0  # the side of the square of an experiment that has all the weight, points
+_HEAVIEST = 9.0  # the side of the square for the whole weight, points
 _LIGHTEST = 2.5
 _HALF = 0.3  # half the height of a diamond, lines
 
@@ -156,11 +156,11 @@ class ForestLine:
     """A line of a forest plot.
 
     Attributes:
-        label: the experiment, or which average it is.
-        estimate: None for where the effect in a further experiment is expected, which is an interval alone.
+        label: the experiment, or the kind of average.
+        estimate: None for a prediction, which has only an interval.
         interval: None where there is none.
-        weight: the share of an experiment, 0 to 1, as the area of a square; None for an average, which is a diamond.
-        runs, p_value, g: of tables; `g` is Hedges' g.
+        weight: the weight of an experiment, 0 to 1, drawn as the area of a square; None for an average, a diamond.
+        runs, p_value, g: only for tables; `g` is Hedges' g.
     """
 
     label: str
@@ -173,7 +173,7 @@ class ForestLine:
 
     @property
     def shown(self) -> str:
-        """The numbers in words, which stand on the right."""
+        """The estimate and its interval as text, for the right margin."""
         return f"{'' if self.estimate is None else shown_number(self.estimate)} {shown_interval(self.interval)}".strip()
 
 

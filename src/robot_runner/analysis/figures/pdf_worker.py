@@ -1,4 +1,4 @@
-"""PDF files of figures, made by a second process: embedding fonts takes longer than everything else."""
+"""Write figures as PDF in a second process: embedding fonts takes longer than everything else."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MODULE = "robot_runner.analysis.figures.pdf_worker"
-_DEADLINE = 300.0  # s, for what is left when the last figure was handed over
+_DEADLINE = 300.0  # s, for the remaining figures after the last was handed over
 _COULD_NOT_WRITE = 3
 
 
 class PdfWorker:
-    """Takes figures and writes them as PDF, while its user goes on; leaving it waits for the last one.
+    """Write figures as PDF in the background; leaving the context waits for the last one.
 
     Example:
         >>> with PdfWorker() as worker:  # doctest: +SKIP
@@ -39,14 +39,14 @@ class PdfWorker:
 
     def __init__(self) -> None:
         self._complaint = tempfile.TemporaryFile()  # noqa: SIM115 - closed on leaving; a pipe could fill up
-        # -P: what lies in the user's folder is no module of ours.
+        # -P: modules in the user's folder must not shadow ours.
         self._process = subprocess.Popen(  # noqa: S603 - this Python, and a module of ours
             [sys.executable, "-P", "-m", _MODULE],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._complaint,
         )
-        self._input = cast("IO[bytes]", self._process.stdin)  # there is one, as it was asked for
+        self._input = cast("IO[bytes]", self._process.stdin)  # not None, because of stdin=PIPE
 
     def __enter__(self) -> Self:
         return self
@@ -63,7 +63,7 @@ class PdfWorker:
                 self._process.communicate()
 
     def write(self, figure: Figure, path: Path, root: Path) -> None:
-        """Have a figure written below `root`; the figure may be used further, or not."""
+        """Hand over a figure to write below `root`; the caller may go on using the figure."""
         data = pickle.dumps((figure, path, root))
         try:
             self._input.write(len(data).to_bytes(8, "big") + data)
@@ -86,10 +86,10 @@ class PdfWorker:
 
 
 def main() -> int:
-    """Write the figures that come in, until there are no more."""
-    gc.freeze()  # fonts make many short-lived objects, and what was imported stays anyway
+    """Write the figures from standard input until it ends."""
+    gc.freeze()  # fonts create many short-lived objects; modules need not be examined with these
     while head := sys.stdin.buffer.read(8):
-        # What comes in was pickled by the process that started this one.
+        # The pickles come from the process that started this one.
         figure, path, root = pickle.loads(sys.stdin.buffer.read(int.from_bytes(head, "big")))  # noqa: S301
         try:
             replace(path, figure_bytes(figure, FigureFormat.PDF), root, is_lasting=False)

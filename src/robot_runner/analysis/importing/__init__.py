@@ -1,1 +1,1 @@
-"""Results made elsewhere, adopted as an experiment folder of our own format."""
+"""Import results of other tools, or made by hand, as an experiment folder."""

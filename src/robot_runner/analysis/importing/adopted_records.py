@@ -1,4 +1,4 @@
-"""The files of an adopted experiment beside its samples: run table, schema, manifest, journal, differences."""
+"""The files of an imported experiment, except samples: run table, schema, manifest, journal, differences."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ _OWNER = "import"
 
 @dataclass(frozen=True, slots=True)
 class AdoptedRun:
-    """What was found in the raw files of one run.
+    """The contents of one run's raw files.
 
     Attributes:
         run_id: the run.
         started_at: when its first sample was taken, nanoseconds since 1970; None where that is not known.
         duration: s, from the first sample to the last; None without samples.
         recomputed: the measures that were computed from samples, in SI.
-        spans: the traces.
+        spans: the extent of each file's samples.
         unsorted: the files whose times were not in order.
         checksums: SHA-256 of each original file.
     """
@@ -55,7 +55,7 @@ class AdoptedRun:
 
     @property
     def stamps(self) -> dict[str, str | None]:
-        """The time stamps of its measurement, as the run table has them."""
+        """The time stamps of the measurement, for the run table."""
         if self.started_at is None:
             return dict.fromkeys(_STAMPS)
         ends = (self.started_at, self.started_at + round((self.duration or 0.0) * 1e9))
@@ -70,7 +70,7 @@ def write_records(
     differences: Sequence[Difference],
     warnings: Sequence[str] = (),
 ) -> None:
-    """Write everything but the samples.
+    """Write all files except the samples.
 
     Raises:
         StorageError: a file cannot be written.
@@ -103,7 +103,7 @@ def _rows(understanding: Understanding, runs: Sequence[AdoptedRun]) -> RunTableR
         planned = PlannedRun(run.run_id, number, Combination(places, treatments), run.repetition or 1)
         of_table = [run.measures[name] for name in roles.measures]
         computed = [adopted.recomputed.get(name) for name in understanding.new_measures]
-        # Treatments, and the text of columns without a role, stay as they are written.
+        # Treatments, and the text of columns without a role, are written unchanged.
         texts = {name: text for name, text in run.extras.items() if text} | dict(run.treatments)
         kept = {headings[name]: text for name, text in texts.items()}
         moments = tuple(adopted.stamps[stamp] for stamp in stamps)

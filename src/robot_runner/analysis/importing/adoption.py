@@ -1,4 +1,4 @@
-"""Writing what was understood as an experiment folder of our own format; the originals are only read."""
+"""Write understood results as an experiment folder; the originals are only read."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class Adoption:
 
     Attributes:
         folder: the experiment folder that was written.
-        runs: what was found in each run's raw files.
-        differences: each value of the table beside the recomputed one.
-        warnings: what looks wrong with the raw files.
+        runs: the contents of each run's raw files.
+        differences: each value of the table with the recomputed one.
+        warnings: anomalies of the raw files.
     """
 
     folder: Path
@@ -50,8 +50,8 @@ def adopt(understanding: Understanding, target: Path) -> Adoption:
     """Write an experiment folder.
 
     Raises:
-        StorageError: the target is taken, or cannot be written.
-        AnalysisError: a raw file is not what it was understood to be.
+        StorageError: the target exists, or cannot be written.
+        AnalysisError: a raw file does not have the form that was understood.
     """
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise StorageError("there is something already", where=str(target), fix="Choose another folder: --to FOLDER.")
@@ -116,9 +116,9 @@ def _span(samples: ForeignSamples, run: RunSamples) -> TraceSpan:
 
 
 def _zeros(samples: Sequence[tuple[ForeignSamples, RunSamples]]) -> dict[TimeKind, int]:
-    """Return the time that is 0 on the run's clock: the first moment of all files, and the first time of day of all.
+    """Return the zero of the run's clock for each kind of time: the first timestamp, or time of day, of all files.
 
-    Times that are counted from some start are left as they are.
+    Times that count from an arbitrary start keep their zero.
     """
     firsts: dict[TimeKind, int] = {}
     for each, read in samples:
@@ -131,7 +131,7 @@ def _write_samples(samples: ForeignSamples, run: RunSamples, zero: int, folder: 
     folder.mkdir(parents=True, exist_ok=True)
     columns: dict[str, Any] = {"time_s": (run.nanoseconds - zero) / 1e9}
     for name, values in run.values.items():
-        # Texts are Arrow's already; of numbers a missing one is to be written as an empty cell.
+        # Texts are Arrow arrays already; of numbers, a missing one becomes an empty cell.
         column = values if isinstance(values, pa.ChunkedArray) else pa.array(values, from_pandas=True)
         columns[free_heading(samples.heading(name), columns)] = column
     with (folder / "samples.csv").open("wb") as file:
@@ -139,7 +139,7 @@ def _write_samples(samples: ForeignSamples, run: RunSamples, zero: int, folder: 
         begun = file.tell()
         try:
             arrow_csv.write_csv(pa.table(columns), file, _written("none"))
-        except pa.ArrowInvalid:  # a text holds a comma, a quote or the end of a line
+        except pa.ArrowInvalid:  # a text has a comma, a quote or a line break
             file.seek(begun)
             file.truncate()
             arrow_csv.write_csv(pa.table(columns), file, _written("needed"))

@@ -1,4 +1,4 @@
-"""What a user says about results made elsewhere, by options or in a TOML file; the rest is found out."""
+"""A user's description of results from elsewhere, by options or in a TOML file; the rest is guessed."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ from robot_runner.core.errors import AnalysisError, did_you_mean
 
 
 class Aggregation(Enum):
-    """How a measure comes out of samples.
+    """How a measure is computed from samples.
 
-    INTEGRAL is over time, by the trapezoid rule; MEAN is of the samples as they are, TIME_MEAN over time; ENERGY_PT is
-    the paper's E = P x t: the mean times the duration; CHANGE is the last sample less the first, for counters.
+    INTEGRAL is over time, by the trapezoid rule; MEAN is the plain mean of the samples, TIME_MEAN the mean over time;
+    ENERGY_PT is the paper's E = P x t: the mean times the duration; CHANGE is the last sample minus the first, for
+    counters.
     """
 
     INTEGRAL = "integral"
@@ -37,7 +38,7 @@ class Aggregation(Enum):
 
     @property
     def needs_column(self) -> bool:
-        """Whether it is computed from values, not from times alone."""
+        """Whether the aggregation needs values, not only times."""
         return self not in {Aggregation.COUNT, Aggregation.DURATION}
 
 
@@ -46,7 +47,7 @@ class Recipe:
     """How a measure is recomputed from the samples of a run.
 
     Attributes:
-        measure: the column of the table; a new one where it has none of that name.
+        measure: the column of the table; a new one where the table has none of that name.
         how: the aggregation.
         file: the samples' file in a run's folder.
         column: the heading in that file; empty for a count or a duration.
@@ -65,20 +66,20 @@ class Recipe:
 
     @property
     def words(self) -> str:
-        """The recipe as it is written on the command line, without the measure."""
+        """The recipe in the syntax of the command line, without the measure."""
         return f"{self.how.value}({self.file}{':' if self.column else ''}{self.column})"
 
 
 @dataclass(frozen=True, slots=True)
 class SamplesDescription:
-    """What is said about one kind of raw file.
+    """The description of one kind of raw file.
 
     Attributes:
         file: its name in each run's folder.
-        name: names the samples in the experiment folder, as a plugin's name does; None for the file's name.
-        time: the heading of its times; None to find it out.
+        name: the name of the samples in the experiment folder, like a plugin's name; None for the file's name.
+        time: the heading of its times; None to guess it.
         time_unit: `s`, `ms`, `us`, `ns`, `min`, `h`; `iso` for dates with times of day; a format such as `%H:%M:%S`;
-            None to find it out.
+            None to guess it.
         units: the unit of each value column that the user gave.
     """
 
@@ -89,7 +90,7 @@ class SamplesDescription:
     units: Mapping[str, str] = field(default_factory=dict)
 
     def with_options(self, said: SamplesDescription) -> SamplesDescription:
-        """Return this description with what was said on the command line instead, where anything was."""
+        """Return this description, overridden by the options of the command line."""
         return SamplesDescription(
             self.file,
             name=said.name or self.name,
@@ -101,7 +102,7 @@ class SamplesDescription:
 
 @dataclass(frozen=True, slots=True)
 class ImportDescription:
-    """Everything that a user says about a results folder; None, or empty, is to be found out.
+    """A user's description of a results folder; what is None or empty is guessed.
 
     Attributes:
         name: the experiment's name.
@@ -110,13 +111,12 @@ class ImportDescription:
         factors, measures, ignore: columns of the table.
         decimal: `.` or `,`, the decimal sign of the table's numbers.
         units: units of measures, by column.
-        run_folder: where a run's files are, below the folder, with `{run_id}` in it.
+        run_folder: the path of a run's files, below the folder, with `{run_id}` in it.
         samples: the raw files.
-        recipes: which measure comes out of which samples.
+        recipes: how measures are computed from samples.
         origin: `measured`, `simulated` or `estimated`.
-        guess: whether raw files and recipes that nobody mentioned are looked for.
-        design: what the columns are in the design by which the runs were planned; None for a full factorial, in blocks
-            or not.
+        guess: whether to look for further raw files and recipes.
+        design: the design by which the runs were planned; None for a full factorial, with or without blocks.
     """
 
     name: str | None = None
@@ -138,7 +138,7 @@ class ImportDescription:
     design: DeclaredDesign | None = None
 
     def with_options(self, said: ImportDescription) -> ImportDescription:
-        """Return this description with what was said on the command line instead, where anything was."""
+        """Return this description, overridden by the options of the command line."""
         nothing = ImportDescription()
         changed = {name: value for name in self.__slots__ if (value := getattr(said, name)) != getattr(nothing, name)}
         if said.units:
@@ -159,7 +159,7 @@ _RECIPE = re.compile(
 
 
 def parse_recipe(text: str) -> Recipe:
-    """Return the recipe that is written as `MEASURE=HOW(FILE:COLUMN)`.
+    """Parse a recipe of the form `MEASURE=HOW(FILE:COLUMN)`.
 
     Raises:
         AnalysisError: the text is not a recipe.
@@ -181,21 +181,21 @@ def parse_recipe(text: str) -> Recipe:
 
 
 def check_unit(unit: str, where: str) -> None:
-    """Raise AnalysisError where a unit is not recognised."""
+    """Raise AnalysisError if a unit is not known."""
     if unit_of(unit) is None:
         raise AnalysisError(f"{unit!r} is not a unit that is known", where=where, fix=did_you_mean(unit, known_units()))
 
 
 def check_time_unit(unit: str | None, where: str) -> None:
-    """Raise AnalysisError where times cannot be in a unit; None is a unit to be found out."""
+    """Raise AnalysisError if a unit is not one of time; None, for a unit to guess, is accepted."""
     if unit is not None and unit not in {*TIME_UNITS, "iso"} and "%" not in unit:
         fix = f"Give one of {', '.join(TIME_UNITS)}, iso, or a format such as %H:%M:%S."
         raise AnalysisError(f"times cannot be in {unit!r}", where=where, fix=fix)
 
 
-# A description as a TOML file: to be mended by hand, or to repeat an import.
+# A description as a TOML file, to edit by hand or to repeat an import.
 
-#: The entries of each table of the file, and the type that each has. A list of names may be written as one name.
+#: The entries of each table of the file, with their types. A list of one name may be written as a plain name.
 _ENTRIES: dict[str, dict[str, type]] = {
     "": {
         **dict.fromkeys(("name", "table", "run_folder", "origin", "decimal"), str),
@@ -227,8 +227,8 @@ def read_description(path: Path) -> ImportDescription:
     """Read a description from a TOML file.
 
     Raises:
-        AnalysisError: the file does not hold a description.
-        StorageError: it cannot be read.
+        AnalysisError: the file is not a description.
+        StorageError: the file cannot be read.
     """
     where = str(path)
     entries = _checked(read_toml(path), "", where)
@@ -259,7 +259,7 @@ def _checked(plain: Mapping[str, Any], table: str, where: str) -> dict[str, Any]
     """Return the entries of a table of the file.
 
     Raises:
-        AnalysisError: an entry is unknown, or has another type than it should.
+        AnalysisError: an entry is unknown, or has the wrong type.
     """
     known = _ENTRIES[table]
     entries = {}
@@ -317,5 +317,5 @@ def _lines(entries: Mapping[str, Any]) -> list[str]:
 
 
 def _toml(value: Any) -> str:
-    # Texts, lists of texts and truth values are written in TOML as in JSON, but for DEL.
+    # Texts, lists of texts and truth values have the same syntax in TOML and JSON, except for DEL.
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -39,19 +39,19 @@ _MISSING = [" ", "NaN", *(written for word in MISSING for written in {word, word
 
 @dataclass(frozen=True, slots=True)
 class ForeignSamples:
-    """One kind of raw file, understood.
+    """The form of one kind of raw file.
 
     Attributes:
-        file: its name in each run's folder; `*` stands for numbers that differ from run to run.
-        name: names the samples in the experiment folder.
+        file: its name in each run's folder; `*` stands for numbers that differ between runs.
+        name: the name of the samples in the experiment folder.
         time: the heading of its times.
-        time_unit: what they are counted in, or `iso`, `clock`, or a format.
-        time_kind: from when they are counted.
+        time_unit: the unit of the times, or `iso`, `clock`, or a format.
+        time_kind: the zero of the times.
         units: the unit of each value column, where it is known.
         columns: the value columns.
-        numeric: those that hold numbers.
+        numeric: the numeric ones of these.
         paths: the file of each run.
-        guesses: what was guessed.
+        guesses: the guesses that were made.
     """
 
     file: str
@@ -66,14 +66,14 @@ class ForeignSamples:
     guesses: tuple[str, ...] = ()
 
     def is_of_kind(self, times: pa.ChunkedArray) -> bool:
-        """Return whether the times of a run are counted from where those of the first run are."""
+        """Return whether the times of a run have the same kind of zero as those of the first run."""
         if self.time_unit not in TIME_UNITS:
             return not is_number(times.type) or not len(times)
         is_counted = is_number(times.type) and len(times.drop_null())
         return not is_counted or time_kind(self.time_unit, times) is self.time_kind
 
     def heading(self, column: str) -> str:
-        """Return the heading of a column in the experiment folder, in SI."""
+        """Return the heading of a column in the experiment folder, with its SI unit."""
         return si_heading(column, self.units.get(column))
 
 
@@ -82,11 +82,11 @@ class RunSamples:
     """The samples of one run, in the order of their times.
 
     Attributes:
-        nanoseconds: the time of each: since 1970 for moments, since midnight for times of day, else as counted.
-        values: the columns under their own headings, numbers in SI.
+        nanoseconds: the time of each: since 1970 for timestamps, since midnight for times of day, otherwise as counted.
+        values: the columns by their original headings, numbers in SI.
         was_sorted: whether the file was in order already.
-        left_out: rows with another number of cells than the heading.
-        without_number: cells that hold no number, in columns that hold numbers in the first run.
+        left_out: the number of rows with more or fewer cells than the heading.
+        without_number: the number of cells that are not numbers, in columns that are numeric in the first run.
     """
 
     nanoseconds: NDArray[np.int64]
@@ -104,10 +104,10 @@ class RunSamples:
 def understand_samples(
     folders: Mapping[str, Path], described: Sequence[SamplesDescription], *, guess: bool
 ) -> tuple[list[ForeignSamples], list[str]]:
-    """Find out which raw files are samples, and what is in them.
+    """Find the raw files of samples, and their form.
 
     Returns:
-        The samples, and a note for each other file that was looked at.
+        The samples, and a note for each other file that was examined.
 
     Raises:
         AnalysisError: a description does not fit its file.
@@ -140,10 +140,10 @@ def understand_samples(
 
 
 def _by_file(folders: Mapping[str, Path]) -> dict[str, dict[str, Path]]:
-    """Return the CSV files in the runs' folders by their names.
+    """Return the CSV files in the runs' folders, by name.
 
-    Names that each occur in one run and differ in numbers only (tools put process ids and times into names) are
-    combined under one name with `*` for the numbers, unless a run has two of them.
+    Names that occur in one run each and differ only in numbers (tools put process ids and times into names) are
+    combined into one name with `*` for the numbers, unless a run has two of them.
     """
     by_name: dict[str, dict[str, Path]] = {}
     for run_id, folder in folders.items():
@@ -162,7 +162,7 @@ def _by_file(folders: Mapping[str, Path]) -> dict[str, dict[str, Path]]:
 
 
 def _missing(file: str, paths: Mapping[str, Path], folders: Mapping[str, Path]) -> Iterator[str]:
-    """Say in which runs a file is missing that most have, and where it has no samples."""
+    """Yield notes on runs without a file that most have, and on runs where it has no samples."""
     missing = [run for run in folders if run not in paths]
     if missing and len(missing) < len(paths):
         yield f"{file} is missing in {len(missing)} of {counted(len(folders), 'run')}, such as {missing[0]}"
@@ -240,7 +240,7 @@ def read_run_samples(samples: ForeignSamples, path: Path) -> RunSamples:
     without_number = 0
     for place, name in enumerate(table.column_names):
         column = table.column(place)
-        if name in samples.numeric and not is_number(column.type):  # some word among its numbers
+        if name in samples.numeric and not is_number(column.type):  # it has a word among its numbers
             numbers = pa.array(pd.to_numeric(column.to_pandas(), errors="coerce"), pa.float64(), from_pandas=True)
             without_number += numbers.null_count - column.null_count
             table = table.set_column(place, name, numbers)
@@ -249,9 +249,9 @@ def read_run_samples(samples: ForeignSamples, path: Path) -> RunSamples:
 
 
 def _read(path: Path, types: Mapping[str, pa.DataType] | None = None, left_out: list[object] | None = None) -> pa.Table:
-    """Read a file; its types are found out where it does not have those that are expected.
+    """Read a file with the expected types, or with inferred ones where these do not fit.
 
-    Rows with another number of cells than the heading go to `left_out`.
+    Rows with more or fewer cells than the heading are added to `left_out`.
     """
     skipped: list[object] = [] if left_out is None else left_out
 

@@ -1,4 +1,4 @@
-"""Measures computed anew from the samples, and how they differ from the table's own values."""
+"""Recompute measures from samples, and compare them with the table's values."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _MEANS = re.compile(r"^(?:avg|average|mean)[_ ]+|[_ ]+(?:avg|average|mean)$", re
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A measure's value in the table beside the one that was computed from the samples, both in SI.
+    """A measure's value in the table and the one that was recomputed from the samples, both in SI.
 
     Attributes:
         run_id: the run.
-        measure: by its name in the table.
+        measure: its name in the table.
         table, recomputed: the two values.
     """
 
@@ -39,7 +39,7 @@ class Difference:
 
     @property
     def absolute(self) -> float:
-        """The recomputed value less the table's."""
+        """The recomputed value minus the table's."""
         return self.recomputed - self.table
 
     @property
@@ -51,12 +51,12 @@ class Difference:
 
 
 def recompute(recipe: Recipe, run: RunSamples) -> float | None:
-    """Return a measure of one run in SI; None where the samples do not suffice.
+    """Return a measure of one run in SI; None if there are too few samples.
 
     Samples without a value are left out. `mean` is the plain mean, as most tools compute it.
 
     Raises:
-        AnalysisError: the column holds text.
+        AnalysisError: the column has text.
     """
     times = run.times
     if recipe.how is Aggregation.COUNT:
@@ -97,7 +97,7 @@ _COMPUTED: Mapping[Aggregation, Callable[[Floats, Floats], Any]] = {
 
 
 def unit_of_recipe(recipe: Recipe, samples: ForeignSamples) -> str:
-    """Return the SI unit of a recomputed measure, empty where it is not known."""
+    """Return the SI unit of a recomputed measure; empty where it is not known."""
     if recipe.how is Aggregation.COUNT:
         return "1"
     if recipe.how is Aggregation.DURATION:
@@ -111,7 +111,7 @@ def unit_of_recipe(recipe: Recipe, samples: ForeignSamples) -> str:
 
 
 def check_recipes(recipes: Sequence[Recipe], samples: Sequence[ForeignSamples]) -> None:
-    """Raise AnalysisError where a recipe's file or column does not exist."""
+    """Raise AnalysisError if a recipe's file or column does not exist."""
     by_file = {each.file: each for each in samples}
     for recipe in recipes:
         where = f"recompute {recipe.measure}"
@@ -127,10 +127,10 @@ def check_recipes(recipes: Sequence[Recipe], samples: Sequence[ForeignSamples]) 
 def guess_recipes(
     measures: Mapping[str, Unit | None], samples: Sequence[ForeignSamples], given: Sequence[Recipe]
 ) -> list[Recipe]:
-    """Return recipes for measures that have none, where a column of samples can hardly mean anything else.
+    """Return recipes for measures without one, where the right column of samples is nearly certain.
 
-    A measure in joules is the integral of the one power that was sampled; `avg_x`, `mean_x` and `x` are the mean of the
-    one column of samples that is called `x`, or its change where that counts joules.
+    A measure in joules is the integral of the only sampled power; `avg_x`, `mean_x` and `x` are the mean of the only
+    column of samples named `x`, or its change where that counts joules.
     """
     known = {recipe.measure for recipe in given}
     powers = [(each, name) for each in samples for name, unit in each.units.items() if unit and unit.si == "W"]
@@ -153,7 +153,7 @@ def guess_recipes(
     return guessed
 
 
-#: Values closer than this are the same but for rounding and the way of integrating, as a share of the table's value.
+#: Values that differ by less, as a share of the table's value, differ only by rounding and the method of integration.
 TOLERANCE = 0.001
 
 #: Factors by which values differ when a unit was mistaken.
@@ -163,13 +163,13 @@ _SAME_FACTOR = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """One measure.
+    """How well the recomputed values of one measure agree with the table's.
 
     Attributes:
-        compared: how many runs have both values.
-        differing: those that differ by more than the tolerance, the largest difference first.
-        largest: the largest difference, whether it is tolerated or not.
-        factor: by how much all recomputed values differ from the table's, where that looks like a mistaken unit.
+        compared: the number of runs with both values.
+        differing: the differences above the tolerance, the largest first.
+        largest: the largest difference, whether within the tolerance or not.
+        factor: the factor between all recomputed values and the table's, where it looks like a mistaken unit.
     """
 
     measure: str
@@ -180,7 +180,7 @@ class Agreement:
 
 
 def agreements(differences: Iterable[Difference]) -> tuple[Agreement, ...]:
-    """Return how well each measure agrees, in the order in which measures come.
+    """Return the agreement of each measure, in the order of the differences.
 
     Example:
         >>> agreements([Difference("r_1", "Energy", 870.0, 870.1)])[0].differing

@@ -1,4 +1,4 @@
-"""Times as other tools write them (since some start, moments, dates, times of day), and traces that look wrong."""
+"""Times in the formats of other tools (since some start, timestamps, dates, times of day), and anomalies of traces."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ if TYPE_CHECKING:
 
 _HEADINGS = ("timestamp", "time", "datetime", "date_time", "date", "t", "elapsed", "elapsed_time", "seconds", "clock")
 
-#: Numbers as large as these count the seconds (or fractions of a second) since 1970.
+#: From these sizes on, numbers are seconds (or fractions of a second) since 1970.
 _EPOCHS = {"ns": 1e17, "us": 1e14, "ms": 1e11, "s": 1e8}
 _NANOSECONDS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1, "min": 60 * 10**9, "h": 3600 * 10**9}
 _DAY = 24 * _NANOSECONDS["h"]
-_LATEST = 2**63  # ns since 1970 that 64 bits hold, until 2262: a heading that says later is mistaken
+_LATEST = 2**63  # ns since 1970 that fit into 64 bits, until 2262: a heading with a later time is wrong
 _CLOCK = re.compile(r"\d{1,2}:\d\d:\d\d(\.\d+)?")
-_LOOKED_AT = 20  # texts that show what all texts of a column are
+_LOOKED_AT = 20  # texts of a column that are examined to recognise its format
 
 
 class TimeKind(Enum):
-    """From when times are counted: from a start that the tool chose, from 1970 (also dates), or from midnight."""
+    """The zero of times: a start that the tool chose, 1970 (also for dates), or midnight."""
 
     COUNTED = "counted"
     MOMENT = "moment"
@@ -42,7 +42,7 @@ class TimeKind(Enum):
 
 
 def time_column(table: pa.Table, headings: Sequence[str], given: str | None, where: str) -> str:
-    """Return the heading of the times: as given, else by its name, else the first column if it holds moments.
+    """Return the heading of the times: the given one, otherwise by its name, otherwise the first if it has timestamps.
 
     Raises:
         AnalysisError: there is no such column.
@@ -63,10 +63,10 @@ def time_column(table: pa.Table, headings: Sequence[str], given: str | None, whe
 
 
 def time_unit(heading: str, column: pa.ChunkedArray, where: str) -> str:
-    """Return the unit in which times are counted, `iso` or `clock`, by what they look like.
+    """Guess the unit of times, `iso` or `clock`, from the heading and the values.
 
     Raises:
-        AnalysisError: they do not look like times.
+        AnalysisError: the values do not look like times.
     """
     if pa.types.is_timestamp(column.type):
         return "iso"
@@ -95,13 +95,13 @@ def _texts(values: pa.ChunkedArray) -> pd.Series:
 
 
 def unit_words(unit: str, column: pa.ChunkedArray) -> str:
-    """Return a unit of times in words, with what is assumed where moments have no time zone."""
+    """Return a unit of times in words, with the assumption for timestamps without a time zone."""
     words = {"iso": "dates and times of day", "clock": "times of day"}.get(unit, unit)
     return f"{words}, taken as UTC" if pa.types.is_timestamp(column.type) and column.type.tz is None else words
 
 
 def time_kind(unit: str, column: pa.ChunkedArray) -> TimeKind:
-    """Return from when the times of a column are counted."""
+    """Return the zero of the times of a column."""
     if unit == "clock":
         return TimeKind.CLOCK
     if unit not in TIME_UNITS:
@@ -111,7 +111,7 @@ def time_kind(unit: str, column: pa.ChunkedArray) -> TimeKind:
 
 
 def nanoseconds_since_1970(number: float) -> int | None:
-    """Return a moment that is counted since 1970 in s, ms, us or ns, by its size; None where it is too small."""
+    """Return a timestamp since 1970 in s, ms, us or ns, told by its size, as ns; None where it is too small."""
     unit = next((unit for unit, least in _EPOCHS.items() if number >= least), None)
     return None if unit is None else round(number * _NANOSECONDS[unit])
 
@@ -122,9 +122,9 @@ def is_number(kind: pa.DataType) -> bool:
 
 
 def nanoseconds_of(column: pa.ChunkedArray, unit: str, where: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return times as whole nanoseconds, so that nothing is lost to rounding, and which of them are valid.
+    """Return times as whole nanoseconds, to avoid rounding, and which of them are valid.
 
-    Times of day go on counting past midnight.
+    Times of day continue past midnight.
 
     Raises:
         AnalysisError: the column does not hold times in this unit.
@@ -139,7 +139,7 @@ def nanoseconds_of(column: pa.ChunkedArray, unit: str, where: str) -> tuple[NDAr
     if unit == "clock":
         spans = pd.to_timedelta(texts.astype("str"), errors="coerce").to_numpy("timedelta64[ns]")
         times, valid = spans.astype(np.int64), ~np.isnat(spans)
-        known = times[valid]  # what is missing lies before all times, so that the next one would be of another day
+        known = times[valid]  # a missing value is smaller than all times: the next one would count as another day
         times[valid] = known + _DAY * np.cumsum(np.diff(known, prepend=known[:1]) < -_DAY // 2)
         return times, valid
     try:
@@ -157,21 +157,21 @@ _OF_PARTS = re.compile(r"avg|mean|median|max|min|std|sd|delay|latency|cpu", re.I
 _BEGIN = re.compile(r"(^|[_ ])(start|started|begin|begun)($|[_ ])", re.IGNORECASE)
 _END = re.compile(r"(^|[_ ])(stop|stopped|end|ended|finish|finished)($|[_ ])", re.IGNORECASE)
 
-#: A meter is started a little before the mission and stopped a little after it: 5 % and a second are no more than that.
+#: A meter starts a little before the mission and stops a little after it: 5 % and a second are normal.
 _TOLERATED_SHARE, _TOLERATED_S = 0.05, 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class TraceSpan:
-    """The samples of one file of one run.
+    """The extent of the samples in one file of one run.
 
     Attributes:
         file: the kind of file.
-        first, last: the times of the first and last sample in ns, since 1970 for moments; 0 without samples.
-        is_moment: whether they are counted since 1970.
+        first, last: the times of the first and last sample in ns, since 1970 for timestamps; 0 without samples.
+        is_moment: whether they count from 1970.
         count: the number of samples.
-        left_out: rows that have another number of cells than the heading, as where a file was cut off.
-        without_number: cells of columns of numbers that hold none.
+        left_out: the number of rows with more or fewer cells than the heading, such as in a file that was cut off.
+        without_number: the number of cells in numeric columns that are not numbers.
     """
 
     file: str
@@ -191,7 +191,7 @@ class TraceSpan:
 def trace_warnings(
     runs: Sequence[ForeignRun], spans: Mapping[str, Sequence[TraceSpan]], units: Mapping[str, Unit | None]
 ) -> list[str]:
-    """Return what looks wrong with the traces, in words."""
+    """Return the anomalies of the traces in words."""
     of_file: dict[str, list[tuple[ForeignRun, TraceSpan]]] = {}
     for run in runs:
         for span in spans.get(run.run_id, ()):
@@ -224,7 +224,7 @@ def _of_file(
     for runs_found, words in (
         (early, "begins before the run"),
         (late, "outlasts the run"),
-        # A log of events ends with the last event: in most runs, then.
+        # A log of events ends with the last event, and so before the end of most runs.
         (short if 2 * len(short) < len(found) else [], "ends before the run does: cut off?"),
     ):
         if runs_found:
@@ -238,7 +238,7 @@ def _of(names: Sequence[str], found: Sequence[object]) -> str:
 
 
 def _excess(run: ForeignRun, span: TraceSpan, units: Mapping[str, Unit | None]) -> tuple[float, float, float]:
-    """Return for how many seconds a trace is there before the run begins, after it ends, and how many are lacking."""
+    """Return the seconds of a trace before the run begins and after it ends, and the missing ones at its end."""
     begin, end = _moment(run, _BEGIN), _moment(run, _END)
     if span.is_moment and (begin is not None or end is not None):
         before = (begin - span.first) / 1e9 if begin is not None else 0.0
@@ -252,7 +252,7 @@ def _excess(run: ForeignRun, span: TraceSpan, units: Mapping[str, Unit | None]) 
 
 
 def _moment(run: ForeignRun, name: re.Pattern[str]) -> int | None:
-    """Return the moment that a text column of this name has, ns since 1970."""
+    """Return the timestamp in a text column of this name, ns since 1970."""
     for heading, text in run.extras.items():
         if name.search(heading) and text:
             number = number_of(text)
@@ -265,7 +265,7 @@ def _moment(run: ForeignRun, name: re.Pattern[str]) -> int | None:
 
 
 def _duration(run: ForeignRun, units: Mapping[str, Unit | None]) -> float | None:
-    """Return how long the run took by the table, s."""
+    """Return the duration of the run according to the table, s."""
     for name, unit in units.items():
         value = run.measures.get(name)
         is_duration = unit is not None and unit.si == "s" and _DURATION.search(name) and not _OF_PARTS.search(name)

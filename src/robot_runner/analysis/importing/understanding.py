@@ -1,4 +1,4 @@
-"""What was understood of results made elsewhere: shown before anything is written."""
+"""Understand results from elsewhere; the user sees the understanding before anything is written."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ _SHOWN_TABLES = 10
 
 @dataclass(frozen=True, slots=True)
 class Understanding:
-    """Everything that was understood of a results folder.
+    """The understanding of a results folder.
 
     Attributes:
         root: the folder.
         name: the experiment's name.
         table: the run table, as text.
-        roles: which column is what.
-        headings: the name of each factor and measure here; the same as there, but for names that are taken.
+        roles: the roles of its columns.
+        headings: the new name of each factor and measure: the old one, except where this is taken.
         units: the unit of each measure of the table, where it is known.
-        runs: the rows.
+        runs: the runs, from the rows.
         samples: the raw files.
-        recipes: which measure is computed from which samples.
+        recipes: how measures are computed from samples.
         origin: `measured`, `simulated`, `estimated`, or None where the user did not say.
-        notes: what looked odd, and what was guessed.
-        said: what the user said.
+        notes: anomalies and guesses.
+        said: the user's description.
     """
 
     root: Path
@@ -63,7 +63,7 @@ class Understanding:
 
     @property
     def questions(self) -> tuple[Finding, ...]:
-        """What is not sure, each with the options that settle it."""
+        """The unsure guesses, each with the options that settle it."""
         where = self.table.path.name
         found = [Finding.error(where, guess.question, _settled_by(guess)) for guess in self.roles.unsure]
         for name, doubt in self.table.doubts.items():
@@ -74,7 +74,7 @@ class Understanding:
 
     @property
     def design_words(self) -> str:
-        """The design that the runs have: factors with their treatments, repetitions, blocks, how many runs."""
+        """The design of the runs in words: factors with their treatments, repetitions, blocks, number of runs."""
         declared = self.said.design.names if self.said.design is not None else ()
         varied = [name for name in self.roles.factors if len(self.treatments(name)) > 1 and name not in declared]
         counts = " x ".join(str(len(self.treatments(name))) for name in varied)
@@ -97,12 +97,12 @@ class Understanding:
 
     @property
     def new_measures(self) -> tuple[str, ...]:
-        """Measures that the table lacks and that are computed from samples."""
+        """The measures that are not in the table and are computed from samples."""
         return tuple(recipe.measure for recipe in self.recipes if recipe.measure not in self.roles.measures)
 
     @property
     def description(self) -> ImportDescription:
-        """The description from which the same is understood, without any guess."""
+        """The description that leads to the same understanding without guessing."""
         return replace(
             self.said,
             name=self.name,
@@ -130,14 +130,14 @@ class Understanding:
 
     @property
     def design_facts(self) -> dict[str, object]:
-        """The facts of the design that the user declared, by the headings here; empty where none was."""
+        """The facts of the declared design, with the new headings; empty where none was declared."""
         design = self.said.design
         if design is None:
             return {}
         return {"facts": design.facts("the import", self.headings.__getitem__)}
 
     def treatments(self, factor: str) -> tuple[str, ...]:
-        """Return the treatments of a factor: numbers ascending, False before True, others as they come."""
+        """Return the treatments of a factor: numbers ascending, False before True, others as they occur."""
         texts = list(dict.fromkeys(run.treatments[factor] for run in self.runs))
         numbers = [number_of(text) for text in texts]
         if self.table.is_boolean(factor):
@@ -152,11 +152,11 @@ def _symbols(units: Mapping[str, Unit | None]) -> dict[str, str]:
 
 
 def understand(root: Path, said: ImportDescription) -> Understanding:
-    """Find out what is in a folder of results; nothing is written.
+    """Understand the contents of a folder of results; nothing is written.
 
     Raises:
         StorageError: the results cannot be read.
-        AnalysisError: they cannot be understood, or what the user said does not fit them.
+        AnalysisError: the results cannot be understood, or the user's description does not fit them.
     """
     table = read_foreign_table(_table_path(root, said.table), said.decimal)
     where = str(table.path)
@@ -235,7 +235,7 @@ def _settled_by(guess: RoleGuess) -> str:
 
 
 def _headings(roles: ColumnRoles, names: Iterable[str], notes: list[str]) -> dict[str, str]:
-    """Return the name of each column here; one that the run table reserves gets an underscore at its end."""
+    """Return the new name of each column; a name that the run table reserves gets an underscore at its end."""
     headings: dict[str, str] = {}
     repeated = 2 if roles.repetition or roles.repetition_in_run_id else 1
     for name in names:

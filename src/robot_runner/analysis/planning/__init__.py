@@ -1,1 +1,1 @@
-"""Before a study: how many repetitions it needs."""
+"""Planning a study: the number of repetitions, and the design."""

@@ -1,6 +1,6 @@
-"""What is assumed of the values that a study will measure: the mean and the spread of each combination, and its blocks.
+"""Assumptions on the values of a study: the mean and the standard deviation of each combination, and of blocks.
 
-Options give them (`--sd`, `--difference`), or a file of means; `pilot_values` takes them from a pilot.
+They come from options (`--sd`, `--difference`) or a file of means; `pilot_values` takes them from a pilot.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
     from robot_runner.analysis.planning.planned_study import Cell, Study
 
 _AND = " x "
-#: The column of a file of means that holds the standard deviation of a measure.
+#: The suffix of a column with the standard deviation of a measure, in a file of means.
 _SPREAD = ".sd"
 _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
 class AssumedMeasure:
-    """How the values of a measure are assumed to be distributed: normally, around the mean of each combination.
+    """The assumed distribution of a measure: normal, around the mean of each combination.
 
     Attributes:
         means, spreads: the mean and the standard deviation of each combination, in the measure's unit.
-        block_sd: the standard deviation of what a block adds to all of its values.
-        response_sd: the standard deviation of what a block adds to one combination: blocks that respond differently.
+        block_sd: the standard deviation of block effects, the same for all values of a block.
+        response_sd: the standard deviation of the interaction of blocks and combinations.
     """
 
     name: str
@@ -46,11 +46,11 @@ class AssumedMeasure:
 
     @property
     def is_constant(self) -> bool:
-        """Whether runs of one combination do not differ, but for rounding and for the block that they share."""
+        """Whether runs of a combination within a block are equal, except for rounding."""
         return max(*self.spreads.values(), self.response_sd) <= _ROUNDING * max(map(abs, self.means.values()))
 
     def with_spread(self, spread: float) -> AssumedMeasure:
-        """Return the same with one standard deviation for all combinations."""
+        """Return the same with a common standard deviation for all combinations."""
         return replace(self, spreads=dict.fromkeys(self.spreads, spread))
 
     def draw(
@@ -76,8 +76,8 @@ class Scenario:
     """One set of assumptions.
 
     Attributes:
-        title: what the effects are, as in `the pilot's effects`.
-        given: the effects that differences were stated for.
+        title: the origin of the effects, as in `the pilot's effects`.
+        given: the effects with a stated difference.
     """
 
     title: str
@@ -87,9 +87,9 @@ class Scenario:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A difference that is assumed: of the last treatment of a factor less the first, others lying in the middle.
+    """An assumed difference: the last treatment of a factor minus the first, with the others in the middle.
 
-    Of several factors it is their interaction: how much the difference of the first changes from the first to the last
+    For several factors it is their interaction: the change of the first factor's difference from the first to the last
     treatment of the second.
     """
 
@@ -98,7 +98,7 @@ class Difference:
     size: float
 
     def at(self, study: Study, cell: Cell) -> float:
-        """Return what it adds to the mean of a combination."""
+        """Return its contribution to the mean of a combination."""
         share = 1.0
         for name, text in zip(study.factors, cell, strict=True):
             if name in self.factors:
@@ -108,10 +108,10 @@ class Difference:
 
 
 def numbers_of(study: Study, option: str, texts: Sequence[str], measures: Sequence[str]) -> dict[str, float]:
-    """Return a number for each measure, from texts as `12` (for all of them) or `Energy=12`.
+    """Return a number for each measure, from texts such as `12` (for all measures) or `Energy=12`.
 
     Raises:
-        AnalysisError: one cannot be read.
+        AnalysisError: a text cannot be read, or the number is below 0.
     """
     found: dict[str, float] = {}
     for text in texts:
@@ -125,10 +125,10 @@ def numbers_of(study: Study, option: str, texts: Sequence[str], measures: Sequen
 
 
 def differences_of(study: Study, texts: Sequence[str], measures: Sequence[str]) -> list[Difference]:
-    """Return the differences that texts state, as `Task=5`, `Energy:Task=5` or `Task x Speed=3`.
+    """Return the differences in texts such as `Task=5`, `Energy:Task=5` or `Task x Speed=3`.
 
     Raises:
-        AnalysisError: one cannot be read, or names what the study does not have.
+        AnalysisError: a text cannot be read, or names a factor or measure that cannot be used.
     """
     option = "--difference"
     found = []
@@ -176,18 +176,18 @@ def assumed_scenario(
     base: Mapping[str, AssumedMeasure],
     title: str,
 ) -> Scenario:
-    """Return what is assumed of some measures.
+    """Return a scenario with stated differences.
 
     Args:
-        study: what is planned.
-        measures: which.
-        differences: that are assumed; other effects are none.
+        study: the planned study.
+        measures: the measures of the scenario.
+        differences: the assumed differences; all other effects are 0.
         spreads: the standard deviation of each measure that `base` lacks.
-        base: what is known of measures from elsewhere; of their means only the grand mean counts.
-        title: what the effects are.
+        base: known values of measures, such as a pilot's; only the grand mean of their means is used.
+        title: of the scenario.
 
     Raises:
-        AnalysisError: the spread of a measure is not known.
+        AnalysisError: the standard deviation of a measure is unknown.
     """
     missing = [name for name in measures if name not in spreads and name not in base]
     if missing:
@@ -212,10 +212,10 @@ def assumed_scenario(
 
 
 def _refuse_bounds(study: Study, measures: Sequence[str]) -> None:
-    """Refuse to assume differences alone where the plan leaves out values beyond bounds.
+    """Refuse differences without means for measures whose values the plan leaves out beyond bounds.
 
     Raises:
-        AnalysisError: it does, of one of these measures.
+        AnalysisError: the plan has bounds for one of these measures.
     """
     rule = study.plan.outliers if study.plan is not None else None
     bound = [name for name in measures if rule is not None and name in rule.bounds]
@@ -227,12 +227,12 @@ def _refuse_bounds(study: Study, measures: Sequence[str]) -> None:
 
 
 def means_file(study: Study, path: Path, spreads: Mapping[str, float]) -> dict[str, AssumedMeasure]:
-    """Return the means of a CSV file: columns for factors and measures, `<measure>.sd` beside; a row a combination.
+    """Read the means of a CSV file with columns for factors, measures and `<measure>.sd`, and a row per combination.
 
-    A factor that has no column has no effect.
+    A factor without a column has no effect.
 
     Raises:
-        AnalysisError: the file cannot be read, or lacks a combination or a spread.
+        AnalysisError: the file cannot be read, or lacks a combination or a standard deviation.
     """
     where = f"--means {path}"
     try:
@@ -266,7 +266,7 @@ def _of_table(study: Study, table: pd.DataFrame, name: str, spreads: Mapping[str
 
 
 def _rows_of_cells(study: Study, table: pd.DataFrame, where: str) -> Iterator[tuple[Cell, int]]:
-    """Yield the row that tells of each combination."""
+    """Yield the row of each combination."""
     told = [name for name in study.factors if name in table]
     rows: dict[Cell, int] = {}
     for row in range(len(table)):
@@ -294,7 +294,7 @@ def _rows_of_cells(study: Study, table: pd.DataFrame, where: str) -> Iterator[tu
 
 
 def with_blocks(scenario: Scenario, blocks: Mapping[str, float], responses: Mapping[str, float]) -> Scenario:
-    """Return the same with how blocks vary, where that is given."""
+    """Return the same with these standard deviations of blocks and of their responses."""
     return replace(
         scenario,
         measures=tuple(

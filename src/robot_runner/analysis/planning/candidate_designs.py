@@ -1,4 +1,4 @@
-"""The designs that a study could have, and how long each takes: what `robot-runner design` compares."""
+"""The candidate designs of a study and their durations, for `robot-runner design`."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from robot_runner.designs.one_at_a_time import OneFactorAtATime
 from robot_runner.designs.optimal import DOptimal
 from robot_runner.designs.split_plot import SplitPlot
 
-#: The column of the whole plots of a split-plot design that is only compared.
+#: The column of the whole plots of a candidate split-plot design.
 _PLOT = "Whole plot"
-#: More repetitions are not looked for: the budget is not what limits such a study.
+#: The most repetitions: the budget does not limit a study that could have more.
 _MOST = 200
-#: D-optimal combinations for each parameter of the model: some are left to tell chance.
+#: The number of D-optimal combinations per parameter of the model, so that some are left to estimate the error.
 _COMBINATIONS_A_PARAMETER = 1.5
 _ROMAN = {3: "III", 4: "IV", 5: "V"}
 
 
 @dataclass(frozen=True, slots=True)
 class RunTimes:
-    """How long runs take, and what changing a treatment costs.
+    """The duration of runs, and the cost of changing a treatment.
 
     Attributes:
-        of_run: seconds of a run of a combination.
-        pause: seconds between two runs.
-        changes: seconds that changing the treatment of a factor takes, by its name.
+        of_run: returns the duration of a run of a combination, in s.
+        pause: between two runs, in s.
+        changes: the time to change the treatment of a factor, in s, by its name.
     """
 
     of_run: Callable[[Mapping[str, object]], float]
@@ -44,7 +44,7 @@ class RunTimes:
     changes: Mapping[str, float]
 
     def seconds(self, model: RunTableModel) -> float:
-        """Return how long all runs of a plan take, in its order."""
+        """Return the duration of all runs of a plan, in its order, in s."""
         combinations = [run.combination for run in model.plan()]
         total = math.fsum(map(self.of_run, combinations)) + self.pause * max(0, len(combinations) - 1)
         for name, cost in self.changes.items():
@@ -54,18 +54,18 @@ class RunTimes:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A design that could be.
+    """A candidate design.
 
     Attributes:
         name: in words.
-        made: the run-table model with so many repetitions (of whole plots, so many replicates).
+        made: returns the run-table model for a number of repetitions (replicates of a split plot).
     """
 
     name: str
     made: Callable[[int], RunTableModel]
 
     def problem(self) -> str:
-        """Return why it cannot be for these factors; empty where it can."""
+        """Return why it is impossible for these factors; empty if it is possible."""
         try:
             self.made(1).plan()
         except DesignError as error:
@@ -74,7 +74,7 @@ class Candidate:
 
 
 def candidates_of(model: RunTableModel, hard: Sequence[str]) -> Iterator[Candidate]:
-    """Yield the designs that the factors of a study could have; the config's own comes first."""
+    """Yield the designs that are possible for the factors of a study, that of the config first."""
     if not model.is_full_factorial:
         kind = str(model.design_facts.get("kind", "design")).replace("_", " ")
         yield Candidate(f"the config's own ({kind})", model.repeated)
@@ -87,7 +87,7 @@ def candidates_of(model: RunTableModel, hard: Sequence[str]) -> Iterator[Candida
         for resolution in (5, 4, 3):
             design = FractionalFactorial(resolution=resolution)
             size = _count(model, design)
-            if size < least:  # else it is the one before, or the whole
+            if size < least:  # else it is the previous fraction, or the full factorial
                 least = size
                 yield Candidate(f"fraction of resolution {_ROMAN[resolution]}", partial(_designed, model, design))
     if len(model.factors) > 1:
@@ -108,7 +108,7 @@ def _count(model: RunTableModel, design: Design | CombinationDesign) -> int:
     try:
         return len(model.designed(design, repetitions=1).plan())
     except DesignError:
-        return 0  # why, the comparison says
+        return 0  # the comparison reports why
 
 
 def _models(factors: Sequence[Factor]) -> Iterator[tuple[str, str, int]]:
@@ -143,16 +143,16 @@ def _split_plot(model: RunTableModel, hard: tuple[str, ...], replicates: int) ->
 
 
 def most_repetitions(candidate: Candidate, times: RunTimes, budget: float) -> int:
-    """Return how many repetitions of a design the budget allows, s; 0 where not even one.
+    """Return how many repetitions of a design fit into a budget, in s; 0 if none does.
 
     Raises:
-        DesignError: the design cannot be.
+        DesignError: the design is impossible.
     """
     once = times.seconds(candidate.made(1))
     if once > budget:
         return 0
     low, high = 1, min(_MOST, max(2, int(2 * budget / max(once, 1e-9))))
-    while low < high:  # the most that fits; longer plans take longer
+    while low < high:  # bisection: plans with more repetitions take longer
         middle = (low + high + 1) // 2
         if times.seconds(candidate.made(middle)) <= budget:
             low = middle

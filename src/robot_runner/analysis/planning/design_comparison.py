@@ -1,4 +1,4 @@
-"""What can be learnt from each design within a budget of time: effects that are told apart, runs, and power."""
+"""Comparison of designs within a time budget: aliases, runs and power."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from robot_runner.core.design.analysis_plan import AnalysisPlan
     from robot_runner.core.design.run_table_model import RunTableModel
 
-#: Simulated experiments of each design: the standard error of a power of 80 % is 1.3 points.
+#: The number of simulated experiments per design: the standard error of a power of 80 % is 1.3 percentage points.
 _EXPERIMENTS = 2 * AT_ONCE
-#: Powers that differ by less than three standard errors of the simulation are taken to be alike.
+#: Powers that differ by less, three standard errors of the simulation, count as equal.
 _ALIKE = 0.04
 _SEED = 20210525
 _BEYOND_SQUARES = "what goes beyond squares and interactions of two factors, which is taken to be none"
@@ -36,17 +36,17 @@ _WITH_BLOCKS = "effects in part with interactions of blocks, which are taken to 
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What designs are compared for.
+    """The request for a comparison of designs.
 
     Attributes:
         name: of the experiment.
-        plan: what is fixed for the analysis.
+        plan: the analysis plan, if any.
         units: the measures of the run table, with their units.
-        assumptions: what is assumed of the values; where nothing is, effects of one standard deviation.
-        effects: what is to be found; empty for the hypotheses, or all main effects.
-        budget: of time, s.
-        power: what is asked for, 0..1.
-        seed: what experiments are drawn from.
+        assumptions: on the values; if there are none, effects of one standard deviation are assumed.
+        effects: the effects to detect; empty for the hypotheses, or all main effects.
+        budget: the time budget, in s.
+        power: the target power, 0..1.
+        seed: of the simulations.
     """
 
     name: str
@@ -61,19 +61,20 @@ class Asked:
 
 @dataclass(frozen=True, slots=True)
 class ComparedDesign:
-    """What a design yields within the budget.
+    """The result of one design within the budget.
 
     Attributes:
         name: in words.
-        repetitions: how many fit into the budget; 0 where not one.
-        runs: of all of them.
-        seconds: how long they take.
-        combinations: how many are executed.
-        aliased: what cannot be told apart, in words.
-        tells: 3 for all interactions, 2 for those of two factors, 1 for main effects not mixed with these, else 0.
-        power: of what is sought, the least; None where it is not known.
-        powers: of each claim that is sought.
-        problem: why it cannot be, or has no power; empty where it has one.
+        repetitions: the number that fits into the budget; 0 if none does.
+        runs: the number of runs.
+        seconds: their duration, in s.
+        combinations: the number of executed combinations.
+        aliased: the aliases, in words.
+        tells: 3 if all interactions can be estimated, 2 for two-factor interactions, 1 for main effects that are not
+            aliased with these, else 0.
+        power: the least of the sought claims; None if it is unknown.
+        powers: of each sought claim.
+        problem: why the design is impossible, or has no power; empty if it has one.
     """
 
     name: str
@@ -104,13 +105,14 @@ class ComparedDesign:
 
 @dataclass(frozen=True, slots=True)
 class DesignComparison:
-    """The designs that were compared, and which one is recommended.
+    """The compared designs and the recommended one.
 
     Attributes:
-        designs: as they were asked for.
-        recommended: its name; empty where none fits.
-        reasons: why, in sentences.
-        notes: what the figures do not tell.
+        asked: the request.
+        designs: in the order of the candidates.
+        recommended: the name of a design; empty if none fits.
+        reasons: sentences on why it is recommended.
+        notes: the limits of the figures.
     """
 
     asked: Asked
@@ -139,11 +141,11 @@ def compare_designs(
     """Compare designs.
 
     Raises:
-        AnalysisError: the assumptions name what the study does not have, or none of the designs can be.
+        AnalysisError: the assumptions are invalid for the study.
     """
     found, candidates = [], list(candidates)
     able = next((each for each in candidates if not each.problem()), None)
-    if able is not None:  # what the assumptions get wrong is wrong for all designs
+    if able is not None:  # invalid assumptions are invalid for all designs
         study = Study.of_model(asked.name, able.made(1), asked.plan, asked.units)
         scenarios_of(study, _assumed(study, asked.assumptions))
     for candidate in candidates:
@@ -182,7 +184,7 @@ def _compared(candidate: Candidate, times: RunTimes, asked: Asked) -> ComparedDe
 
 
 def _structure(study: Study, repetitions: int) -> tuple[KnownDesign, int]:
-    """Return what is known of a design, and how much it tells."""
+    """Return the known design, and its `tells` value."""
     zeros = dict.fromkeys(study.units, np.zeros(study.runs(repetitions)))
     design = design_of(study.results(repetitions, zeros))
     known, count = design.known, len(design.factors)
@@ -202,7 +204,7 @@ def _structure(study: Study, repetitions: int) -> tuple[KnownDesign, int]:
 
 
 def _adds_blocks(known: KnownDesign) -> bool:
-    """Return whether a design (a square, a crossover, incomplete blocks) takes blocks and treatments to add up."""
+    """Return whether a design (a square, a crossover, incomplete blocks) assumes additive blocks and treatments."""
     return bool(known.blocks) and not known.whole_plot
 
 
@@ -245,7 +247,7 @@ def _with_power(found: ComparedDesign, study: Study, model: RunTableModel, asked
 
 
 def _assumed(study: Study, assumptions: Assumptions) -> Assumptions:
-    """Return what is assumed: where nothing is, that the ends of each factor differ by one standard deviation."""
+    """Return the assumptions; by default, the ends of each factor differ by one standard deviation."""
     if assumptions.pilot is not None or assumptions.means is not None or assumptions.spreads:
         return assumptions
     named = assumptions.differences or [f"{name}=1" for name in study.varied]
@@ -253,7 +255,7 @@ def _assumed(study: Study, assumptions: Assumptions) -> Assumptions:
 
 
 def _best(found: Sequence[ComparedDesign], target: float) -> ComparedDesign | None:
-    """Return the design that tells most among those that reach the power; where none does, that of the most power."""
+    """Return the design with the fewest aliases among those with the target power, or else with the most power."""
     able = [each for each in found if each.power is not None and each.repetitions]
     enough = [each for each in able if (each.power or 0.0) >= target]
     if not able:

@@ -1,4 +1,4 @@
-"""What a pilot experiment tells of the values of a study: means and spreads of combinations, and how blocks vary."""
+"""Assumptions from a pilot experiment: means and standard deviations of combinations, and the variance of blocks."""
 
 from __future__ import annotations
 
@@ -20,19 +20,21 @@ if TYPE_CHECKING:
     from robot_runner.analysis.planning.planned_study import Cell, Study
     from robot_runner.analysis.results import Results
 
-#: How surely a spread is to be no larger than what is planned for; and how much larger is not worth a note.
+#: The probability that a standard deviation is no larger than its upper limit; the limit's ratio that needs no note.
 _SURE, _HARDLY_MORE = 0.8, 1.1
-#: Of fewer runs a combination's own standard deviation is hardly known (by half and more); that of all takes its place.
+#: The fewest runs for a separate standard deviation of a combination: with fewer, its error is half of it and more, and
+#: the pooled one is taken.
 _ENOUGH = 5
 _BLOCK, _CELL = " block", " cell"
 
 
 @dataclass(frozen=True, slots=True)
 class Pilot:
-    """What a pilot tells of measures, by name; notes say what it does not tell, and what was done about that.
+    """The measures of a pilot, by name.
 
     Attributes:
-        freedoms: the degrees of freedom by which the pilot knows how runs of a combination vary, by measure.
+        notes: the limits of the pilot, and how they were dealt with.
+        freedoms: the degrees of freedom of the standard deviation of runs, by measure.
     """
 
     name: str
@@ -41,10 +43,10 @@ class Pilot:
     freedoms: dict[str, int]
 
     def on_spreads(self, assumed: Sequence[AssumedMeasure]) -> Iterator[str]:
-        """Yield how much larger spreads may be than few runs say, of measures whose spreads are the pilot's.
+        """Yield notes on how much larger the standard deviations of the pilot may be, if it has few runs.
 
         Source: Browne, On the use of a pilot sample for sample size determination (Statistics in Medicine 14, 1995),
-        for the upper limit of a standard deviation in place of the deviation itself.
+        for planning with the upper limit of a standard deviation instead of its estimate.
         """
         for each in assumed:
             freedom, spreads = self.freedoms.get(each.name, 0), tuple(each.spreads.values())
@@ -62,13 +64,13 @@ class Pilot:
 
 
 def pilot_values(study: Study, results: Results, measures: Sequence[str]) -> Pilot:
-    """Return what a pilot tells of some measures, for each combination of a study.
+    """Return the assumptions on measures from a pilot, for each combination of a study.
 
-    Runs of a combination that differ in factors which the study does not have are taken together. What a batch of an
-    extended pilot adds is taken out.
+    Runs that differ only in factors that the study does not have are pooled. The batch means of an extended pilot are
+    subtracted.
 
     Raises:
-        AnalysisError: it lacks a measure, a treatment or a combination of the study, or has too few runs.
+        AnalysisError: the pilot lacks a measure, a treatment or a combination of the study, or has too few runs.
     """
     where = f"--pilot {results.name}"
     design = design_of(results, blocks=study.plan.blocks if study.plan is not None else None)
@@ -84,7 +86,7 @@ def pilot_values(study: Study, results: Results, measures: Sequence[str]) -> Pil
 
 
 def _shared(study: Study, design: Design, where: str) -> list[str]:
-    """Return the factors of the study that the pilot has, with all treatments of the study."""
+    """Return the factors that the study and the pilot vary; the pilot must have all treatments of the study."""
     shared = [name for name in study.factors if name in design.frame]
     for name in shared:
         known = list(map(str, design.frame[name].cat.categories))
@@ -109,7 +111,7 @@ def _notes(study: Study, design: Design, shared: Sequence[str]) -> Iterator[str]
 
 
 def _measure(study: Study, design: Design, name: str, shared: Sequence[str], where: str) -> tuple[AssumedMeasure, int]:
-    """Return what a pilot tells of a measure, and the degrees of freedom of its spread."""
+    """Return the assumptions on a measure, and the degrees of freedom of its standard deviation."""
     data = design.data(name)
     if data is None:
         what = "no number" if design.answers(name) is None else "yes or no, of which no power is simulated,"
@@ -155,10 +157,11 @@ def _part(study: Study, cell: Cell, shared: Sequence[str]) -> Cell:
 
 
 class _Blocks(NamedTuple):
-    """How blocks vary and how their responses to treatments do, and the residuals that are left, on the old scale.
+    """The standard deviations of blocks and of their responses to treatments, and the remaining residuals.
 
     Attributes:
-        freedom: the degrees of freedom of what is left.
+        left: the residuals without these, scaled to the degrees of freedom of all residuals.
+        freedom: the degrees of freedom of the remaining residuals.
     """
 
     block_sd: float
@@ -168,10 +171,10 @@ class _Blocks(NamedTuple):
 
 
 def _blocks(residuals: pd.Series, frame: pd.DataFrame) -> _Blocks:
-    """Take residuals apart by moments (analysis of variance), with the harmonic mean of the numbers of runs.
+    """Estimate variance components by moments (analysis of variance), with the harmonic mean of the numbers of runs.
 
-    Without repeated runs in blocks, responses cannot be told from chance, and stay in it. Where not even blocks can be
-    told from it, all is chance.
+    Without repeated runs in blocks, responses are confounded with the error and included in it. If blocks cannot be
+    separated either, everything is error.
     """
     block, total = frame[_BLOCK].astype(str), len(residuals)
     within = residuals.groupby([block, frame[_CELL]])

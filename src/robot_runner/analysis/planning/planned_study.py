@@ -1,4 +1,4 @@
-"""What a study plans: its design and its analysis, as the planning of its number of repetitions sees them."""
+"""The planned study: its design and its analysis, for planning the number of repetitions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 
-#: The order of the runs is the same each time.
+#: A fixed seed, so that the order of the runs is reproducible.
 _SEED = 20210525
 
 #: The texts of one treatment of each factor, in the order of the factors.
@@ -34,7 +34,7 @@ Cell = tuple[str, ...]
 
 
 class ArrangedRun(NamedTuple):
-    """A run of a study: its combination, its repetition, and the columns that are blocks."""
+    """A run of a study: its combination, its repetition, and its blocks by column."""
 
     cell: Cell
     repetition: int
@@ -43,21 +43,21 @@ class ArrangedRun(NamedTuple):
 
 @dataclass(frozen=True)
 class Study:
-    """A design that can be repeated more or less often, and how it will be analysed.
+    """A design with a variable number of repetitions, and its analysis.
 
     Attributes:
         name: of the experiment.
-        factors: the treatments of each factor, as texts; blocks of a design of its own are none.
-        cells: the combinations that are executed.
-        blocks: what the order is randomised within: a factor, the repetition, or nothing.
+        factors: the treatments of each factor, as texts; without the blocks of a special design.
+        cells: the executed combinations.
+        blocks: the column within which the order is randomised: a factor or the repetition; None without blocks.
         shuffle: whether the order is randomised.
-        repetitions: how many the config plans.
-        plan: what is fixed for the analysis; None where nothing is.
+        repetitions: the number in the config.
+        plan: the analysis plan, if any.
         units: the measures of the run table, with their units.
-        is_repeated: whether repetitions are added until measures are precise.
-        columns: the treatments of all factors of the config, blocks included, but not of one that counts repetitions.
-        facts: what a design of its own says of its runs; empty for a full factorial.
-        arranged: the runs of a design of its own, by the number of repetitions; None for a full factorial.
+        is_repeated: whether `repeat_until` adds repetitions until measures are precise.
+        columns: the treatments of all factors of the config, including blocks, except of one that counts repetitions.
+        facts: of a special design; empty for a full factorial.
+        arranged: returns the runs of a special design for a number of repetitions; None for a full factorial.
     """
 
     name: str
@@ -75,14 +75,15 @@ class Study:
 
     @classmethod
     def of_model(cls, name: str, model: RunTableModel, plan: AnalysisPlan | None, units: Mapping[str, str]) -> Self:
-        """Return the study that a config plans.
+        """Return the study of a config.
 
-        A factor that only counts repetitions (as in the paper's Listing 1) is none here: its treatments are these.
+        A factor that only counts repetitions (as in the paper's Listing 1) is not a factor here: its treatments are the
+        repetitions.
 
         Raises:
-            AnalysisError: its runs are listed one by one, so that there are no repetitions to choose; or a design of
-                its own has a factor that counts them.
-            DesignError: it is too large to be planned.
+            AnalysisError: the runs are listed one by one, so that there are no repetitions to choose; or a special
+                design has a factor that counts them.
+            DesignError: the design is too large to be planned.
         """
         if isinstance(model, ListedRunTableModel):
             fix = "Describe the design with factors and repetitions."
@@ -90,7 +91,7 @@ class Study:
         model.plan()
         facts = {} if model.is_full_factorial else dict(model.design_facts)
         counting = counting_factor(model)
-        if counting is not None and not model.is_full_factorial:  # which cannot be repeated then
+        if counting is not None and not model.is_full_factorial:  # such a design cannot be repeated
             raise counts_repetitions(counting, name)
         counted_by = counting.name if counting is not None else REPETITION
         no_factors = {*_block_columns(model), counted_by}
@@ -117,7 +118,7 @@ class Study:
 
     @cached_property
     def nested(self) -> NestedFactors:
-        """The factors with their treatments, of which some may apply to some runs only."""
+        """The factors with their treatments, some of which may be conditional."""
         conditions = conditions_of(pd.DataFrame(self.cells, columns=list(self.factors)))
         levels = {
             name: [text for text in texts if text != IDLE or name not in conditions]
@@ -126,11 +127,11 @@ class Study:
         return NestedFactors(levels, conditions)
 
     def treatments(self, name: str) -> list[str]:
-        """Return the treatments of a factor; where it does not apply, it has none."""
+        """Return the treatments of a factor, without `inactive`."""
         return self.nested[name]
 
     def apart(self, factors: Sequence[str]) -> tuple[str, str] | None:
-        """Return of several factors one that has a single treatment where another one applies, with that; else None."""
+        """Return two of these factors of which the first is constant where the second applies; else None."""
         left = self.nested.scope(factors)
         alone = [name for name in factors if len(left[name]) <= 1 < len(self.nested[name])]
         return next(
@@ -145,7 +146,7 @@ class Study:
 
     @property
     def varied(self) -> tuple[str, ...]:
-        """The factors whose effects are tested: with two and more treatments, and no blocks."""
+        """The factors whose effects are tested: those with two or more treatments, without blocks."""
         blocks = {self.blocks, self.plan.blocks if self.plan is not None else None}
         return tuple(name for name, texts in self.nested.items() if len(texts) > 1 and name not in blocks)
 
@@ -160,7 +161,7 @@ class Study:
         return self.factors[name]
 
     def measure(self, name: str, where: str) -> str:
-        """Return the name of a measure that the run table has.
+        """Return the name of a measure after checking that the run table has it.
 
         Raises:
             AnalysisError: there is no such measure.
@@ -170,16 +171,17 @@ class Study:
         return name
 
     def runs(self, repetitions: int) -> int:
-        """Return how many runs so many repetitions make."""
+        """Return the number of runs for a number of repetitions."""
         return repetitions * len(self.cells) if self.arranged is None else len(self.arranged(repetitions))
 
     def results(self, repetitions: int, values: Mapping[str, Any], first_batch: int | None = None) -> PlannedResults:
-        """Return the results that the study would have after so many repetitions.
+        """Return the results that the study would have after a number of repetitions.
 
         Args:
             repetitions: of each combination.
-            values: of each measure, one a run; runs come as written: all combinations, then all again.
-            first_batch: how many repetitions were executed before the experiment was extended; None where it was not.
+            values: of each measure, one for each run; runs are in the order of the repetitions, each with all
+                combinations.
+            first_batch: how many repetitions were executed before the experiment was extended; None if it was not.
         """
         rows = self._rows(repetitions)
         count = len(rows)
@@ -216,7 +218,7 @@ class Study:
         return PlannedResults(Path(), manifest, columns, table=pd.DataFrame({**frame, **values}))
 
     def _stamps(self, repetitions: int) -> pd.DatetimeIndex:
-        """Return when each run is measured: a minute each, in an order that is randomised as the config says."""
+        """Return the time stamp of each run, one minute apart, in an order randomised as in the config."""
         is_by_repetition = self.blocks == REPETITION and self.arranged is None
         sizes = [len(self.cells)] * repetitions if is_by_repetition else [self.runs(repetitions)]
         random = np.random.default_rng(_SEED)
@@ -225,7 +227,7 @@ class Study:
         return pd.Timestamp(0, tz="UTC") + pd.to_timedelta(places, unit="min")
 
     def cells_of(self, repetitions: int) -> Sequence[int]:
-        """Return the number of each run's combination, in the order of `results`."""
+        """Return the index of each run's combination, in the order of `results`."""
         places = {cell: place for place, cell in enumerate(self.cells)}
         return [places[run.cell] for run in self._rows(repetitions)]
 
@@ -236,18 +238,18 @@ class Study:
 
 
 def counting_factor(model: RunTableModel) -> Factor | None:
-    """Return the factor that only counts repetitions, as results know it by its name; None where there is none."""
+    """Return the factor that only counts repetitions, which its name says, as in results; None if there is none."""
     return next((each for each in model.factors if each.name.casefold() == REPETITION.casefold()), None)
 
 
 def counts_repetitions(factor: Factor, where: str) -> AnalysisError:
-    """Return the error of such a factor where a design is to have other numbers of repetitions."""
+    """Return the error for a factor that counts repetitions in a design whose number of repetitions is to change."""
     fix = f"Give repetitions={len(factor.treatments)} in its place; where it is a block, call it otherwise."
     return AnalysisError(f"the factor {factor.name!r} counts the repetitions", where=where, fix=fix)
 
 
 def _block_columns(model: RunTableModel) -> set[str]:
-    """Return the factors that are blocks of some kind, by what a design says of them."""
+    """Return the factors that are blocks, according to the facts of the design."""
     if model.is_full_factorial:
         return set()
     names = [factor.name for factor in model.factors]
@@ -255,7 +257,7 @@ def _block_columns(model: RunTableModel) -> set[str]:
 
 
 def _arranged(model: RunTableModel, studied: Sequence[str]) -> Callable[[int], tuple[ArrangedRun, ...]]:
-    """Return what arranges the runs of a design anew, for any number of repetitions; each number once."""
+    """Return a function that arranges the runs of a design for any number of repetitions; results are cached."""
 
     def listed(planned: RunTableModel) -> list[ArrangedRun]:
         return [
@@ -272,7 +274,7 @@ def _arranged(model: RunTableModel, studied: Sequence[str]) -> Callable[[int], t
     def arrange(repetitions: int) -> tuple[ArrangedRun, ...]:
         if repetitions == model.repetitions:
             return tuple(listed(model))
-        if isinstance(model.design, CombinationDesign):  # it has chosen once and for all
+        if isinstance(model.design, CombinationDesign):  # its combinations do not depend on the repetitions
             once = [run for run in listed(model) if run.repetition == 1]
             return tuple(run._replace(repetition=number) for number in range(1, repetitions + 1) for run in once)
         return tuple(listed(model.repeated(repetitions)))
@@ -282,7 +284,7 @@ def _arranged(model: RunTableModel, studied: Sequence[str]) -> Callable[[int], t
 
 @dataclass(frozen=True)
 class PlannedResults(Results):
-    """Results that nobody measured: a run table in memory, all of whose runs are done.
+    """Simulated results: a run table in memory, all of whose runs are done.
 
     Attributes:
         table: the run table.
@@ -296,5 +298,5 @@ class PlannedResults(Results):
 
     @property
     def attempts(self) -> pd.DataFrame:
-        """No attempts: nothing was executed."""
+        """An empty table: nothing was executed."""
         return pd.DataFrame({RUN_ID: [], "status": []})

@@ -1,4 +1,4 @@
-"""From what is assumed of a study to its power: which measures, under which assumptions, and the answers."""
+"""The power of a study: from assumptions on its measures to the number of repetitions, in words."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ if TYPE_CHECKING:
     from robot_runner.analysis.planning.planned_study import Study
     from robot_runner.analysis.results import Results
 
-#: Without a plan every measure is a family of its own; more than a few would only take time.
+#: The most measures of a pilot without a plan: each is a separate family, and more would only take time.
 _MOST_MEASURES = 6
 _FORMAT = 1
 
 
 @dataclass(frozen=True, slots=True)
 class Assumptions:
-    """What is assumed, as options state it.
+    """The assumptions, as options state them.
 
     Attributes:
-        pilot: an experiment that was executed; its means, spreads and blocks are taken.
+        pilot: an executed experiment, whose means, standard deviations and blocks are taken.
         means: a CSV file of means.
-        measures: which measures; empty for those of the plan.
+        measures: the measures; empty for those of the plan.
         spreads, differences, blocks, responses: texts such as `12` or `Energy=12`, `Task=5` or `Energy:Task=5`.
     """
 
@@ -58,7 +58,7 @@ class PowerAnalysis:
 
     Attributes:
         scenarios: one for each set of assumptions.
-        notes: what the figures do not tell.
+        notes: the limits of the figures.
     """
 
     study: Study
@@ -136,7 +136,7 @@ def power_analysis(
     """Find how many repetitions a study needs, under each set of assumptions.
 
     Raises:
-        AnalysisError: the assumptions do not suffice, or name what the study does not have.
+        AnalysisError: the assumptions are incomplete, or name a factor or measure that the study does not have.
     """
     measures, pilot = _measured(study, assumptions)
     scenarios = _varying_scenarios(study, assumptions, measures, pilot)
@@ -145,10 +145,10 @@ def power_analysis(
 
 
 def scenarios_of(study: Study, assumptions: Assumptions) -> list[Scenario]:
-    """Return what is assumed of the values of a study, with how blocks vary.
+    """Return the scenarios of a study, including the variance of blocks.
 
     Raises:
-        AnalysisError: the assumptions do not suffice, or name what the study does not have.
+        AnalysisError: the assumptions are incomplete, or name a factor or measure that the study does not have.
     """
     return _varying_scenarios(study, assumptions, *_measured(study, assumptions))
 
@@ -174,10 +174,10 @@ def _measured(study: Study, assumptions: Assumptions) -> tuple[tuple[str, ...], 
 
 
 def _measures(study: Study, assumptions: Assumptions) -> tuple[str, ...]:
-    """Return the measures that are simulated: those asked for, those of the plan, or all that something is assumed of.
+    """Return the measures to simulate: the requested ones, those of the plan, or all with assumptions.
 
     Raises:
-        AnalysisError: one is not known, or shares a family with others that are left out.
+        AnalysisError: a measure is unknown, or shares a family with others that are left out.
     """
     asked = tuple(study.measure(name, "--measure") for name in assumptions.measures)
     if study.plan is not None:
@@ -249,7 +249,7 @@ def _notes(study: Study, measures: Sequence[str], pilot: Pilot | None, found: Se
         yield "Covariates are drawn as if they told nothing of the measures: where they do, fewer repetitions suffice."
     yield "Values are drawn from normal distributions; skewed ones, and runs that fail, take more repetitions."
     planned = study.blocks if study.plan is None or study.plan.blocks is None else study.plan.blocks
-    # The blocks of a design of its own are no factors of the study.
+    # The blocks of a special design are not among the factors of the study.
     runs = study.arranged(study.repetitions) if study.arranged is not None else ()
     blocked = {name: len({run.blocks[name] for run in runs}) for name in study.facts.get("balance", {})}
     blocked |= {planned: len(study.factors[planned])} if planned and planned in study.factors else {}
@@ -259,7 +259,7 @@ def _notes(study: Study, measures: Sequence[str], pilot: Pilot | None, found: Se
         yield f"{blocks} makes {count}: {told}, so that more of them help where more repetitions do not."
 
 
-# What the figures say.
+# Answers in words.
 
 
 def share_in_words(found: Found) -> str:
@@ -269,7 +269,7 @@ def share_in_words(found: Found) -> str:
 
 
 def answer_in_words(analysis: PowerAnalysis, scenario: ScenarioPower) -> str:
-    """Return how many repetitions suffice, or that none in the range does."""
+    """Return a sentence on how many repetitions suffice, or that none in the range does."""
     search = analysis.search
     what = "what is sought" if len(scenario.sought) == 1 else "each of what is sought"
     if scenario.needed is None:

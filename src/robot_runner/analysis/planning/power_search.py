@@ -1,4 +1,4 @@
-"""How many repetitions suffice: a search over simulated experiments, of which there are more where it is close."""
+"""The search for the number of repetitions, with more simulated experiments where the power is near the target."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ if TYPE_CHECKING:
     from robot_runner.analysis.planning.planned_study import Study
     from robot_runner.analysis.statistics.families import Key
 
-#: Simulated experiments of each number of repetitions: at first, and at most. At 80 % the standard error is 1.3 and 0.4
-#: points.
+#: The first and the largest number of simulated experiments for each number of repetitions. At a power of 80 % the
+#: standard error is 1.3 and 0.4 percentage points.
 FEWEST, MOST = 1_000, 10_000
-#: What is fitted one experiment at a time takes some 5 (outliers) to 50 ms (mixed models) each.
+#: The same for models that are fitted to one experiment at a time, in 5 ms (outliers) to 50 ms (mixed models) each.
 FEWEST_OF_MODELS, MOST_OF_MODELS = 100, 400
 
-#: Numbers of repetitions that the curve has at least.
+#: The fewest numbers of repetitions of the power curve.
 _POINTS, _POINTS_OF_MODELS = 9, 5
-#: Of intervals of shares, which tell the Monte Carlo error.
+#: The confidence level of the Monte Carlo intervals.
 _LEVEL = 0.95
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """How often something was found among simulated experiments."""
+    """The number of simulated experiments in which a claim was found."""
 
     count: int
     simulations: int
@@ -51,20 +51,20 @@ class Found:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Where the power lies with 95 % confidence (Wilson 1927)."""
+        """The 95 % confidence interval of the power (Wilson 1927)."""
         found = stats.binomtest(self.count, self.simulations).proportion_ci(_LEVEL, method="wilson")
         return float(found.low), float(found.high)
 
 
 @dataclass(frozen=True, slots=True)
 class PowerPoint:
-    """What so many repetitions find.
+    """The power for a number of repetitions.
 
     Attributes:
         runs: of the whole experiment.
         claims: how often each claim is found, in the order of `ScenarioPower.claims`.
-        least: that claim among those that are sought that is found least often.
-        together: how often all that are sought are found in one experiment.
+        least: of the sought claim that is found least often.
+        together: how often all sought claims are found in the same experiment.
     """
 
     repetitions: int
@@ -76,12 +76,12 @@ class PowerPoint:
 
 @dataclass(frozen=True, slots=True)
 class Needed:
-    """The answer.
+    """The needed number of repetitions.
 
     Attributes:
-        repetitions: the fewest with which each claim that is sought is found as often as was asked for.
-        low, high: between these the answer lies, as far as the simulation tells; `high` is None where no number that
-            was looked at surely suffices.
+        repetitions: the fewest for which each sought claim has the target power.
+        low, high: the range of the answer given the Monte Carlo error; `high` is None if no number in the range surely
+            suffices.
     """
 
     repetitions: int
@@ -94,11 +94,11 @@ class ScenarioPower:
     """The power under one set of assumptions.
 
     Attributes:
-        claims: everything that is tested.
-        sought: which of them are to be found, by their places.
+        claims: all tested claims.
+        sought: the indices of the claims to detect.
         points: by number of repetitions.
-        needed: None where no number in the range suffices.
-        too_few: why the first numbers of the range were passed over: of so few runs there is no test or no design; else
+        needed: None if no number in the range suffices.
+        too_few: why the first numbers of the range were skipped, as no test or no design is possible for them; else
             empty.
     """
 
@@ -110,21 +110,21 @@ class ScenarioPower:
     too_few: str = ""
 
     def point(self, repetitions: int) -> PowerPoint:
-        """Return what so many repetitions find."""
+        """Return the power for a number of repetitions."""
         return {each.repetitions: each for each in self.points}[repetitions]
 
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """What is looked for.
+    """The parameters of the search.
 
     Attributes:
-        power: how often it is to be found, 0..1.
-        first, last: the numbers of repetitions among which it is looked for.
-        effects: labels of the claims that are sought; empty for those that the plan and the assumptions name.
-        simulations: experiments of each number of repetitions, at most; None for as many as are fast.
-        seed: what everything is drawn from.
-        first_batch: how many repetitions were executed before the experiment is extended.
+        power: the target power, 0..1.
+        first, last: the range of repetitions.
+        effects: labels of the claims to detect; empty for those of the plan and the assumptions.
+        simulations: the most experiments for each number of repetitions; None for the default.
+        seed: of the simulations.
+        first_batch: how many repetitions were executed before the experiment is extended; None if it is not.
     """
 
     power: float = 0.8
@@ -139,10 +139,10 @@ class Search:
 def search_repetitions(
     study: Study, scenario: Scenario, search: Search, progress: Callable[[int, int], None] = lambda _, __: None
 ) -> ScenarioPower:
-    """Find the fewest repetitions that suffice, and the power of others around them.
+    """Find the fewest repetitions that suffice, and the power curve.
 
     Raises:
-        AnalysisError: nothing that is sought is tested, or no test can be made of as many runs as there may be.
+        AnalysisError: no sought claim is tested, or no test is possible even for the most repetitions.
     """
     curve = _Curve(study, scenario, search, progress)
     for repetitions in _spread(curve.first, search.last, _POINTS_OF_MODELS if curve.is_slow else _POINTS):
@@ -158,12 +158,12 @@ def search_repetitions(
 
 
 def _spread(first: int, last: int, count: int) -> list[int]:
-    """Return numbers from first to last that grow by about the same factor."""
+    """Return numbers from first to last in about geometric progression."""
     return sorted({round(each) for each in np.geomspace(first, last, count)} | {first, last})
 
 
 class _Curve:
-    """The counts of all numbers of repetitions that were simulated so far."""
+    """The power curve: the counts for each simulated number of repetitions."""
 
     def __init__(self, study: Study, scenario: Scenario, search: Search, progress: Callable[[int, int], None]) -> None:
         self._study, self._scenario, self._search, self._progress = study, scenario, search, progress
@@ -174,8 +174,8 @@ class _Curve:
 
     @cached_property
     def first(self) -> int:
-        """The fewest repetitions of which a test can be made: of ranks it takes four runs of each of two treatments."""
-        self._simulation(self._search.last)  # where there is no test of most runs either, that is what is told
+        """The fewest repetitions for which a test is possible: ranks of two treatments need four runs of each."""
+        self._simulation(self._search.last)  # raises its own error if no test is possible for the most runs either
         for repetitions in range(self._search.first, self._search.last):
             try:
                 self._simulation(repetitions)
@@ -189,12 +189,12 @@ class _Curve:
 
     @cached_property
     def claims(self) -> tuple[Claim, ...]:
-        """Everything that is tested."""
+        """All tested claims."""
         return self._simulation(self._search.last).claims
 
     @cached_property
     def sought(self) -> tuple[int, ...]:
-        """The places of the claims that are to be found."""
+        """The indices of the claims to detect."""
         return sought_claims(self._study, self._scenario, self.claims, self._search.effects)
 
     @property
@@ -205,12 +205,12 @@ class _Curve:
 
     @property
     def is_slow(self) -> bool:
-        """Whether experiments are computed one at a time."""
+        """Whether models are fitted to one experiment at a time."""
         return self._simulation(self._search.last).is_slow
 
     @property
     def fewest(self) -> int:
-        """How many experiments each number of repetitions has at first."""
+        """The first number of experiments for each number of repetitions."""
         return FEWEST_OF_MODELS if self.is_slow else FEWEST
 
     def _simulation(self, repetitions: int) -> Simulation:
@@ -225,7 +225,7 @@ class _Curve:
         return self._simulations[repetitions]
 
     def grow(self, repetitions: int, experiments: int) -> None:
-        """Simulate until there are so many experiments, or as many as there may be."""
+        """Simulate until there are this many experiments, up to the limit."""
         wanted = min(experiments, self._most)
         while self._done.get(repetitions, 0) < wanted:
             done = self._done.get(repetitions, 0)
@@ -244,12 +244,12 @@ class _Curve:
         self._counts[repetitions] = tuple(old + new for old, new in zip(before, added, strict=True))
 
     def least(self, repetitions: int) -> Found:
-        """Return how often that claim is found that is found least often."""
+        """Return the power of the sought claim that is found least often."""
         counts = self._counts[repetitions]
         return Found(min(counts[place] for place in self.sought), self._done[repetitions])
 
     def settled(self, repetitions: int) -> Found:
-        """Simulate until it is plain on which side of the target the power lies, or as often as may be."""
+        """Simulate until the power is clearly above or below the target, up to the limit."""
         experiments = self.fewest
         self.grow(repetitions, experiments)
         while self._done[repetitions] < self._most:
@@ -261,7 +261,7 @@ class _Curve:
         return self.least(repetitions)
 
     def first_where(self, suffices: Callable[[Found], bool]) -> int | None:
-        """Return the fewest repetitions that suffice, by bisection; None where not even the last does."""
+        """Return the fewest repetitions that suffice, by bisection; None if the last does not suffice."""
         below, above = self.first - 1, self._search.last
         if not suffices(self.settled(above)):
             return None
@@ -274,7 +274,7 @@ class _Curve:
         return above
 
     def points(self) -> tuple[PowerPoint, ...]:
-        """Return everything that was simulated, by number of repetitions."""
+        """Return the points of the curve, by number of repetitions."""
         return tuple(
             PowerPoint(
                 repetitions,
@@ -290,12 +290,12 @@ class _Curve:
 def sought_claims(
     study: Study, scenario: Scenario, claims: Sequence[Claim], effects: Collection[str]
 ) -> tuple[int, ...]:
-    """Return which claims are to be found.
+    """Return the indices of the claims to detect.
 
-    They are those asked for; else the hypotheses; else the effects that differences are stated for; else main effects.
+    They are the requested ones; else the hypotheses; else the effects with stated differences; else main effects.
 
     Raises:
-        AnalysisError: an effect is asked for that is not tested, or one of which nothing is assumed.
+        AnalysisError: a requested effect is not tested, or a claim has no assumed difference.
     """
     if effects:
         chosen = [_place_of(claims, name) for name in effects]
@@ -314,7 +314,7 @@ def sought_claims(
 
 
 def _place_of(claims: Sequence[Claim], name: str) -> int:
-    """Return the claim that is meant: by its words, or by its factors as in `Task x Speed`."""
+    """Return the index of a claim, by its label, or by its factors as in `Task x Speed`."""
     for place, claim in enumerate(claims):
         factors = set(name.rpartition(":")[2].split(" x "))
         measure = name.rpartition(":")[0]
@@ -326,7 +326,7 @@ def _place_of(claims: Sequence[Claim], name: str) -> int:
 
 
 def _refuse_nothing(study: Study, scenario: Scenario, claim: Claim) -> None:
-    """Refuse to look for what the assumptions say is not there.
+    """Refuse to search for an effect that is 0 by the assumptions.
 
     Raises:
         AnalysisError: all treatments have the same mean.
@@ -338,7 +338,7 @@ def _refuse_nothing(study: Study, scenario: Scenario, claim: Claim) -> None:
         for name in each.factors
     }
     if len(factors) != 1:
-        return  # of interactions, and of what is to be equivalent
+        return  # interactions and equivalence are not checked
     (factor,) = factors
     place = list(study.factors).index(factor)
     means = next(each.means for each in scenario.measures if each.name == claim.measure)

@@ -1,7 +1,7 @@
-"""How often the report's own procedure finds what is there: experiments are simulated and analysed, thousands at once.
+"""The power of the report's procedure: thousands of experiments are simulated and analysed at once.
 
 The tests, their families and corrections are those of `analyse`: the same functions are called with the values of many
-experiments. What no test hangs on (descriptions, figures, sentences) is left out, which takes a thousandth of the time.
+experiments. Descriptions, figures and sentences are left out, so that it takes a thousandth of the time.
 """
 
 from __future__ import annotations
@@ -37,21 +37,21 @@ if TYPE_CHECKING:
     from robot_runner.analysis.planning.assumed_values import AssumedMeasure, Scenario
     from robot_runner.analysis.planning.planned_study import Cell, Study
 
-#: Experiments that are drawn and analysed together; counts do not depend on how many are asked for at a time.
+#: The number of experiments that are drawn and analysed together, so that counts do not depend on the batch size.
 AT_ONCE = 500
 
-#: Draws of a bootstrap: as so many experiments are made, the error of a single p-value averages out.
+#: The number of bootstrap draws: over many experiments, the error of a single p-value averages out.
 _DRAWS = 499
 
 
 class Claim(NamedTuple):
-    """What an experiment may find.
+    """A tested claim: an effect or a hypothesis.
 
     Attributes:
-        key: as families of tests have it.
+        key: its key in families of tests.
         label: in words.
-        measure: what it is about.
-        is_hypothesis: whether it is one that the plan states.
+        measure: its measure.
+        is_hypothesis: whether it is a hypothesis of the plan.
     """
 
     key: Key
@@ -62,13 +62,13 @@ class Claim(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class _Prepared:
-    """A measure, ready to be simulated.
+    """A measure that is ready for simulation.
 
     Attributes:
-        rows: which of the runs are compared.
+        rows: the indices of the compared runs.
         blocks: the block of each run.
-        data: of one experiment.
-        model: of the values of it.
+        data: of one example experiment.
+        model: of its values.
     """
 
     assumed: AssumedMeasure
@@ -79,13 +79,13 @@ class _Prepared:
 
 
 class Simulation:
-    """Experiments of one number of repetitions under one set of assumptions.
+    """Simulated experiments for a number of repetitions and a scenario.
 
     Attributes:
         is_slow: whether models are fitted one experiment at a time.
 
     Raises:
-        AnalysisError: no test can be made of so few runs.
+        AnalysisError: no test is possible for so few runs.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class Simulation:
         return prepared
 
     def _design(self, values: Mapping[str, Floats], random: np.random.Generator) -> Design:
-        """Return the design of an experiment with these values; covariates tell nothing of them."""
+        """Return the design of an experiment with these values; covariates are independent of them."""
         covariates = self._plan.covariates if self._plan is not None else ()
         drawn = {name: random.normal(size=len(self._cells)) for name in covariates if name in self._study.units}
         results = self._study.results(self._repetitions, {**drawn, **values}, self._first_batch)
@@ -138,7 +138,7 @@ class Simulation:
         return replace(design, covariates=covariates)
 
     def _analysed(self, design: Design, name: str) -> tuple[MeasureData, AnyModel | NotComputed]:
-        """Return what of a measure is compared, without the values that the plan leaves out, and the estimates."""
+        """Return the data of a measure, without the values that the plan leaves out, and its model."""
         gone = frozenset(each.run_id for each in left_out_of(design, name, self._plan, ()))
         data = replace(design, without=gone).data(name)
         if data is None:
@@ -147,7 +147,7 @@ class Simulation:
         return compared, planned_model_of(compared, self._choices.estimand, self._choices.statistic)
 
     def _is_fast(self, prepared: _Prepared) -> bool:
-        """Return whether many experiments can be computed at once: the same runs count in all of them."""
+        """Return whether many experiments can be computed at once: all of them use the same runs."""
         leaves_out = self._plan is not None and self._plan.outliers is not None
         if leaves_out or (prepared.data.covariates and not isinstance(prepared.model, CellMeans)):
             return False
@@ -155,7 +155,7 @@ class Simulation:
 
     @cached_property
     def claims(self) -> tuple[Claim, ...]:
-        """What is tested: the hypotheses of the plan, then all effects on each measure."""
+        """The tested claims: the hypotheses of the plan, then all effects on each measure."""
         stated = self._plan.hypotheses if self._plan is not None else ()
         names = [each.assumed.name for each in self._measures]
         found = [
@@ -173,7 +173,7 @@ class Simulation:
         return tuple(found)
 
     def found(self, part: int, experiments: int = AT_ONCE) -> dict[Key, NDArray[np.bool_]]:
-        """Return what each experiment of a part finds significant after correction."""
+        """Return which claims are significant after correction, in each experiment of a part."""
         p_values = self.p_values(part, experiments)
         tested = {each.assumed.name: self._keys(each, p_values) for each in self._measures}
         found: dict[Key, NDArray[np.bool_]] = {}
@@ -190,14 +190,14 @@ class Simulation:
         return dict(zip(keys, is_found.T, strict=True))
 
     def _keys(self, prepared: _Prepared, p_values: Mapping[Key, Floats]) -> list[Key]:
-        """Return what is tested of a measure, in the order of the report."""
+        """Return the keys of the tests of a measure, in the order of the report."""
         name = prepared.assumed.name
         effects = [effect_key(name, test.factors) for test in prepared.model.effects()]
         contrasts = [contrast_key(each.statement) for each in contrasts_of(self._plan, name)]
         return [*effects, *(key for key in contrasts if key in p_values)]
 
     def p_values(self, part: int, experiments: int = AT_ONCE) -> dict[Key, Floats]:
-        """Return the p-value of each test in each experiment, before correction; NaN where there is none."""
+        """Return the uncorrected p-value of each test in each experiment; NaN where there is none."""
         found: dict[Key, Floats] = {}
         with quiet():
             for prepared, values in zip(self._measures, self.values(part, experiments).values(), strict=True):
@@ -206,7 +206,7 @@ class Simulation:
         return found
 
     def values(self, part: int, experiments: int = AT_ONCE) -> dict[str, Floats]:
-        """Return the values of each measure, (experiments, runs); runs come as written."""
+        """Return the values of each measure, (experiments, runs), with runs in the order of the study."""
         return {
             each.assumed.name: each.assumed.draw(
                 np.random.default_rng((*self._seed, part, place)), AT_ONCE, self._cells, each.blocks
@@ -233,7 +233,7 @@ class Simulation:
             _, model = self._analysed(self._design({name: row}, random), name)
             found.append({} if isinstance(model, NotComputed) else self._tested(name, model))
         missing = np.asarray(np.nan)
-        # Where values hardly vary, no experiment may be testable: its effects are found in none.
+        # If values hardly vary, no experiment may be testable: then no effect is found.
         effects = [effect_key(name, test.factors) for test in prepared.model.effects()]
         keys = dict.fromkeys([*effects, *(key for each in found for key in each)])
         return {key: np.array([float(each.get(key, missing)) for each in found]) for key in keys}

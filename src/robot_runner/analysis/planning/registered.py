@@ -1,4 +1,4 @@
-"""What an experiment registered before its first run, and everywhere that it deviates from that."""
+"""The registration of an experiment before its first run, and all deviations from it."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Registered:
-    """A registration, and what became of it.
+    """A registration, and the deviations from it.
 
     Attributes:
         registered_at: when it was made (UTC).
-        sha256: its checksum, as it was recorded at the start of the experiment.
-        power: what was registered of the study's power, in sentences; empty where nothing was.
-        deviations: each in a clause, without a full stop.
-        problem: why the file in the folder cannot be trusted; empty where it can.
+        sha256: its checksum, as recorded at the start of the experiment.
+        power: the registered sentences on the study's power, if any.
+        deviations: each as a clause, without a full stop.
+        problem: why the file in the folder cannot be trusted; empty if it can.
     """
 
     registered_at: str
@@ -49,7 +49,7 @@ class Registered:
 
     @property
     def sentence(self) -> str:
-        """What the report says of it."""
+        """The sentence of the report."""
         told = f"Registered on {self.registered_at[:10]} at {self.registered_at[11:19]} UTC, SHA-256 {self.sha256}."
         if self.problem:
             return f"{told} {self.problem}"
@@ -57,7 +57,7 @@ class Registered:
 
 
 def registered(results: Results, statistics: ExperimentStatistics) -> Registered | None:
-    """Return the registration of an experiment with all deviations from it; None where none was made beforehand."""
+    """Return the registration of an experiment with all deviations from it; None if there is none."""
     stated = results.manifest.get("registration")
     if not isinstance(stated, dict):
         return _made_too_late(results.manifest.get("registration_changes"))
@@ -75,7 +75,7 @@ def registered(results: Results, statistics: ExperimentStatistics) -> Registered
 
 
 def _made_too_late(changes: Any) -> Registered | None:
-    """Return a registration that an experiment which had begun without one found later."""
+    """Return a registration that was made after the experiment had begun without one."""
     later = changes[-1].get("registration") if changes else None
     if not isinstance(later, dict):
         return None
@@ -101,28 +101,28 @@ def _deviations(found: Registration, results: Results, statistics: ExperimentSta
 
 
 def _not_in_manifest(design: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a registration alone has: combinations are compared with those of the run table."""
+    """Return the part of a design that only the registration has; combinations are compared with the run table."""
     return {"excluded": design["excluded"]} if "excluded" in design else {}
 
 
 def _first_design(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the design that the experiment began with: batches that were added are told by themselves."""
+    """Return the initial design of the experiment; added batches are reported separately."""
     design = {name: each for name, each in (manifest.get("design") or {}).items() if name not in {"source", "batches"}}
     batches = (manifest.get("design") or {}).get("batches") or []
     if batches and batches[0].get("repetitions"):
         design["repetitions"] = batches[0]["repetitions"]
-    if rule := manifest.get("repeat_until"):  # what is added until it is precise was registered with the rule
+    if rule := manifest.get("repeat_until"):  # the repetitions that it adds were registered with the rule
         design["repetitions"] = rule["least"]
     return design
 
 
 def _of_combinations(design: Mapping[str, Any], results: Results) -> Iterator[str]:
-    """Yield which combinations the run table has beyond the registered ones, or lacks."""
+    """Yield the combinations of the run table that were not registered, and the registered ones that it lacks."""
     names = list(design.get("factors") or {})
     if not names or any(name not in results.all_runs for name in names):
-        return  # told as factors
+        return  # reported as factors
     if results.is_adaptive:
-        return  # which combinations are executed was to be decided, as was registered
+        return  # the registration left the combinations to the search
     if "combinations" in design:
         planned = {tuple(map(str, each)) for each in design["combinations"]}
     else:
@@ -130,7 +130,7 @@ def _of_combinations(design: Mapping[str, Any], results: Results) -> Iterator[st
         planned = {cell for cell in product(*design["factors"].values()) if cell not in left_out}
     present = {tuple(map(str, row)) for row in results.all_runs[names].itertuples(index=False)}
     treatments = [set(texts) for texts in design["factors"].values()]
-    # Combinations with treatments that were not registered are told as treatments.
+    # Combinations with treatments that were not registered are reported as treatments.
     added = [cell for cell in sorted(present - planned) if all(map(set.__contains__, treatments, cell))]
     for words, cells in (("not registered", added), ("registered and not in the run table", sorted(planned - present))):
         if cells:
@@ -152,7 +152,7 @@ def _of_config(config: Mapping[str, Any], results: Results) -> Iterator[str]:
             return
 
 
-#: Where results are kept is nobody's plan.
+#: The folder of the results is not part of a plan.
 _PATH = "results_output_path"
 
 

@@ -1,1 +1,1 @@
-"""A notebook and an R script that compute every number of a report again, without Robot Runner."""
+"""A notebook and an R script that recompute every number of a report, without Robot Runner."""

@@ -1,4 +1,4 @@
-"""What a recomputation has to know of a design of its own: what its model takes out of values, and what it tells."""
+"""The facts of a special design for a recomputation: the nuisance columns and the effects of its model."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Before:
-    """Where the treatment of the period before is found, whose effect is in the model of a crossover.
+    """The columns that determine the previous treatment, for the carry-over in the model of a crossover.
 
     Attributes:
         subject, period: columns.
@@ -36,16 +36,16 @@ class Before:
 
 @dataclass(frozen=True, slots=True)
 class Designed:
-    """The model of a design, whose residuals are looked at.
+    """The model of a design, for its residuals.
 
     Attributes:
-        columns: the blocks that are taken out; batches are where it `is_extended`, whole plots where it `has_plots`.
-        covariates: measures, or `order`; they are taken out, too.
-        before: see there; None where it is not in the model.
-        terms: the effects, by the factors whose treatments they are of.
-        powers: of a response surface, the factors that are multiplied.
-        coding: the middle and half the range of these factors.
-        keeps_together: whether it takes out anything as a whole, so that the order of execution is told within that.
+        columns: the blocks that the model adjusts for, besides batches (`is_extended`) and whole plots (`has_plots`).
+        covariates: measures, or `order`, that it adjusts for.
+        before: the columns for the carry-over; None if it is not in the model.
+        terms: the effects, by their factors.
+        powers: for a response surface, the factors of each product.
+        coding: the centre and half the range of these factors.
+        keeps_together: whether the model subtracts group means, so that drift is tested within groups.
     """
 
     columns: tuple[str, ...]
@@ -61,15 +61,15 @@ class Designed:
 
 @dataclass(frozen=True, slots=True)
 class SurfaceFacts:
-    """A response surface that is fitted again.
+    """A response surface to recompute.
 
     Attributes:
-        coding: the middle and half the range of each factor that is a number.
-        terms: the polynomial's.
-        others: the factors that are no numbers.
+        coding: the centre and half the range of each numeric factor.
+        terms: of the polynomial.
+        others: the factors that are not numeric.
         reported: its coefficients.
-        whole: what is said of it as a whole: its lack of fit, its share of the variance, its stationary point.
-        has_stationary: whether there is such a point.
+        whole: its lack of fit, its share of the variance and its stationary point.
+        has_stationary: whether there is a stationary point.
     """
 
     coding: Mapping[str, tuple[float, float]]
@@ -81,7 +81,7 @@ class SurfaceFacts:
 
 
 def designed_facts(data: MeasureData, results: Results, *, keeps_together: bool) -> Designed | None:
-    """Return the model of a measure's design; None of a factorial, and where scripts do not know it."""
+    """Return the model of a measure's design; None for a factorial, and for models that scripts do not support."""
     known, factors = data.known, data.treatments
     if known.is_plain or factors.conditions or data.lacking:
         return None
@@ -116,7 +116,7 @@ def _ends(levels: list[str]) -> tuple[float, float]:
 
 
 def surface_facts(surface: Surface) -> SurfaceFacts:
-    """Return what a recomputation has to know of a response surface."""
+    """Return the facts of a response surface."""
     rows: list[tuple[str, Mapping[str, Number]]] = [
         (
             each.label,

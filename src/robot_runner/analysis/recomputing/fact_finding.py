@@ -1,4 +1,4 @@
-"""What a recomputation has to know of a study, from its results, its run table and the statistics of its report."""
+"""Collects the facts of a study for a recomputation, from its results, its run table and its statistics."""
 
 from __future__ import annotations
 
@@ -52,20 +52,20 @@ def facts_of_study(
     plan: AnalysisPlan | None = None,
     made: str = "",
 ) -> StudyFacts:
-    """Return what a recomputation has to know of a study.
+    """Return the facts of a study for a recomputation.
 
     Args:
         results: the experiment.
-        folder: where the script will be.
-        measures: which measures the report is of; None for all. Primary measures of the plan come in addition, as
-            errors are controlled among these.
-        alpha: the level of significance; None for the one that was fixed beforehand, or 0.05.
-        plan: what the report follows in the place of what was fixed before the experiment.
-        made: when and by what.
+        folder: the folder of the script.
+        measures: the measures of the report; None for all. Primary measures of the plan are added, as the error rate is
+            controlled over these.
+        alpha: the level of significance; None for that of the plan, or 0.05.
+        plan: replaces the plan that was fixed before the experiment.
+        made: when and by which version the script was made.
 
     Raises:
         StorageError: the run table cannot be read.
-        AnalysisError: there is no such measure, or alpha is no probability.
+        AnalysisError: there is no such measure, or alpha is out of range.
     """
     results = results.confirming
     followed = plan or results.plan
@@ -110,7 +110,7 @@ def facts_of_study(
 
 
 def _numbers(facts: Iterable[MeasureFacts], results: Results) -> Iterator[str]:
-    """Yield the columns that are read as numbers: measures, and those that they are adjusted for."""
+    """Yield the columns that are read as numbers: measures and covariates."""
     for each in facts:
         if each.answered is None:
             yield each.name
@@ -120,7 +120,7 @@ def _numbers(facts: Iterable[MeasureFacts], results: Results) -> Iterator[str]:
 def _measures(
     design: Design, statistics: ExperimentStatistics, plan: AnalysisPlan | None
 ) -> Iterator[tuple[tuple[str, Beside | None], MeasureFacts]]:
-    """Yield the facts of each measure, and once more of those that are computed with one choice made otherwise."""
+    """Yield the facts of each measure, of the planned analysis and of the sensitivity analyses."""
     choices = Choices(statistics.alpha, statistics.correction)
     if plan is not None:
         choices = replace(choices, estimand=plan.estimand, statistic=plan.statistic)
@@ -139,13 +139,13 @@ def _measures(
 
 
 def _analyses(statistics: ExperimentStatistics) -> Iterator[tuple[Beside | None, tuple[MeasureStatistics, ...]]]:
-    """Yield the planned analysis, then those beside it that were made."""
+    """Yield the planned analysis, then the sensitivity analyses that were made."""
     yield None, statistics.measures
     yield from ((each, statistics.beside(each)) for each in Beside if statistics.beside(each))
 
 
 def _unique_names() -> Callable[[str], str]:
-    """Return what makes each text its own, by a number where two are the same."""
+    """Return a function that makes texts unique, by a number for repeated ones."""
     taken: set[str] = set()
 
     def unique(text: str) -> str:
@@ -175,7 +175,7 @@ def _design(statistics: ExperimentStatistics) -> Reported:
 def _families(
     statistics: ExperimentStatistics, plan: AnalysisPlan | None, facts: Mapping[tuple[str, Beside | None], MeasureFacts]
 ) -> Iterator[Adjustment]:
-    """Yield the families of the planned analysis, and those of analyses beside it of which the report shows some."""
+    """Yield the families of the planned analysis, and those of sensitivity analyses that the report shows."""
     for beside, measures in _analyses(statistics):
         again = {each.name: each for each in measures}
         keys = {
@@ -197,7 +197,7 @@ def _families(
 
 
 def _keys(measure: MeasureStatistics, facts: MeasureFacts | None) -> Iterator[tuple[Key, str]]:
-    """Yield what stands for each test of a measure that has a p-value in its statistics, and in the script."""
+    """Yield the key of each test of a measure with a p-value, in the statistics and in the script."""
     if facts is None or measure.test is None:
         return
     for effect in measure.test.effects:
@@ -226,7 +226,7 @@ def _adjusted(statistics: ExperimentStatistics, facts: Mapping[tuple[str, Beside
 
 
 def _correlated(statistics: ExperimentStatistics, design: Design) -> Iterator[tuple[tuple[str, tuple[str, ...]], ...]]:
-    """Yield the measures that are correlated, two by two, each with the factors that its runs differ in."""
+    """Yield the pairs of correlated measures, each with its varied factors."""
     for each in statistics.correlations:
         several = [(name, _of_measure(design, statistics, name)) for name in (each.first, each.second)]
         yield tuple((name, () if data is None else data.factors) for name, data in several)
@@ -237,7 +237,7 @@ def _of_measure(design: Design, statistics: ExperimentStatistics, name: str) -> 
 
 
 def _without(statistics: ExperimentStatistics, correlated: Collection[str]) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Yield the measures that are correlated without some of their values, with the runs of these."""
+    """Yield the correlated measures with values that are left out, with the runs of these."""
     for each in statistics.measures:
         if each.name in correlated and (gone := runs_without_value(each.left_out)):
             yield each.name, tuple(sorted(gone))
@@ -246,7 +246,7 @@ def _without(statistics: ExperimentStatistics, correlated: Collection[str]) -> I
 def _correlated_designs(
     statistics: ExperimentStatistics, design: Design
 ) -> Iterator[tuple[str, tuple[str, ...], Designed]]:
-    """Yield the measures that are correlated, with their factors and the model of their design, where it is known."""
+    """Yield the correlated measures, with their factors and the model of their design, if it is supported."""
     for name in dict.fromkeys(name for each in statistics.correlations for name in (each.first, each.second)):
         data = _of_measure(design, statistics, name)
         found = None if data is None else designed_facts(data, design.results, keeps_together=False)
@@ -255,7 +255,7 @@ def _correlated_designs(
 
 
 def _correlations(statistics: ExperimentStatistics, *, is_known: bool) -> Reported:
-    """Return the correlations; within treatments where the scripts know the model whose residuals they are of."""
+    """Return the correlations; those within treatments only if scripts support the model of the residuals."""
     rows: list[tuple[str, dict[str, Number]]] = []
     for each in statistics.correlations:
         ends = each.pearson_interval
@@ -274,21 +274,21 @@ def _correlations(statistics: ExperimentStatistics, *, is_known: bool) -> Report
 
 
 _MARK = "\ufeff"
-#: Of this length and form, the order of texts is that of times.
+#: Time stamps in this form sort as texts.
 _STAMPS = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z", re.ASCII)
 
 
 class Cells:
-    """The cells of a run table as its file has them.
+    """The raw cells of a run table.
 
     Attributes:
-        delimiter: what stands between the cells.
-        renamed: columns that are headed by something else than their names: place from 1, and the name.
+        delimiter: between the cells.
+        renamed: columns whose headings differ from their names: the position from 1, and the name.
     """
 
     def __init__(self, path: Path, results: Results) -> None:
         try:
-            text = read_bytes(path).decode()  # as it stands: R and pandas meet the byte order mark, too
+            text = read_bytes(path).decode()  # with the byte order mark, as R and pandas read it
         except ValueError as error:
             raise storage_error(path, "read", OSError(str(error))) from error
         layout = TableLayout.of_schema(tuple(results.columns.values()))
@@ -304,13 +304,13 @@ class Cells:
         return name in self._places
 
     def column(self, name: str) -> list[str]:
-        """Return the cells of a column; empty ones where it is not there."""
+        """Return the cells of a column; empty ones for a missing column."""
         place = self._places.get(name, -1)
         return [row[place] if 0 <= place < len(row) else "" for row in self._rows]
 
 
 def source_of(results: Results, design: Design, cells: Cells, folder: Path) -> TableSource:
-    """Return how the run table is read."""
+    """Return the facts for reading the run table."""
     path = ExperimentFolder.found_at(results.folder).run_table
     used = list(results.done[RUN_ID])
     batch = (results.batch if results.only_confirming else None) or ""
@@ -320,7 +320,7 @@ def source_of(results: Results, design: Design, cells: Cells, folder: Path) -> T
     stamps = [stamp for stamp, run in zip(cells.column(STAMP), cells.column(RUN_ID), strict=True) if run in wanted]
     is_stamped = STAMP in results.done and all(map(_STAMPS.fullmatch, stamps))
     places = [int(place) for place in design.frame[PLACE]]
-    # Not where the clock was set back: the journal, which the script does not read, knows the order.
+    # If the clock was set back, only the journal has the order, which the script does not read.
     by_stamps = {at: place for place, at in enumerate(sorted(range(len(stamps)), key=stamps.__getitem__), start=1)}
     is_stamped = is_stamped and places == [by_stamps[at] for at in range(len(stamps))]
     is_ordered = is_stamped or places == list(range(1, len(places) + 1))
@@ -343,7 +343,7 @@ def source_of(results: Results, design: Design, cells: Cells, folder: Path) -> T
 def _chosen(
     cells: Cells, used: Sequence[str], batches: Sequence[str], confirming: Sequence[str]
 ) -> tuple[str, ...] | None:
-    """Return the words for runs that are done, or None where the columns alone do not tell which runs count."""
+    """Return the status texts of runs that are done, or None if the columns do not determine which runs are used."""
     words = dict(zip(cells.column(RUN_ID), cells.column(STATUS), strict=True))
     done = tuple(dict.fromkeys(words.get(run, "") for run in used))
     columns = (words, words.values(), cells.column(EXCLUDED), cells.column(WARM_UP), batches or [""] * len(words))
@@ -356,7 +356,7 @@ def _chosen(
 
 
 def factor_columns(design: Design, cells: Cells) -> tuple[FactorColumn, ...]:
-    """Return the treatments of each factor as the file spells them, in their order."""
+    """Return the treatments of each factor in their order, with their spelling in the file."""
     place = {run: at for at, run in enumerate(cells.column(RUN_ID))}
     found = []
     for name in (*design.factors, *design.constant):

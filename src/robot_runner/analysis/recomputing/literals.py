@@ -1,7 +1,7 @@
 """Values as literals of R and of Python, so that no name can become code; templates print nothing else.
 
-A name or a treatment is whatever a user wrote: quotes, line ends, `"); system("reboot")`. A template that prints one
-without saying as what is refused.
+A name or a treatment may be any text of a user: quotes, line ends, `"); system("reboot")`. A template that prints one
+without a filter is refused.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ _LAST_OF_BASIC_PLANE = 0xFFFF
 
 
 class Code(str):
-    """Text that is code, or cannot be taken for any."""
+    """Text that is code, or safe in code."""
 
     __slots__ = ()
 
 
 def r_literal(value: Any) -> Code:
-    r"""Return a value as R reads it; a text in ASCII alone, so that it means the same in every locale.
+    r"""Return a value as an R literal; texts are in ASCII, so that they are the same in every locale.
 
     Example:
         >>> print(r_literal('5 "\N{OHM SIGN}"'), r_literal([1, 2.5, None]), r_literal(True))
@@ -53,7 +53,7 @@ def _r_character(character: str) -> str:
 
 
 def python_literal(value: Any) -> Code:
-    r"""Return a value as Python reads it; a missing number is `nan`.
+    r"""Return a value as a Python literal; a missing number is `nan`.
 
     Example:
         >>> print(python_literal("Task"), python_literal('a"\n'), python_literal((1, None)))
@@ -74,7 +74,7 @@ def _number(value: float) -> str:
 
 
 def _sequence(start: str, items: Sequence[str], end: str) -> Code:
-    """Return a list, on several lines where one would be too long."""
+    """Return a list, on several lines if one would be too long."""
     lines, line = [], start
     for place, item in enumerate(items):
         part = f"{item}, " if place < len(items) - 1 else item
@@ -86,7 +86,7 @@ def _sequence(start: str, items: Sequence[str], end: str) -> Code:
 
 
 def comment_text(text: str) -> Code:
-    r"""Return a text that stays on the line of its comment, and shows what it is made of.
+    r"""Return a text for a comment, with line ends and other unprintable characters escaped.
 
     Example:
         >>> print(comment_text("a\nstop()"))
@@ -96,17 +96,17 @@ def comment_text(text: str) -> Code:
 
 
 def rendered(name: str, **content: Any) -> str:
-    """Return what a template makes of its content.
+    """Render a template.
 
     Raises:
-        TypeError: the template prints a text without saying as what.
+        TypeError: the template prints a text without a filter.
     """
     return _templates().get_template(name).render(**content)
 
 
 @cache
 def _templates() -> Environment:
-    environment = templates_of(_PACKAGE, _checked)  # no HTML: what no filter has escaped is refused
+    environment = templates_of(_PACKAGE, _checked)  # no HTML: text that no filter has escaped is refused
     filters: dict[str, Callable[[Any], Code]] = {
         "r": r_literal,
         "py": python_literal,

@@ -1,4 +1,4 @@
-"""The Jupyter notebook and the R script that compute every number of a report again, beside the report."""
+"""The Jupyter notebook and the R script that recompute every number of a report."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 def r_script(study: StudyFacts) -> str:
-    """Return the script, for R 4.0 and its own packages."""
+    """Return the R script, for R 4.0 and its own packages."""
     return rendered(
         "recompute.R.j2",
         **_common(study, ", {}", r_literal, ", tolerance = 1e-4", "NULL", "function(groups, contrasts) {}"),
@@ -64,7 +64,7 @@ def _r_conditions(of: Sequence[tuple[str, Sequence[tuple[str, Sequence[str]]]]])
 
 
 def _r_applied(factors: Sequence[str]) -> Code:
-    """Return which runs a factor applies to."""
+    """Return the condition that a factor applies to a run."""
     return Code(f"every[[{r_literal(factors[0])}]] != {r_literal(IDLE)}")
 
 
@@ -75,12 +75,12 @@ def _r_table(reported: Reported) -> Code:
 
 
 def _chosen(treatments: Mapping[str, str]) -> Code:
-    """Return which runs have some treatments."""
+    """Return the condition that a run has these treatments."""
     return Code(" & ".join(f"d[[{r_literal(name)}]] == {r_literal(of)}" for name, of in treatments.items()))
 
 
 def _which_of(effect: TestedEffect, names: Sequence[str]) -> Code:
-    """Return whether an effect is one of each of some factors."""
+    """Return, for each factor, whether it is in an effect."""
     return r_literal([name in effect.factors for name in names]) if names else Code("logical()")
 
 
@@ -94,7 +94,7 @@ _BLANK_LINES = re.compile(r"\n{4,}")
 
 
 def notebook(study: StudyFacts) -> str:
-    """Return the notebook, as nbformat 4.5 has it: https://nbformat.readthedocs.io/en/latest/format_description.html."""
+    """Return the notebook, in nbformat 4.5: https://nbformat.readthedocs.io/en/latest/format_description.html."""
     cells = [_cell(place, kind, source) for place, (kind, source) in enumerate(cells_of(study), start=1)]
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
     content = {
@@ -107,7 +107,7 @@ def notebook(study: StudyFacts) -> str:
 
 
 def cells_of(study: StudyFacts) -> list[tuple[str, str]]:
-    """Return the kind of each cell, `code` or `markdown`, and what it holds."""
+    """Return the kind of each cell, `code` or `markdown`, and its source."""
     text = rendered(
         "notebook.py.j2",
         **_common(study, ", level={}", python_literal, ", tolerance=1e-4", "None", "lambda groups, contrasts: {}"),
@@ -130,7 +130,7 @@ def cells_of(study: StudyFacts) -> list[tuple[str, str]]:
 
 
 def _applied(factors: Sequence[str]) -> str:
-    """Return which runs a factor applies to."""
+    """Return the condition that a factor applies to a run."""
     return f"every[{python_literal(factors[0])}] != {python_literal(IDLE)}"
 
 
@@ -169,15 +169,15 @@ _OWN = {
 def _common(
     study: StudyFacts, level: str, literal: Callable[[Any], Code], iterated: str, nothing: str, function: str
 ) -> dict[str, Any]:
-    """Return what the templates of both languages are filled with; procedures have the same names in both.
+    """Return the context for the templates of both languages; procedures have the same names in both.
 
     Args:
         study: the facts.
-        level: how the level of an interval is handed over, where it is not the usual one.
-        literal: writes a value in the language.
-        iterated: how the tolerance of what is found by iteration is handed over.
-        nothing: how the language writes that there is none.
-        function: how it writes a function of `groups` and `contrasts`.
+        level: the argument for the level of an interval, if it is not the default.
+        literal: writes a value as a literal of the language.
+        iterated: the argument for the tolerance of iterative estimates.
+        nothing: the null value of the language.
+        function: the pattern of a function of `groups` and `contrasts`.
     """
     of = partial(_called, nothing, function)
     return {
@@ -198,13 +198,13 @@ def _called(nothing: str, function: str, it: Compared, name: str, values: str, *
     whole = f"bootstrap({name})" if is_drawn else name
     if it.kind == "blocks":
         return Code(_OF_BLOCKS.get(name, f"of_groups({whole})"))
-    if it.is_plain and not is_drawn and name in _OWN:  # by functions of R and of scipy
+    if it.is_plain and not is_drawn and name in _OWN:  # R and scipy have these functions
         return Code(function.format(_OWN[name].format(values)))
     return Code(whole)
 
 
 class Recomputation(Enum):
-    """What computes the numbers of a report again; the value is the name of its file."""
+    """A kind of recomputation; the value is the name of its file."""
 
     NOTEBOOK = "recompute.ipynb"
     R = "recompute.R"
@@ -222,15 +222,15 @@ def write_recomputations(
     alpha: float | None = None,
     plan: AnalysisPlan | None = None,
 ) -> tuple[Path, ...]:
-    """Write what computes the numbers of a report again from the run table alone, and return the files.
+    """Write scripts that recompute the numbers of a report from the run table alone, and return their paths.
 
     Args:
         experiment: its results or its folder.
         kinds: a notebook, an R script, or both.
-        output: the folder to write into, that of the report; None is `report/` in the experiment's folder.
-        measures: which measures the report is of; None for all.
-        alpha: the level of significance; None for the one that was fixed beforehand, or 0.05.
-        plan: what the report follows in the place of what was fixed before the experiment.
+        output: the folder of the report; None for `report/` in the experiment's folder.
+        measures: the measures of the report; None for all.
+        alpha: the level of significance; None for that of the plan, or 0.05.
+        plan: replaces the plan that was fixed before the experiment.
 
     Raises:
         StorageError: there is no experiment, or the folder cannot be written.

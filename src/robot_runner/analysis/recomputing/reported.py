@@ -1,4 +1,4 @@
-"""The tables of a report that a recomputation is compared with: rows of numbers, by what stands in the report."""
+"""The tables of a report, with which a recomputation is compared: rows of numbers, with the labels of the report."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ if TYPE_CHECKING:
 Number = float | int | None
 Row = dict[str, Number]
 
-#: What tables call the degrees of freedom and the p-value of a test.
+#: The columns of the degrees of freedom and the p-value of a test.
 _TEST = {"df": "degrees_of_freedom", "p": "p_value"}
 
 
 @dataclass(frozen=True, slots=True)
 class Reported:
-    """A table of the report: rows of numbers, each with a label; what could not be computed is None."""
+    """A table of the report: rows of numbers, each with a label; missing numbers are None."""
 
     columns: tuple[str, ...] = ()
     rows: tuple[tuple[str, tuple[Number, ...]], ...] = ()
 
     @classmethod
     def of(cls, rows: Sequence[tuple[str, Mapping[str, Number]]]) -> Reported:
-        """Return a table whose columns are those that some row has a number for."""
+        """Return a table with the columns in which at least one row has a number."""
         names = dict.fromkeys(name for _, row in rows for name, value in row.items() if value is not None)
         return cls(tuple(names), tuple((label, tuple(row.get(name) for name in names)) for label, row in rows))
 
@@ -38,12 +38,12 @@ class Reported:
 
     @property
     def numbers(self) -> list[float]:
-        """All numbers that it has."""
+        """All numbers of the table."""
         return [float(value) for _, row in self.rows for value in row if value is not None]
 
 
 def _numbers(of: Any, *names: str, **others: str) -> Row:
-    """Return attributes by their names, with blanks for underscores, or by other names that are given."""
+    """Return attributes by their names, with spaces for underscores, or by other given names."""
     return {name.replace("_", " "): getattr(of, name) for name in names} | {
         name: getattr(of, attribute) for name, attribute in others.items()
     }
@@ -55,7 +55,7 @@ def _ends(interval: Interval | None, of: str = "") -> Row:
 
 
 def described_row(of: Description | Proportion) -> Row:
-    """Return what describes a group of runs."""
+    """Return the descriptive statistics of a group of runs."""
     if isinstance(of, Proportion):
         return _numbers(of, "n", "missing", "count", "percent") | _ends(of.interval)
     row = _numbers(of, "n", "missing", "mean", "sd", "minimum", "first_quartile", "median", "third_quartile", "maximum")
@@ -64,7 +64,7 @@ def described_row(of: Description | Proportion) -> Row:
 
 
 def about_residuals(measure: MeasureStatistics) -> dict[str, Reported]:
-    """Return what the report says of the distribution and the order of residuals, and of the power."""
+    """Return the tables on the distribution and the drift of residuals, and on the power."""
     checks = [
         (
             f"{each.name}, {combination_label(each.treatments.values()) or 'all groups'}",
@@ -85,14 +85,14 @@ def about_residuals(measure: MeasureStatistics) -> dict[str, Reported]:
 
 
 def tested_table(measure: MeasureStatistics, of: str) -> Reported:
-    """Return the tests of all effects, each with its check, of `ranks` or of `means`."""
+    """Return the tests of all effects, each with its check of `ranks` or `means`."""
     if measure.test is None:
         return Reported.of([])
     return Reported.of([(each.label, _effect_row(each, measure.test.spread, of)) for each in measure.test.effects])
 
 
 def contrasts_table(measure: MeasureStatistics) -> Reported:
-    """Return the contrasts that hypotheses name."""
+    """Return the contrasts of hypotheses."""
     rows = [
         (each.statement, _numbers(each, "estimate") | _ends(each.interval) | _numbers(each, "statistic", **_TEST))
         for each in measure.contrasts
@@ -118,7 +118,7 @@ def _effect_row(effect: Effect, spread: float | None, of: str) -> Row:
 
 
 def freedom_row(freedom: Sequence[float], of: str) -> Row:
-    """Return degrees of freedom, one or two, and whose they are."""
+    """Return one or two degrees of freedom, with a suffix for their test."""
     return {f"df{'' if place == 0 else ' 2'}{of}": each for place, each in enumerate(freedom)}
 
 
@@ -127,7 +127,7 @@ def _size(size: EffectSize, name: str) -> Row:
 
 
 def pair_row(pair: Comparison, of: str) -> Row:
-    """Return two groups compared, with the check, of `ranks` or of `means`."""
+    """Return the comparison of two groups, with its check of `ranks` or `means`."""
     row = _numbers(pair, "difference") | _ends(pair.interval) | _numbers(pair, "statistic", **_TEST)
     row |= {f"p of {of}": pair.check_p_value}
     for size in pair.effect_sizes:

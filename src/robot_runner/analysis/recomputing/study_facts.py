@@ -1,4 +1,4 @@
-"""What a recomputation has to know of a study beside the numbers of its run table, as plain data."""
+"""The facts of a study for a recomputation, besides the numbers of its run table, as plain data."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ if TYPE_CHECKING:
     from robot_runner.analysis.recomputing.reported import Number, Reported
     from robot_runner.analysis.statistics.tested import AssumptionCheck
 
-#: Of the interval of a mean.
+#: The confidence level of the interval of a mean.
 LEVEL = 0.95
 
 
 @dataclass(frozen=True, slots=True)
 class FactorColumn:
-    """A factor: its treatments in their order, as the file spells them, and as the report does."""
+    """A factor: its treatments in their order, with their spellings in the file and in the report."""
 
     name: str
     texts: tuple[str, ...]
@@ -26,20 +26,21 @@ class FactorColumn:
 
 @dataclass(frozen=True, slots=True)
 class TableSource:
-    """How the run table is read.
+    """The facts for reading the run table.
 
     Attributes:
-        path: from the folder of the script.
-        checksum: MD5, so that a table that was changed since is noticed.
-        delimiter: what stands between its cells; decimals have a comma where that is a semicolon.
-        renamed: columns that are headed by something else than their names: place from 1, and the name.
-        done: the words for runs that are done.
-        has_exclusions: whether there is a column that says why a run is left out.
-        has_warm_ups: whether there is a column that says which runs only warm up.
-        batch, confirming: the column of batches, and those that confirm what a search found: no others count.
-        run_ids: the runs that count, where the columns do not tell.
-        stamp: the column of the time stamp that tells the order of execution; empty for the order of the table.
-        places: the place of each run in that order, where the column does not tell.
+        path: relative to the folder of the script.
+        checksum: MD5, to detect changes of the table.
+        delimiter: between cells; with a semicolon, the decimal separator is a comma.
+        renamed: columns whose headings differ from their names: the position from 1, and the name.
+        done: the status texts of runs that are done.
+        has_exclusions: whether there is a column with the reasons of exclusions.
+        has_warm_ups: whether there is a column that marks warm-up runs.
+        batch, confirming: the column of batches, and the batches that confirm the results of a search, which alone are
+            used.
+        run_ids: the used runs, if the columns do not determine them.
+        stamp: the column of the time stamps for the order of execution; empty for the order of the table.
+        places: the place of each run in that order, if the column does not determine it.
     """
 
     path: str
@@ -58,14 +59,14 @@ class TableSource:
 
 @dataclass(frozen=True, slots=True)
 class TestedEffect:
-    """An effect, and the procedures that it is tested by.
+    """An effect, and the procedures of its test and its check.
 
     Attributes:
-        key: names it among all effects of the study.
-        test, check: names of procedures; empty where there is none.
-        drawn: the p-value of the report, where it comes from a bootstrap.
-        check_is_drawn: whether that of the check does.
-        levels: the treatments of its factors where all of them apply; of designs with conditional factors alone.
+        key: its unique name in the study.
+        test, check: names of procedures; empty if there is none.
+        drawn: the p-value of the report, if it is simulated.
+        check_is_drawn: whether that of the check is simulated.
+        levels: the treatments of its factors where all of them apply; empty without conditional factors.
     """
 
     key: str
@@ -83,8 +84,8 @@ class Paired:
     """All pairs of the treatments of one factor, or of the combinations of several.
 
     Attributes:
-        others: the factors in which runs are alike that are compared.
-        chosen: which of all pairs, from 1; none where the report has all of them.
+        others: the other factors, whose combinations are compared separately.
+        chosen: the numbers of the compared pairs, from 1; empty if all are compared.
     """
 
     key: str
@@ -97,12 +98,12 @@ class Paired:
 
 @dataclass(frozen=True, slots=True)
 class Contrasted:
-    """A contrast that a hypothesis names.
+    """The contrast of a hypothesis.
 
     Attributes:
-        key: names it among all tests of the study.
+        key: its unique name in the study.
         weights: by treatment of the factor.
-        within: the bound of equivalence; None where there is none.
+        within: the bound of equivalence, if any.
     """
 
     key: str
@@ -115,26 +116,26 @@ class Contrasted:
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """What is compared of a measure, and how.
+    """The comparisons of a measure.
 
     Attributes:
-        kind: `runs` of their own, `blocks`, a `linear` model, or a `mixed` one; of designs of their own `strata`, a
-            `surface`, or `lenth` for effects of single runs.
-        factors: those that are compared, with their treatments, as the report spells them.
-        between: of `blocks`, the factors that differ between them.
+        kind: `runs` (independent ones), `blocks`, a `linear` or a `mixed` model; for special designs `strata`,
+            `surface`, or `lenth` for unreplicated fractions.
+        factors: the compared factors, with their treatments as in the report.
+        between: for `blocks`, the factors that differ between them.
         estimand: `mean`, `trimmed mean` or `rank`.
-        has_check: whether the other of ranks and means is tested beside.
+        has_check: whether there is a check of ranks or means.
         is_extended: whether runs are compared within batches.
         dropped: runs that cannot be compared within batches.
-        left_out: runs of blocks that lack something.
-        effects, tested: what is tested, and as the report has it; so are pairs and contrasts.
-        of: what the check is of: `ranks` or `means`.
-        d_name: what differences in standard deviations are called.
+        left_out: runs of incomplete blocks.
+        effects, tested: the tested effects, and their table in the report; likewise pairs and contrasts.
+        of: the kind of check: `ranks` or `means`.
+        d_name: the name of standardised differences.
         is_uniform: whether all combinations vary.
-        terms: where some combinations have no run, the effects that are estimated, each as whether a factor is in it.
-        nested: where factors apply that do not apply everywhere: the treatments of others, by factor.
-        units: of `strata`, the columns in which runs of a combination are alike that are reduced to their mean.
-        has_plots: whether what differs between whole plots is compared with how these vary.
+        terms: for an incomplete factorial, the estimated effects, each as whether it includes each factor.
+        nested: the conditions of conditional factors: the treatments of parents, by factor.
+        units: for `strata`, the columns of blocks within which repeated runs of a combination are averaged.
+        has_plots: whether there is a stratum of whole plots.
         surface: the polynomial of a `surface`.
     """
 
@@ -162,12 +163,12 @@ class Compared:
 
     @property
     def is_reduced(self) -> bool:
-        """Whether runs of a combination are reduced to their mean, in each block or in what else is alike."""
+        """Whether repeated runs of a combination within blocks are averaged."""
         return self.kind == "mixed" or bool(self.units)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The factors that are compared."""
+        """The compared factors."""
         return tuple(name for name, _ in self.factors)
 
     @property
@@ -177,20 +178,19 @@ class Compared:
 
     @property
     def is_plain(self) -> bool:
-        """Whether they are runs of their own of one factor, whose means R and scipy compare by functions of theirs."""
+        """Whether R and scipy have functions for the comparison: independent runs of one factor."""
         of_runs = self.kind == "runs" and len(self.factors) == 1 and not self.is_extended
         return of_runs and self.is_uniform and self.estimand != "trimmed mean"
 
 
 @dataclass(frozen=True, slots=True)
 class Answered:
-    """A measure that is yes or no.
+    """A yes-or-no measure.
 
     Attributes:
         is_blocked, is_extended: whether runs are compared within blocks, and within batches.
-        effects: of each factor that is tested: its name, the other factors, its key, and its p-value where that is
-            drawn at random.
-        tested, pairs: as the report has them.
+        effects: for each tested factor: its name, the other factors, its key, and its p-value if that is simulated.
+        tested, pairs: the tables of the report.
         treatments: the pairs of each factor.
     """
 
@@ -204,20 +204,20 @@ class Answered:
 
 @dataclass(frozen=True, slots=True)
 class MeasureFacts:
-    """A measure, as planned or with one choice made otherwise.
+    """A measure, in the planned analysis or in a sensitivity analysis.
 
     Attributes:
-        key: names it: the measure, and whether doubtful runs are left out.
-        factors: those that its runs differ in.
+        key: its unique name: the measure and the analysis.
+        factors: the varied factors.
         left_out: the runs whose values are left out.
-        distributed: the checks of how values are distributed; `distribution` is what they found.
-        compared: what is compared; None where nothing is, or by a procedure that is not known here.
-        effect_keys, contrast_keys: what names each test among all of the study: by factors, and by statement.
-        taken: p-values of tests that are not computed again, by their keys.
-        skipped: how many numbers of the report are not computed again.
-        level: of the interval of a mean: higher than 0.95 where runs were added until it was narrow.
-        answered: what is computed of a measure that is yes or no.
-        designed: the model of a design of its own.
+        distributed: the checks of distribution assumptions; `distribution` is the table of their results.
+        compared: the comparisons; None if there are none, or if scripts do not support them.
+        effect_keys, contrast_keys: the unique name of each test in the study, by factors and by statement.
+        taken: p-values of tests that are not recomputed, by their keys.
+        skipped: how many numbers of the report are not recomputed.
+        level: of the interval of a mean: above 0.95 if runs were added until it was narrow.
+        answered: the facts of a yes-or-no measure.
+        designed: the model of a special design.
     """
 
     key: str
@@ -243,18 +243,18 @@ class MeasureFacts:
 
     @property
     def covariates(self) -> tuple[str, ...]:
-        """What is taken out of its values, measures or `order`."""
+        """The covariates that residuals are adjusted for: measures or `order`."""
         return () if self.designed is None else self.designed.covariates
 
     @property
     def pairs(self) -> tuple[Paired, ...]:
-        """What is compared pair by pair."""
+        """All pairwise comparisons."""
         return tuple(each for of in (self.compared, self.answered) if of is not None for each in of.pairs)
 
 
 @dataclass(frozen=True, slots=True)
 class Adjustment:
-    """Tests among which errors are controlled together, by their keys; and those whose result the report shows."""
+    """A family of tests by their keys, and the tests whose results the report shows."""
 
     name: str
     keys: tuple[str, ...]
@@ -263,25 +263,25 @@ class Adjustment:
 
 @dataclass(frozen=True, slots=True)
 class StudyFacts:
-    """Everything that the templates are filled with.
+    """The context of the templates.
 
     Attributes:
-        made: when and by what.
+        made: when and by which version the script was made.
         factors: all factors of the runs that are done.
-        varied: those of them with two treatments and more.
-        numbers: the measures.
-        block: the column of the blocks; empty where there are none.
-        blocks_are_of_batches: whether blocks are counted anew in each batch.
-        units: where there are no blocks, the columns that tell which runs vary together; none where all stand alone.
-        batch: the column of the batches; empty where there are none.
-        families: the tests among which errors are controlled together.
-        adjusted: p-values after adjustment.
-        correlated: the measures that are correlated, two by two, each with its factors.
-        without_within: of how many pairs the scripts do not know what is correlated within treatments.
-        correlated_designs: of a design of its own, those measures with their factors and models.
-        correlated_without: those of them some of whose values are left out, with the runs of these.
-        conditional: the factors that apply to some runs only.
-        possible: how many combinations there can be, where there are such.
+        varied: those with two or more treatments.
+        numbers: the columns that are read as numbers.
+        block: the column of the blocks; empty without blocks.
+        blocks_are_of_batches: whether the numbers of blocks begin anew in each batch.
+        units: without blocks, the columns of the experimental unit of a run; empty for independent runs.
+        batch: the column of the batches; empty without batches.
+        families: the families of tests.
+        adjusted: the adjusted p-values.
+        correlated: the pairs of correlated measures, each with its factors.
+        without_within: the number of pairs whose correlation within treatments scripts do not support.
+        correlated_designs: for a special design, the correlated measures with their factors and models.
+        correlated_without: the correlated measures with values that are left out, with the runs of these.
+        conditional: the conditional factors.
+        possible: the number of possible combinations; None without conditional factors.
     """
 
     name: str
@@ -309,52 +309,52 @@ class StudyFacts:
     possible: int | None = None
 
     def is_conditional(self, factors: Sequence[str]) -> bool:
-        """Return whether the groups of a factor are of some runs only."""
+        """Return whether a factor is conditional."""
         return len(factors) == 1 and factors[0] in self.conditional
 
     @property
     def skipped(self) -> int:
-        """How many numbers of the report are not computed again."""
+        """How many numbers of the report are not recomputed."""
         return sum(measure.skipped for measure in self.measures) + self.without_within
 
     @property
     def has_units(self) -> bool:
-        """Whether several runs may vary together."""
+        """Whether several runs may share an experimental unit."""
         return bool(self.block or self.units)
 
     @property
     def compared(self) -> tuple[Compared, ...]:
-        """What is compared of each measure that is tested."""
+        """The comparisons of each tested measure."""
         return tuple(each.compared for each in self.measures if each.compared is not None)
 
     def uses(self, *procedures: str) -> bool:
-        """Return whether some test is carried out by one of these procedures."""
+        """Return whether some test uses one of these procedures."""
         used = {name for each in self.compared for effect in each.effects for name in (effect.test, effect.check)}
         return not used.isdisjoint(procedures)
 
     @property
     def draws(self) -> bool:
-        """Whether some p-value comes from a bootstrap."""
+        """Whether some p-value is simulated."""
         effects = [effect for each in self.compared for effect in each.effects]
         return any(effect.drawn is not None or effect.check_is_drawn for effect in effects)
 
     def has(self, *kinds: str) -> bool:
-        """Return whether some measure is compared as one of these kinds."""
+        """Return whether some comparison is of one of these kinds."""
         return any(each.kind in kinds for each in self.compared)
 
     @property
     def has_reduced(self) -> bool:
-        """Whether runs of some measure are reduced to means: in blocks, or where else they are alike."""
+        """Whether repeated runs of some measure are averaged."""
         return any(each.kind == "blocks" or each.is_reduced for each in self.compared)
 
     @property
     def has_designs(self) -> bool:
-        """Whether some measure has the model of a design of its own."""
+        """Whether some measure has the model of a special design."""
         return any(each.designed is not None for each in self.measures)
 
     @property
     def has_plots(self) -> bool:
-        """Whether some measure is compared between whole plots and within them."""
+        """Whether some measure has a stratum of whole plots."""
         return any(each.has_plots for each in self.compared)
 
     @property
@@ -364,17 +364,17 @@ class StudyFacts:
 
     @property
     def has_before(self) -> bool:
-        """Whether the treatment before is in the model of some measure."""
+        """Whether the model of some measure has carry-over."""
         return any(each.designed is not None and each.designed.before is not None for each in self.measures)
 
     @property
     def has_gaps(self) -> bool:
-        """Whether some combinations have no run, though their effects are estimated."""
+        """Whether some measure has an incomplete factorial."""
         return any(each.terms for each in self.compared)
 
     @property
     def has_nested(self) -> bool:
-        """Whether some measure is compared whose factors apply to some runs only."""
+        """Whether some comparison has conditional factors."""
         return any(each.nested for each in self.compared)
 
     @property
@@ -384,7 +384,7 @@ class StudyFacts:
 
     @property
     def reported(self) -> tuple[Reported, ...]:
-        """All tables of the report that are compared with."""
+        """All tables of the report for comparison."""
         found = [self.design, self.adjusted, self.correlations]
         for measure in self.measures:
             found += [of for _, of in measure.described]

@@ -1,1 +1,1 @@
-"""The report of an experiment: what was done, what was found, and how far it can be trusted."""
+"""The report of an experiment: design, results, and threats to their validity."""

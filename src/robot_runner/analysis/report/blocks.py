@@ -1,4 +1,4 @@
-"""A report as plain data, whatever it is rendered as: sections of paragraphs, tables, figures, remarks."""
+"""A report as plain data, independent of the output format: sections of paragraphs, tables, figures, remarks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Place(Enum):
 
 
 class Tone(Enum):
-    """What something means to the reader; it is told by a word or a sign as well, never by colour alone."""
+    """The meaning of something for the reader, shown by a word or a sign, too, never by colour alone."""
 
     GOOD = "good"
     PLAIN = "plain"
@@ -34,7 +34,7 @@ class Tone(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Badge:
-    """A word that labels what stands beside it, such as `simulated`."""
+    """A label such as `simulated`."""
 
     text: str
     tone: Tone = Tone.PLAIN
@@ -43,7 +43,7 @@ class Badge:
 
 @dataclass(frozen=True, slots=True)
 class Paragraph:
-    """Text in sentences, after a lead in bold with its badges; NOTE is small print, GOOD a conclusion."""
+    """Sentences after a bold lead with badges; NOTE is small print, GOOD a conclusion."""
 
     text: str
     tone: Tone = Tone.PLAIN
@@ -53,14 +53,14 @@ class Paragraph:
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """Names with what is known of each, in two columns."""
+    """Names and their values, in two columns."""
 
     rows: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Card:
-    """One number that a reader should see first, as short as can be, with what it counts."""
+    """A number that readers should see first, as short as possible, with its label."""
 
     value: str
     label: str
@@ -77,7 +77,7 @@ class Cards:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of a table; those of numbers are aligned on the right."""
+    """A column of a table; numbers are right-aligned."""
 
     name: str
     is_number: bool = False
@@ -86,7 +86,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A cell of a table: its value for programs, None where it is missing, and what a reader sees."""
+    """A cell of a table: its value for programs (None if missing) and its text for readers."""
 
     value: Any
     text: str
@@ -94,7 +94,7 @@ class Cell:
 
     @classmethod
     def of_text(cls, text: str, tone: Tone = Tone.PLAIN) -> Cell:
-        """Make a cell that holds what it shows."""
+        """Make a cell whose value is its text."""
         return cls(text, text, tone)
 
 
@@ -103,7 +103,7 @@ class Table:
     """A table, which also becomes a CSV and a LaTeX file; each row has as many cells as there are columns.
 
     Attributes:
-        name: of its files; unique in a document.
+        name: the name of its files, unique in a document.
         note: small print beneath it.
     """
 
@@ -115,16 +115,16 @@ class Table:
 
     @property
     def for_readers(self) -> Table:
-        """The table as people read it, without columns that are only for the CSV file."""
+        """The table without columns that are only for the CSV file."""
         return self._only([column.place is not Place.FILE for column in self.columns])
 
     @property
     def for_programs(self) -> Table:
-        """The table as programs read it, without columns that are only for people."""
+        """The table without columns that are only for readers."""
         return self._only([column.place is not Place.PAGE for column in self.columns])
 
     def without_blank(self, *names: str) -> Table:
-        """Return the table without those of these columns in which all cells are blank, or hold nothing but 0."""
+        """Return the table without those of these columns whose cells are all blank or 0."""
         cells = zip(*self.rows, strict=True) if self.rows else ((),) * len(self.columns)
         is_blank = [all(cell.value in {None, "", 0} for cell in column) for column in cells]
         return self._only(
@@ -141,11 +141,11 @@ class FigureBlock:
     """A figure, which also becomes SVG, PDF and PNG files.
 
     Attributes:
-        name: of its files; unique in a document.
-        alternative: what somebody who cannot see it should know.
-        draw: called once.
+        name: the name of its files, unique in a document.
+        alternative: the text for readers who cannot see it.
+        draw: draws it; called once.
         is_wide: whether it takes the whole width of a page.
-        has_photographs: whether it holds pictures whose colours a dark page must not change.
+        has_photographs: whether it has photographs, whose colours a dark page must not change.
     """
 
     name: str
@@ -158,25 +158,25 @@ class FigureBlock:
 
 @dataclass(frozen=True, slots=True)
 class Gallery:
-    """Figures beside each other, where there is room."""
+    """Figures beside each other if there is room."""
 
     figures: tuple[FigureBlock, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Beside:
-    """A picture and what belongs to it, beside each other where there is room."""
+    """A figure and a related block, beside each other if there is room."""
 
     blocks: tuple[Block, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """A chart that answers to the reader's pointer; figures beside it say the same on paper.
+    """An interactive chart; figures beside it show the same on paper.
 
     Attributes:
-        kind: `course` or `points`, as `assets/charts.js` knows them.
-        data: plain data, as `assets/charts.js` expects it.
+        kind: `course` or `points`, a kind of chart in `assets/charts.js`.
+        data: plain data in the form that `assets/charts.js` expects.
     """
 
     name: str
@@ -187,7 +187,7 @@ class Chart:
 
 @dataclass(frozen=True, slots=True)
 class Remark:
-    """Something that the reader should know, of a kind such as `Internal validity`."""
+    """A remark for the reader, of a kind such as `Internal validity`."""
 
     title: str
     text: str
@@ -197,14 +197,14 @@ class Remark:
 
 @dataclass(frozen=True, slots=True)
 class Remarks:
-    """Several remarks beneath each other."""
+    """Several remarks below each other."""
 
     remarks: tuple[Remark, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Code:
-    """Lines that can be pasted into a shell or a file."""
+    """Lines to paste into a shell or a file."""
 
     text: str
     language: str = "sh"
@@ -212,11 +212,11 @@ class Code:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A part of a section, with a heading of its own; links lead to its name, which is unique in a document.
+    """A part of a section with a heading; links lead to its name, which is unique in a document.
 
     Attributes:
-        is_folded: whether a page shows it only when it is asked for.
-        is_printed: whether paper shows it although it is folded.
+        is_folded: whether a page shows it only on request.
+        is_printed: whether it is printed although it is folded.
     """
 
     name: str
@@ -240,7 +240,7 @@ class Section:
 
 
 def one_word(name: str) -> str:
-    """Return a name as one word of the name of a table or a figure, which reads like no other then.
+    """Return a name as one word in the name of a table or a figure, so that the whole name stays unique.
 
     Example:
         >>> f"describe {one_word('Energy')} by Task", f"describe {one_word('Energy by Task')}"
@@ -254,9 +254,9 @@ class Document:
     """A whole report.
 
     Attributes:
-        kicker: what kind of document it is.
+        kicker: the kind of document.
         subtitle: the most important circumstances, on one line.
-        made: when and by what it was made.
+        made: the date and the program that made it.
     """
 
     kicker: str
@@ -267,7 +267,7 @@ class Document:
     made: str = ""
 
     def blocks(self) -> Iterator[Block]:
-        """Yield all blocks, those inside of others after them."""
+        """Yield all blocks, each before the blocks inside it."""
         for section in self.sections:
             yield from _flat(section.blocks)
 

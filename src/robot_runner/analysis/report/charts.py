@@ -1,4 +1,4 @@
-"""Data of the charts that answer to a reader's pointer, as `assets/charts.js` expects them."""
+"""Data of interactive charts, in the form that `assets/charts.js` expects."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.figures.courses import Course, MissionCourses
     from robot_runner.analysis.report.material import Material
 
-#: Single runs in a chart: each is some 3 kB of the page.
+#: Single runs in a chart: each takes about 3 kB of the page.
 _MOST_RUNS = 40
 _DIGITS = 4
 
@@ -30,7 +30,7 @@ def course_chart(name: str, mission: MissionCourses) -> Chart:
     edges = [edge for mean in mission.means for edge in (mean.middle, mean.low, mean.high)]
     shown = [float(value) for edge in edges for value in edge if math.isfinite(value)]
     spread = max(shown, default=0.0) - min(shown, default=0.0)
-    # Of what differs, and not of the value: of 1,013.25 and 1,013.31 hPa four digits are the same.
+    # Significant digits of the differences, not of the values: 1,013.25 and 1,013.31 hPa share four digits.
     digits = _DIGITS - 1 - math.floor(math.log10(spread)) if spread else None
 
     def place(course: Course) -> int:
@@ -75,7 +75,7 @@ def course_chart(name: str, mission: MissionCourses) -> Chart:
 
 
 def points_chart(material: Material) -> Chart | None:
-    """Return a chart of all measures of all runs that are done, in the order of execution; None if there are none."""
+    """Return a chart of all measures of all runs that are done, in the order of execution; None without any."""
     numeric = [each.name for each in material.statistics.measures if each.overall is not None and each.overall.n]
     done = material.done
     if not numeric or done.empty:
@@ -109,10 +109,10 @@ def points_chart(material: Material) -> Chart | None:
 
 
 def in_order_of_execution(material: Material, attempts: pd.DataFrame) -> pd.DataFrame:
-    """Return the attempts that tell when they began, in the order in which they did.
+    """Return the attempts with a known beginning, in order of execution.
 
-    That is the order of the journal, also where this machine's clock was set back in between. One that was written when
-    an experiment was imported has the order of the table, and times from elsewhere.
+    This is the order of the journal, even if this machine's clock was set back in between. The journal of an imported
+    experiment has the order of the table, so that its attempts are sorted by their times.
     """
     told = attempts.dropna(subset=["started_at"])
     return told.sort_values("started_at", kind="stable") if material.is_imported else told
@@ -123,12 +123,12 @@ def _dash(look: Look) -> list[float]:
 
 
 def _in_words(value: Any, unit: str) -> str:
-    """Return a value as the table of runs has it, which tells whole numbers from others, with its unit."""
+    """Return a value with its unit, as in the table of runs, which distinguishes whole numbers from others."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     return MISSING if pd.isna(value) else with_unit(value, unit) if is_number else str(value)
 
 
 def _plain(values: Iterable[float], digits: int | None = None) -> list[float | None]:
-    """Return numbers as JSON has them, rounded to so many decimals; in full for None."""
+    """Return numbers for JSON, rounded to so many decimals (None: not rounded)."""
     finite = (value if math.isfinite(value) else None for value in map(float, values))
     return [value if value is None or digits is None else round(value, digits) for value in finite]

@@ -1,4 +1,4 @@
-"""The sections on what was done (design, what a search tried, order, robot, machine) and on descriptive statistics."""
+"""The sections on what was done (design, search, order, robot, machine) and on descriptive statistics."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics, Proportion
 
 _GIBI = 2**30
-_MOST_NAMED = 12  # outliers that fit a line
+_MOST_NAMED = 12  # outliers that fit on a line
 
 
 def design_section(material: Material) -> Section:
@@ -90,7 +90,7 @@ def _facts(material: Material) -> Iterator[tuple[str, str]]:
 
 
 def order_in_words(material: Material) -> str:
-    """Return how the order of the runs came about, and how many were executed out of it."""
+    """Return the origin of the order of the runs in words, and how many runs were executed out of it."""
     moved = moved_in_words(material.moved, material.executed)
     return f"{_order_of_table(material)}; {moved}" if moved else _order_of_table(material)
 
@@ -105,7 +105,7 @@ def _order_of_table(material: Material) -> str:
 
 
 def _batches(material: Material) -> Iterator[tuple[str, str]]:
-    """Yield how each batch was added to an experiment that was extended."""
+    """Yield a description of each batch of an extended experiment."""
     if decides := material.manifest("design", "facts", "decides", default=""):
         yield "Decided while it was executed", sentence(str(decides))
     for batch in material.manifest("design", "batches", default=[])[1:]:
@@ -230,7 +230,7 @@ def _part(material: Material, measure: MeasureStatistics) -> Part:
 
 
 def _precision_blocks(known: KnownPrecision, label: str) -> Iterator[Block]:
-    """Yield how precisely a measure is known that combinations were repeated for."""
+    """Yield the precision of a measure for which combinations were repeated."""
     yield Paragraph(known.sentence, Tone.PLAIN if known.is_reached else Tone.WARNING, lead="Precision.")
     if not known.differences:
         return
@@ -294,13 +294,13 @@ def _description_table(name: str, caption: str, heading: str, groups: Sequence[D
     told = _about_intervals(group.mean_interval for group in groups)
     note = f"{told}SD: standard deviation (n {MINUS} 1). IQR: interquartile range."
     if any((group.minimum or 0) >= 0 > group.mean_interval.low for group in groups if group.mean_interval):
-        # Nothing tells which measures cannot be negative, and a mean less or plus its half-width can be computed again.
+        # It is not known which measures cannot be negative, and readers can compute an untruncated interval again.
         note += " An interval reaches below 0 where no value does: the runs are few beside their spread."
     return build_table(name, caption, groups, fields, note).without_blank("Missing", "Outliers")
 
 
 def _about_intervals(intervals: Iterable[Interval | None]) -> str:
-    """Return what the intervals of a table are, and how they were computed."""
+    """Return a sentence on the level and the method of a table's intervals."""
     found = [each for each in intervals if each is not None]
     return about_intervals(found, f", {' or '.join(dict.fromkeys(each.method for each in found))}")
 
@@ -326,7 +326,7 @@ _NOTE = (
 
 
 def searched_part(material: Material) -> Iterator[Part]:
-    """Yield what was tried, where the design decided on its runs."""
+    """Yield the part on the combinations that an adaptive design tried."""
     results = material.results.with_exploration
     measures = list((material.manifest("design", "parameters", "directions", default={}) or {}).keys())
     if not results.is_adaptive or not all(name in results.runs for name in measures):
@@ -348,12 +348,12 @@ def searched_part(material: Material) -> Iterator[Part]:
     yield Part("design-searched", "What was tried", (table,), is_folded=len(tried) > _FEW)
 
 
-#: So many rows are shown without being asked for.
+#: Tables with more rows are folded.
 _FEW = 30
 
 
 def _without_doubtful(runs: pd.DataFrame, results: Results, measures: list[str]) -> tuple[pd.DataFrame, int]:
-    """Return the runs without their doubtful values, and how many these are."""
+    """Return the runs without their doubtful values, and the number of these."""
     told = results.quality
     doubtful = told[(told["quality"] == Quality.DOUBTFUL.value) & told["run_id"].isin(runs[RUN_ID])]
     without, count = runs.copy(), 0

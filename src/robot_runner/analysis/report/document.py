@@ -1,4 +1,4 @@
-"""The report of an experiment: as a document of sections, and as JSON for programs, with full precision."""
+"""The report of an experiment as a document of sections, and as JSON with full precision for programs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _FORMAT = 1
 
 
 def json_of_report(material: Material, *, made: str) -> str:
-    """Return the report of an experiment as JSON; a value that is missing or could not be computed is null."""
+    """Return the report of an experiment as JSON; missing and not computed values are null."""
     results = material.results
     document = {
         "format": _FORMAT,
@@ -63,7 +63,7 @@ def json_of_report(material: Material, *, made: str) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON has it: what is not finite or missing is None, what it does not know is text.
+    """Return a value for JSON: None for a missing or infinite one, a text for a type that JSON does not have.
 
     Example:
         >>> plain({"mean": float("nan"), "n": 5})

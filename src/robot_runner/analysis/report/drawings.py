@@ -1,4 +1,4 @@
-"""Figures as a page holds them: the same drawings in a third of the room."""
+"""Figures for a page: SVG that is compressed to a third of its size."""
 
 from __future__ import annotations
 
@@ -11,18 +11,17 @@ from xml.sax.saxutils import escape
 
 from markupsafe import Markup
 
-#: Screen pixels for a point of a figure: a column of a paper becomes 470 pixels wide.
+#: Screen pixels per point of a figure: a column of a paper becomes 470 pixels wide.
 _SCALE = 1.87
 _REFERENCE = re.compile(r"#([\w.-]+)(?=\)|$)")
 _TOKEN = re.compile(r"[A-Za-z]|[-+]?[\d.]+(?:[eE][-+]?\d+)?")
 _LONG_DECIMALS = re.compile(r"(\d\.\d\d)\d+")
 _ALONG = re.compile(r"translate\(([-\d.]+) 0\)")
-#: Commands of paths that matplotlib writes, with how many numbers each takes.
+#: The commands of paths that matplotlib writes, with the number of their arguments.
 _COMMANDS = {"M": 2, "L": 2, "Q": 4, "C": 6, "Z": 0}
-#: By what matplotlib scales letters, and by what they are scaled here, where they are drawn in steps ten times as wide.
+#: Matplotlib's scale of letters, and ours, where letters are drawn in steps that are ten times as wide.
 _LETTER, _COARSE_LETTER = "scale(0.015625)", "scale(.15625)"
-#: In how many steps a unit of a path is divided, and how much a step is then: a hundredth of a point, in letters, too,
-#: is less than anybody sees.
+#: Steps per unit of a path, and the size of a step: a hundredth of a point, also in letters, which is invisible.
 _FINE, _COARSE = (100.0, 0.01), (0.1, 1.0)
 #: What would end an address or the attribute that holds it, or what browsers leave out.
 _ESCAPED = str.maketrans({"%": "%25", "#": "%23", "&": "&amp;", '"': "&#34;", "\n": None, "\r": None, "\t": None})
@@ -38,9 +37,9 @@ class Drawing:
 
 
 def drawing_of(svg: bytes) -> Drawing:
-    """Return a figure of matplotlib as a page shows it.
+    """Return a figure of matplotlib for a page.
 
-    What nobody sees is left out: names that nothing refers to, remarks, blanks, digits beyond a hundredth of a point.
+    Invisible parts are left out: unused ids, comments, blanks, digits below a hundredth of a point.
     """
     root = ET.fromstring(svg)  # noqa: S314 - we have drawn it ourselves
     width, height = map(float, root.get("viewBox", "0 0 252 180").split()[2:])
@@ -54,7 +53,7 @@ def drawing_of(svg: bytes) -> Drawing:
 
 
 def _written(element: ET.Element, names: Mapping[str, str]) -> str:
-    """Return an element as XML; nothing for what is not seen."""
+    """Return an element as XML; nothing for an invisible one."""
     tag = _plain(element.tag)
     if tag == "metadata":
         return ""
@@ -67,12 +66,12 @@ def _written(element: ET.Element, names: Mapping[str, str]) -> str:
 
 
 def _plain(name: str) -> str:
-    """Return a name without its namespace: nothing but SVG is left."""
+    """Return a name without its namespace: only elements of SVG are left."""
     return name.rpartition("}")[2]
 
 
 def _style_of_all(group: ET.Element) -> str:
-    """Return the style that all points of a group have, and take it from them: they inherit it."""
+    """Return the common style of all points of a group, and remove it from them: they inherit it."""
     styles = {each.get("style", "") for each in group}
     if (
         len(group) == 1
@@ -82,7 +81,7 @@ def _style_of_all(group: ET.Element) -> str:
     ):
         return ""
     if (style := styles.pop()).startswith("opacity") or "; opacity" in style:
-        return ""  # of a whole group, it would mean another thing
+        return ""  # it has another meaning on a group
     for each in group:
         each.attrib.pop("style", None)
     return _small_style(style)
@@ -114,7 +113,7 @@ def _small_style(text: str) -> str:
 
 
 def _small_path(text: str, steps: float, step: float) -> str:
-    """Return a path with each point told by how far it is from the one before; in full where it has other commands."""
+    """Return a path with relative coordinates; unchanged where it has other commands."""
     tokens = iter(_TOKEN.findall(text))
     at = start = (0, 0)
     written: list[str] = []
@@ -138,5 +137,5 @@ def _shown(number: float) -> str:
 
 
 def _joined(numbers: list[str], command: str) -> str:
-    """Return a command with its numbers; a minus sign needs no blank before it."""
+    """Return a command with its numbers; a blank before a minus sign is not needed."""
     return (command + " ".join(numbers)).replace(" -", "-")

@@ -1,4 +1,4 @@
-"""What a report is made from: results, statistics, and what is derived of both."""
+"""The input of a report: results, statistics, and values that are derived from both."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ if TYPE_CHECKING:
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.outcome import ExperimentStatistics, MeasureStatistics
 
-#: How the values of a measure can fall short, with an explanation for a badge.
+#: The qualities of values that are not good, with an explanation for a badge.
 _DOUBTED = {
     Quality.DOUBTFUL.value: "There are reasons to doubt these values: see Outcome of each run.",
     Quality.MISSING.value: "These runs are done and have no value.",
 }
-#: What a plugin notes about its raw samples: `runs/<run id>/<plugin>/quality.json`.
+#: The file of a plugin's notes on its raw samples: `runs/<run id>/<plugin>/quality.json`.
 _FILE = "quality.json"
 
 
 @dataclass(frozen=True, slots=True)
 class RunQuality:
-    """How complete the samples of one plugin in one run are; what is not known is None.
+    """The completeness of one plugin's samples in one run; None for an unknown value.
 
     Attributes:
-        expected, got: how many samples there should be, and how many there are.
+        expected, got: the expected and the actual number of samples.
         coverage: share of the measured window that has samples, percent.
-        lost, corrupt, duplicates: how many samples.
+        lost, corrupt, duplicates: numbers of samples.
         largest_gap: longest time without a sample, s.
-        saturated: how many samples reached the end of the sensor's range.
+        saturated: the number of samples at the end of the sensor's range.
         is_simulated: whether the sensor is simulated.
     """
 
@@ -69,14 +69,14 @@ class RunQuality:
 
 
 def read_qualities(folder: ExperimentFolder, run_ids: Iterable[str]) -> tuple[RunQuality, ...]:
-    """Return what is known of the samples of these runs; files that are no such notes are passed over."""
+    """Return the qualities of the samples of these runs; other files are ignored."""
     paths = ((run_id, path) for run_id in run_ids for path in sorted(folder.run(run_id).glob(f"*/{_FILE}")))
     notes = ((run_id, path.parent.name, noted(path, folder.root)) for run_id, path in paths)
     return tuple(_quality(run_id, plugin, facts) for run_id, plugin, facts in notes if isinstance(facts, dict))
 
 
 def by_plugin(qualities: Iterable[RunQuality]) -> dict[str, list[RunQuality]]:
-    """Return what is known of the samples of each plugin."""
+    """Return the qualities, grouped by plugin."""
     found: dict[str, list[RunQuality]] = {}
     for each in qualities:
         found.setdefault(each.plugin, []).append(each)
@@ -99,17 +99,17 @@ def _quality(run_id: str, plugin: str, facts: Mapping[str, Any]) -> RunQuality:
 
 
 def noted_number(value: object) -> float | None:
-    """Return what a plugin noted as a number; None where it is none, or not finite."""
+    """Return a plugin's note as a number; None where it is not a finite number."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     return float(value) if is_number else None  # type: ignore[arg-type]  # mypy does not follow the line above
 
 
-#: Stands where there are no factors, or only one combination.
+#: The label of all runs, where there are no factors or only one combination.
 ALL_RUNS = "all runs"
-#: Figures of more measures take minutes to make, and nobody looks at hundreds.
+#: Figures of more measures take minutes to draw, and nobody looks at hundreds.
 _MOST_DRAWN = 16
 _ENERGY = frozenset({"J", "Wh", "kWh", "kJ", "mJ", "W", "mW"})
-#: Between the treatments of a combination.
+#: The separator of a combination's treatments.
 JOINT = " / "
 
 _EXPLANATIONS = {
@@ -121,11 +121,11 @@ _EXPLANATIONS = {
 
 @dataclass(frozen=True)
 class Material:
-    """Results and statistics of one experiment; everything else is derived when it is first asked for.
+    """Results and statistics of one experiment; other values are derived when they are first used.
 
     Attributes:
-        results: the experiment.
-        statistics: of the runs that are done.
+        results: the results of the experiment.
+        statistics: the statistics of the runs that are done.
     """
 
     results: Results
@@ -133,22 +133,22 @@ class Material:
 
     @cached_property
     def registered(self) -> Registered | None:
-        """What was registered before the first run, and the deviations from it; None where nothing was."""
+        """The registration before the first run, and the deviations from it; None where there is none."""
         return registered(self.results, self.statistics)
 
     @property
     def is_imported(self) -> bool:
-        """Whether another tool, or a person, has executed the runs, and a table of theirs was imported."""
+        """Whether the results were imported from another tool, or made by hand."""
         return self.results.manifest.get("origin") == "imported"
 
     @cached_property
     def runs(self) -> pd.DataFrame:
-        """The run table, without the runs that were excluded."""
+        """The run table without excluded runs."""
         return self.results.runs
 
     @cached_property
     def excluded(self) -> pd.DataFrame:
-        """The runs that were excluded, with the reason and the time of each."""
+        """The excluded runs, with the reason and the time of each exclusion."""
         return self.results.excluded
 
     @cached_property
@@ -157,12 +157,12 @@ class Material:
         return self.results.done
 
     def described(self, measure: MeasureStatistics) -> pd.DataFrame:
-        """Return the runs that are done and have a value of a measure, without those whose value was left out."""
+        """Return the runs that are done and have a value of a measure that was not left out."""
         without = runs_without_value(measure.left_out)
         return self.done[self.done[measure.name].notna() & ~self.done[RUN_ID].isin(without)]
 
     def residual_in_words(self, measure: MeasureStatistics) -> str:
-        """Return what is taken from each value of a measure, so that its residual is left."""
+        """Return in words what is subtracted from a measure's values to get residuals."""
         if self.statistics.design.kind != "full_factorial":
             return "less what effects and blocks of the design add to it"
         parts = [*measure.kept_together, *(["covariates"] if measure.adjustment is not None else [])]
@@ -170,23 +170,23 @@ class Material:
 
     @cached_property
     def precisions(self) -> Mapping[str, KnownPrecision]:
-        """How precisely each measure is known that the experiment was repeated for, by its name."""
+        """The precision of each measure for which the experiment was repeated, by name."""
         left_out = {each.name: [one.run_id for one in each.left_out] for each in self.statistics.measures}
         return {each.measure: each for each in known_precisions(self.results, left_out)}
 
     @property
     def order_of_runs(self) -> str:
-        """The order over which a drift is looked for, in words: that of the table where runs do not tell another."""
+        """The order in which drifts are estimated, in words: that of the table if that of execution is not known."""
         return "order of execution" if execution_order(self.results).is_known else "order of the table"
 
     @property
     def factors(self) -> tuple[str, ...]:
-        """The factors that are compared: neither those that are blocks, nor those of one treatment, beside others."""
+        """The compared factors: without blocks, and without factors of one treatment if there are others."""
         return self.statistics.design.factors or self.results.factors
 
     @cached_property
     def labels(self) -> Mapping[str, str]:
-        """The treatments of each run that are compared, as one text, by the run's id."""
+        """The compared treatments of each run as one text, by the run's id."""
         return self.labels_by(self.factors)
 
     def labels_by(self, factors: tuple[str, ...]) -> Mapping[str, str]:
@@ -199,11 +199,11 @@ class Material:
 
     @cached_property
     def order(self) -> tuple[str, ...]:
-        """All combinations of `factors` that the run table has, in the order in which the config has the treatments."""
+        """All combinations of `factors` in the run table, in the config's order of treatments."""
         return self.order_by(self.factors)
 
     def order_by(self, factors: tuple[str, ...]) -> tuple[str, ...]:
-        """Return what `labels_by` yields, each text once, in the order in which the config has the treatments."""
+        """Return the distinct labels of `labels_by`, in the config's order of treatments."""
         if not factors:
             return (ALL_RUNS,)
         rows = self.results.all_runs[list(factors)].drop_duplicates().sort_values(list(factors))
@@ -212,38 +212,38 @@ class Material:
 
     @cached_property
     def drawn(self) -> frozenset[str]:
-        """The measures that have figures, where there are many: planned ones first, then energy and power."""
+        """The measures with figures; if there are many, planned ones first, then energy and power."""
         measures = sorted(self.statistics.measures, key=lambda each: (not each.is_planned, each.unit not in _ENERGY))
         return frozenset(measure.name for measure in measures[:_MOST_DRAWN])
 
     @cached_property
     def last_attempts(self) -> pd.DataFrame:
-        """The last attempt of each run that was attempted."""
+        """The last attempt at each run."""
         return self.results.attempts.drop_duplicates("run_id", keep="last")
 
     @cached_property
     def executed(self) -> tuple[str, ...]:
-        """The runs that were begun, in the order in which the last attempt at each was."""
+        """The runs that were begun, in the order of their last attempts."""
         return tuple(executed_order(ExperimentFolder(self.results.folder).journal))
 
     @cached_property
     def moved(self) -> tuple[str, ...]:
-        """The runs that were executed out of the order of the run table."""
+        """The runs that were not executed in the order of the run table."""
         return moved_runs(list(self.results.all_runs[RUN_ID]), self.executed)
 
     @cached_property
     def qualities(self) -> tuple[RunQuality, ...]:
-        """What plugins noted about their raw samples."""
+        """The plugins' notes on their raw samples."""
         return read_qualities(ExperimentFolder(self.results.folder), list(self.runs[RUN_ID]))
 
     @cached_property
     def doubted(self) -> pd.DataFrame:
-        """The values of runs that are done which are doubtful or missing, as `Results.quality` has them."""
+        """The doubtful and missing values of runs that are done, as in `Results.quality`."""
         quality = self.results.quality
         return quality[quality["quality"].astype("str") != Quality.GOOD.value].reset_index(drop=True)
 
     def badges(self, measure: MeasureStatistics) -> tuple[Badge, ...]:
-        """Return labels for a measure whose values were not all measured, or are not all good."""
+        """Return badges for a measure whose values were not all measured, or are not all good."""
         mine = self.doubted.loc[self.doubted["measure"] == measure.name, "quality"].astype("str")
         counts = {word: int((mine == word).sum()) for word in _DOUBTED}
         told = (Badge(f"{count:,} {word}", Tone.WARNING, _DOUBTED[word]) for word, count in counts.items() if count)
@@ -251,13 +251,13 @@ class Material:
 
     @cached_property
     def counts(self) -> Mapping[RunStatus, int]:
-        """How many runs there are in each status."""
+        """The number of runs in each status."""
         found = self.runs[STATUS].astype("str").value_counts()
         return {status: int(found.get(status.value, 0)) for status in RunStatus}
 
     @cached_property
     def origins(self) -> Mapping[str, Sequence[str]]:
-        """The measures whose values were not, or not always, measured, by the word for it, as in `simulated`."""
+        """The measures whose values were not, or not always, measured, by their origin, such as `simulated`."""
         found: dict[str, list[str]] = {}
         for name in self.results.measures:
             column = self.results.columns[name]
@@ -266,7 +266,7 @@ class Material:
         return found
 
     def manifest(self, *keys: str, default: Any = None) -> Any:
-        """Return what the manifest says under these keys, one within the other."""
+        """Return the manifest's entry at these nested keys."""
         found: Any = self.results.manifest
         for key in keys:
             if not isinstance(found, Mapping) or key not in found:
@@ -276,12 +276,12 @@ class Material:
 
 
 def correction_in_words(correction: Correction) -> str:
-    """Return who a correction is named after."""
+    """Return the authors of a correction."""
     return {Correction.HOLM: "Holm", Correction.BENJAMINI_HOCHBERG: "Benjamini and Hochberg"}[correction]
 
 
 def origin_in_words(origin: str | None) -> str:
-    """Return a sentence, with a space before it, about values that were not measured; else nothing.
+    """Return a sentence on values that were not measured, with a leading space; empty where all were.
 
     Example:
         >>> origin_in_words("simulated")
@@ -292,7 +292,7 @@ def origin_in_words(origin: str | None) -> str:
 
 
 def origin_badges(*origins: str | None) -> tuple[Badge, ...]:
-    """Return labels for values that were not, or not always, measured; each once.
+    """Return badges for values that were not, or not always, measured; each once.
 
     Example:
         >>> [badge.text for badge in origin_badges("measured, simulated")]

@@ -1,4 +1,4 @@
-"""Figures of measures: distributions, interactions, residuals; and the section that shows all figures."""
+"""Figures of measures: distributions, interactions, residuals; and the section of these figures."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
 _MOST_COMBINATIONS = 16
 _MOST_LINES = 8
-#: Nobody reads the 66 figures of all pairs of 12 factors, which take more than a minute to draw.
+#: The most pairs of factors to draw: 12 factors have 66, which nobody reads and which take more than a minute.
 _MOST_PAIRS = 10
 
 
 def quantile_figure(material: Material, measure: MeasureStatistics) -> FigureBlock | None:
-    """Return the Q-Q figure of a measure's residuals, if they could be computed."""
+    """Return the Q-Q plot of a measure's residuals, if these could be computed."""
     pairs = measure.quantiles
     if pairs is None:
         return None
@@ -54,7 +54,7 @@ def quantile_figure(material: Material, measure: MeasureStatistics) -> FigureBlo
 
 
 def drift_figure(material: Material, measure: MeasureStatistics, drift: Drift) -> FigureBlock:
-    """Return the figure of a measure over the order of execution, or of the table where that is not known."""
+    """Return the figure of a measure over the order of execution, or of the table if that is not known."""
     within = f" within {enumerated(drift.within)}" if drift.within else ""
     return FigureBlock(
         f"order {measure.name}",
@@ -75,7 +75,7 @@ def drift_figure(material: Material, measure: MeasureStatistics, drift: Drift) -
 
 
 def _distributions(material: Material, measure: MeasureStatistics) -> Iterator[FigureBlock]:
-    """Yield how a measure is distributed, by combination or by each factor; nothing where no run has a number."""
+    """Yield figures of a measure's distribution, by combination or by each factor; none where no run has a number."""
     of = measure.proportions
     draw, described = (_distribution, measure.overall) if of is None else (_proportions, of.overall)
     if described is None or not described.n:
@@ -92,9 +92,9 @@ def _distributions(material: Material, measure: MeasureStatistics) -> Iterator[F
 
 
 def _proportions(_: Material, measure: MeasureStatistics, factors: tuple[str, ...]) -> FigureBlock:
-    """Return how often a measure is yes."""
+    """Return the figure of the proportions of a measure of yes and no."""
     of = measure.proportions
-    assert of is not None  # noqa: S101 - it is yes or no
+    assert of is not None  # noqa: S101 - a measure of yes and no has proportions
     groups = [each for each in (of.overall, *of.by_treatment, *of.by_combination) if tuple(each.treatments) == factors]
     by = f" by {JOINT.join(factors)}" if factors else ""
     described = "; ".join(f"{each.label}: {each.count} of {each.n}" for each in groups[:8])
@@ -145,7 +145,7 @@ def _descriptions(measure: MeasureStatistics, factors: tuple[str, ...]) -> tuple
 
 
 def _level(intervals: Iterable[Interval | None]) -> str:
-    """Return the level of the intervals that a figure shows, as in `95%`; empty where it shows none."""
+    """Return the level of a figure's intervals, as in `95%`; empty without any."""
     return " or ".join(dict.fromkeys(shown_level(each.level) for each in intervals if each is not None))
 
 
@@ -171,7 +171,7 @@ def _groups(material: Material, measure: MeasureStatistics, factors: tuple[str, 
 
 
 def _interactions(material: Material, measure: MeasureStatistics) -> list[FigureBlock]:
-    """Return how two factors each act together on a measure: of many pairs those whose interaction is clearest."""
+    """Return interaction plots of a measure for pairs of factors; of many, those with the clearest interaction."""
     pairs = list(_pairs(material, measure))
     if len(pairs) > _MOST_PAIRS:
         effects = measure.test.effects if measure.test is not None else ()
@@ -190,11 +190,11 @@ def _pairs(material: Material, measure: MeasureStatistics) -> Iterator[tuple[str
     nested = material.statistics.design.within
     for along, across in combinations(varied, 2):
         if (along, across) not in tested and not nested.keys().isdisjoint((along, across)):
-            continue  # they do not apply together
+            continue  # the factors do not apply together
         if not is_full and (measure.surface is not None or (along, across) not in tested):
-            continue  # the design does not tell it, or a surface shows it
+            continue  # the design cannot estimate the interaction, or a surface shows it
         if material.done[along].nunique() < material.done[across].nunique():
-            along, across = across, along  # noqa: PLW2901 - fewer lines over more places are easier to read
+            along, across = across, along  # noqa: PLW2901 - fewer lines over more positions are easier to read
         if material.done[across].nunique() <= _MOST_LINES:
             yield along, across
 
@@ -228,13 +228,13 @@ def _interaction(material: Material, measure: MeasureStatistics, along: str, acr
 
 
 def _applied(material: Material, factor: str) -> list[str]:
-    """Return the treatments of a factor: where it does not apply, it has none."""
+    """Return the treatments of a factor, without the one for runs to which it does not apply."""
     texts = [str(each) for each in material.runs[factor].cat.categories]
     return [text for text in texts if text != IDLE or factor not in material.statistics.design.within]
 
 
 def figures_section(material: Material) -> Section:
-    """Return the section."""
+    """Return the section of figures."""
     measures = [measure for measure in material.statistics.measures if measure.name in material.drawn]
     blocks: list[Block] = [*mission_parts(material), *trajectory_part(material), *stills_part(material)]
     distributions = [each for measure in measures for each in _distributions(material, measure)]

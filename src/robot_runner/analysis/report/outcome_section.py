@@ -1,6 +1,6 @@
-"""The section on each run's outcome: its status, why it failed, when it was executed, how complete its samples are.
+"""The section on the outcome of each run: status, reason of failure, time of execution, completeness of samples.
 
-Of a covering array it also tells which pairs of treatments runs failed with: what such a design is executed for.
+For a covering array it also lists the pairs of treatments with failed runs, which is the purpose of such a design.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _WORDS = {RunStatus.TODO.value: "To do"}
 
 
 def outcome_section(material: Material) -> Section:
-    """Return the section."""
+    """Return the section on the outcome of each run."""
     blocks: list[Block] = [Paragraph(_counts(material))]
     failures = failures_in_words(material)
     if failures:
@@ -69,7 +69,7 @@ def _counts(material: Material) -> str:
 
 
 def failures_in_words(material: Material) -> list[tuple[str, str]]:
-    """Return the runs that failed with why, those of one reason together."""
+    """Return failed runs and reasons, grouped by reason."""
     failed = material.runs.loc[material.runs[STATUS].astype("str") == RunStatus.FAILED.value, RUN_ID]
     last = material.last_attempts.set_index("run_id")["failure"]
     by_reason: dict[str, list[str]] = {}
@@ -118,7 +118,7 @@ def _run_table(material: Material) -> Table:
 
 
 def _value_table(material: Material) -> Table:
-    """Return the values that are not good; reasons of one kind are told once."""
+    """Return a table of values that are not good; similar reasons are listed once."""
     groups: dict[tuple[str, str, str], list[tuple[str, str]]] = {}
     for run, measure, quality, reasons in material.doubted.itertuples(index=False):
         groups.setdefault((measure, str(quality), kind_of(reasons, run)), []).append((str(run), reasons))
@@ -138,7 +138,7 @@ def _value_table(material: Material) -> Table:
 
 
 def _values(heading: str, name: str, *, is_number: bool = True) -> Field:
-    """Return a column of the run table: of a factor, or of a measure whatever its type."""
+    """Return a column of the run table: a factor, or a measure of any type."""
 
     def cell(row: dict[str, Any]) -> Cell:
         value = row[name]
@@ -196,7 +196,7 @@ def _timeline(material: Material, spans: tuple[AttemptSpan, ...]) -> FigureBlock
 
 
 def attempt_spans(material: Material) -> tuple[AttemptSpan, ...]:
-    """Return all attempts with their times, in their order."""
+    """Return all attempts with known times, in their order."""
     attempts = in_order_of_execution(material, material.results.attempts)
     if attempts.empty:
         return ()
@@ -213,7 +213,7 @@ def attempt_spans(material: Material) -> tuple[AttemptSpan, ...]:
             continue
         by = set_by.get(row.Index, 0.0)
         start = (row.started_at - began).total_seconds() - by
-        if start < earlier.start:  # the clock was set back: the attempt is drawn behind the one before it
+        if start < earlier.start:  # the clock was set back: draw the attempt after the previous one
             began -= pd.Timedelta(seconds=earlier.end - start)
             start = earlier.end
         end = start + (0.0 if pd.isna(row.seconds) else float(row.seconds))
@@ -225,12 +225,12 @@ def attempt_spans(material: Material) -> tuple[AttemptSpan, ...]:
     return tuple(spans)
 
 
-#: More rows are not read; those in which all runs failed come first.
+#: Rows of the table; nobody would read more. Pairs whose runs all failed come first.
 _MOST = 20
 
 
 class FailedPair(NamedTuple):
-    """A pair of treatments, and how many of its runs failed."""
+    """A pair of treatments, its number of runs and how many of them failed."""
 
     pair: str
     runs: int
@@ -238,7 +238,7 @@ class FailedPair(NamedTuple):
 
 
 def failed_pairs(runs: pd.DataFrame, factors: tuple[str, ...]) -> list[FailedPair]:
-    """Return the pairs of treatments that runs failed with, those of which most failed first."""
+    """Return the pairs of treatments with failed runs, those with the largest share of failures first."""
     texts = runs[list(factors)].astype("str")
     has_failed = (runs[STATUS].astype("str") == RunStatus.FAILED.value).to_numpy()
     found = []
@@ -255,7 +255,7 @@ def failed_pairs(runs: pd.DataFrame, factors: tuple[str, ...]) -> list[FailedPai
 
 
 def failed_pair_parts(material: Material) -> Iterator[Block]:
-    """Yield the part, where the design is a screening and runs failed."""
+    """Yield the part on failures by pairs, if the design is a screening and runs failed."""
     if material.statistics.design.kind != "covering_array" or not material.counts[RunStatus.FAILED]:
         return
     ended = material.runs[material.runs[STATUS].astype("str").isin([RunStatus.DONE.value, RunStatus.FAILED.value])]

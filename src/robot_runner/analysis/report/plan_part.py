@@ -1,4 +1,4 @@
-"""What the plan changes about a measure's result, and what comes out otherwise: parts of the section on tests."""
+"""Parts of the section on tests: values left out and covariates by the plan, and the results without these choices."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _CAPTIONS = {
 
 
 def planned_parts(measure: MeasureStatistics, label: str) -> Iterator[Block]:
-    """Yield the values that are left out, and what is known of covariates."""
+    """Yield the values that are left out, and the adjustment for covariates."""
     if measure.left_out:
         yield _left_out_table(measure, label)
     rate = measure.rule_false_positives
@@ -103,7 +103,7 @@ def _slope_table(measure: MeasureStatistics, slopes: Sequence[Slope], label: str
 
 
 def besides(material: Material, name: str) -> Iterator[tuple[str, MeasureTest]]:
-    """Yield the tests of a measure that are shown beside the planned one, with a title."""
+    """Yield the tests of a measure beside the planned one, each with a title."""
     for which in Beside:
         for measure in material.statistics.beside(which):
             if measure.name == name and measure.test is not None:
@@ -111,7 +111,7 @@ def besides(material: Material, name: str) -> Iterator[tuple[str, MeasureTest]]:
 
 
 def standing_parts(material: Material) -> Iterator[Part]:
-    """Yield, for each kind of analysis beside the planned one, which conclusions stand."""
+    """Yield a part for each analysis beside the planned one, with the conclusions that stand."""
     for which in Beside:
         mine = [each for each in material.statistics.standings if each.beside is which]
         if mine:

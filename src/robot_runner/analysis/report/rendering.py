@@ -1,7 +1,7 @@
-"""Renders a document as HTML and Markdown, and its tables as CSV and LaTeX.
+"""Render a document as HTML and Markdown, and its tables as CSV and LaTeX.
 
-Each format is a family of templates with an environment of its own, which escapes whatever a template prints: a name
-means nothing to HTML, LaTeX or Markdown.
+Each format has its own templates and environment, which escapes all printed values, so that names of users are never
+markup.
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ if TYPE_CHECKING:
     from robot_runner.analysis.report.blocks import Document, Table
 
 _PACKAGE = "robot_runner.analysis.report"
-#: Rows of a table that a page shows; files have them all.
+#: The most rows of a table on a page; files have all rows.
 _MOST_ROWS = 400
-#: Letters of a row that a column of a paper has room for, with those that the gap between two cells takes.
+#: Letters of a row that fit into a column of a paper, and the width of the gap between two cells, letters.
 _COLUMN_OF_A_PAPER, _GAP = 50, 2
-#: Letters that a page of a paper has room for, and those of a line in a cell of a table that is wider than that.
+#: Letters that fit on a page of a paper, and the letters of a line in a cell of a table that is wider than that.
 _PAGE_OF_A_PAPER, _LINE_OF_A_CELL = 105, 36
-#: What is kept in one line of a cell, and what stands for its blanks meanwhile.
+#: An interval, which is kept on one line of a cell, and the temporary replacement of its blanks.
 _INTERVAL, _UNBROKEN = re.compile(r"\[[^\[\]]*\]"), "\N{NO-BREAK SPACE}"
-#: What shows nothing itself and is kept on a page: the ends of lines, and what joins letters and parts of a sign.
+#: Invisible characters that are kept on a page: line breaks, and joiners of letters and of parts of a character.
 _KEPT = "\n\u200c\u200d"
 _BLANK_LINES = re.compile(r"\n{3,}")
-#: Signs that mean something anywhere, and those that begin a list or underline a heading.
+#: Characters with a meaning anywhere in Markdown, and those that begin a list or underline a heading.
 _MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#|~$!&]|(?:^|(?<=^[0-9])|(?<=^[0-9]{2}))[-+=.)](?=[-=\s]|$))")
 
 
 class SafeNames:
-    """Gives each name a safe one of its own for files and links; the same name always gets the same.
+    """Map each name to a unique safe one for files and links; the same name always gets the same.
 
     Example:
         >>> names = SafeNames()
@@ -77,7 +77,7 @@ class SafeNames:
 
 @dataclass(frozen=True, slots=True)
 class TableFiles:
-    """A table as files: their name without an ending, and what they hold."""
+    """The files of a table: their name without suffix, and their contents."""
 
     name: str
     csv: str
@@ -85,7 +85,7 @@ class TableFiles:
 
 
 def files_of_tables(document: Document, on_step: OnStep = unheard) -> dict[str, TableFiles]:
-    """Return the files of all tables of a document, by the table's name; `on_step` is told how many are made."""
+    """Return the files of all tables of a document, by the table's name; report progress to `on_step`."""
     names, labels = SafeNames(), SafeNames(latex_label)
     made = {}
     for number, table in enumerate(document.tables):
@@ -95,15 +95,15 @@ def files_of_tables(document: Document, on_step: OnStep = unheard) -> dict[str, 
 
 
 def html_of(document: Document, drawings: Mapping[str, bytes], tables: Mapping[str, TableFiles]) -> str:
-    """Return a document as one HTML file that fetches nothing: style, scripts, figures and data stand in it.
+    """Return a document as one HTML file that fetches nothing: style, scripts, figures and data are in it.
 
     Args:
-        document: it.
-        drawings: its figures as SVG, by their names.
-        tables: its tables as files, which the page offers.
+        document: the document.
+        drawings: its figures as SVG, by name.
+        tables: its tables as files, for the page's download links.
     """
     anchors = SafeNames()
-    for section in document.sections:  # their names are promised, so nothing else may take them
+    for section in document.sections:  # links may rely on the names of sections, so reserve them first
         anchors(section.name)
     return (
         _pages()
@@ -125,7 +125,7 @@ def markdown_of(document: Document, figure_path: Callable[[str], str]) -> str:
     return _BLANK_LINES.sub("\n\n", template.render(document=document, figure_path=figure_path))
 
 
-# What LaTeX prints as it is, with no package beyond LaTeX itself.
+# Escapes for LaTeX without further packages.
 
 _LATEX_TEXT = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "_": r"\_", "%": r"\%",
@@ -135,7 +135,7 @@ _LATEX_TEXT = {
     "\N{DIVISION SLASH}": "/",
     "\N{PRIME}": r"$^{\prime}$", "\N{DOUBLE PRIME}": r"$^{\prime\prime}$",
 }  # fmt: skip
-#: Signs of mathematics, each with its command.
+#: Mathematical symbols, each with its command.
 _MATHEMATICS = (
     "\N{MULTIPLICATION SIGN}times ±pm ∓mp ·cdot ⋅cdot ≤leq ≥geq ≪ll ≫gg ≈approx ≠neq ≡equiv ≃simeq ≅cong "
     "\N{TILDE OPERATOR}sim ∝propto ∞infty √surd ∂partial ∇nabla ∆Delta ∑sum ∏prod ∫int ∈in ∉notin ∋ni "
@@ -146,14 +146,14 @@ _MATHEMATICS = (
 )
 _SUPERSCRIPTS = dict(zip("⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁼⁽⁾ⁿⁱ", "0123456789+=()ni", strict=True))
 _SUBSCRIPTS = dict(zip("₀₁₂₃₄₅₆₇₈₉₊₌₍₎ₐₑₒₓₙᵢ", "0123456789+=()aeoxni", strict=True))
-#: From alpha on: LaTeX has no command for letters that look like Latin ones.
+#: Greek letters from each code point on: LaTeX has no command for letters that look like Latin ones.
 _GREEK = (
     (0x391, "A B Gamma Delta E Z H Theta I K Lambda M N Xi O Pi P"),
     (0x3A3, "Sigma T Upsilon Phi X Psi Omega"),
     (0x3B1, "alpha beta gamma delta varepsilon zeta eta theta iota kappa lambda mu nu xi o pi rho"),
     (0x3C2, "varsigma sigma tau upsilon varphi chi psi omega"),
 )
-#: Accents of Greek letters, over Latin letters and in mathematics.
+#: The commands of accents on Greek letters: over Latin letters, and in mathematics.
 _ACCENTS = {"\N{COMBINING ACUTE ACCENT}": (r"\'", r"\acute"), "\N{COMBINING DIAERESIS}": (r"\"", r"\ddot")}
 
 
@@ -181,7 +181,7 @@ _LATEX = dict(_signs())
 
 
 def latex_text(text: str) -> str:
-    r"""Return a text that LaTeX prints as it is.
+    r"""Escape a text for LaTeX.
 
     Example:
         >>> latex_text("50% of $x_1$ \\input{a}")
@@ -189,7 +189,7 @@ def latex_text(text: str) -> str:
         >>> latex_text("--fast"), latex_text("[0, 1]")  # neither a dash nor the argument of the line that ends before
         ('-{}-fast', '{}[0, 1]')
     """
-    line = normalize("NFC", verbatim(text))  # a letter and its accents are one sign, an ohm sign is an omega
+    line = normalize("NFC", verbatim(text))  # composes letters and accents, and makes an ohm sign an omega
     signs = (
         _LATEX.get(sign, sign) + "{}" * (sign == after and sign in "-',")
         for sign, after in zip(line, f"{line[1:]} ", strict=False)
@@ -198,28 +198,28 @@ def latex_text(text: str) -> str:
 
 
 def latex_of(table: Table, labels: Callable[[str], str]) -> str:
-    """Return a table as LaTeX, for `booktabs` and `graphicx`, with numbers as a reader sees them.
+    """Return a table as LaTeX, for `booktabs` and `graphicx`, with numbers as readers see them.
 
-    One that is too wide for a column of a paper spans the page. One that is too wide for that has long cells in lines,
-    and is made smaller where it is still too wide.
+    A table that is too wide for a column of a paper spans the page. If it is too wide for the page, long cells are
+    broken into lines, and a table that is still too wide is scaled down.
 
     Args:
-        table: it.
-        labels: names it for references.
+        table: the table.
+        labels: returns its label for references.
     """
     table = table.for_readers
     rows = [[column.name for column in table.columns], *([cell.text for cell in row] for row in table.rows)]
     width = sum(max(map(len, column)) + _GAP for column in zip(*rows, strict=True))
     star = "*" * (width > _COLUMN_OF_A_PAPER)
     cell_text = _in_lines if width > _PAGE_OF_A_PAPER else str
-    # IEEE's captions are small capitals, which print mW as MW.
+    # IEEE's captions are in small capitals, which would print mW as MW.
     caption = Markup(re.sub(r"\([^()]*\)", r"\\textnormal{\g<0>}", latex_text(table.caption)))  # noqa: S704 - as above
     template = _papers().get_template("table.tex.j2")
     return template.render(table=table, caption=caption, label=labels(table.name), star=star, cell_text=cell_text)
 
 
 def _in_lines(text: str) -> Markup:
-    """Return the text of a cell as LaTeX, in lines of which each part of an enumeration begins one."""
+    """Return the text of a cell as LaTeX, broken into lines; each item of an enumeration begins a line."""
     whole = _INTERVAL.sub(lambda found: found[0].replace(" ", _UNBROKEN), text)
     parts = whole.split("; ")
     parts[:-1] = [f"{each};" for each in parts[:-1]]
@@ -231,7 +231,7 @@ def _in_lines(text: str) -> Markup:
 
 
 def latex_label(name: str) -> str:
-    """Return a name as references in LaTeX have it."""
+    """Return a name in the form of LaTeX labels."""
     return file_name(name).replace("_", "-").lower()
 
 
@@ -239,7 +239,7 @@ def csv_of(table: Table) -> str:
     """Return a table as CSV, with numbers in full and missing values empty."""
     table = table.for_programs
     into = io.StringIO()
-    # With \r\n (RFC 4180) cells that hold either of the two are quoted.
+    # With \r\n (RFC 4180), cells with either character are quoted.
     rows = csv.writer(into, lineterminator="\r\n")
     rows.writerow(column.name for column in table.columns)
     rows.writerows(["" if cell.value is None else cell.value for cell in row] for row in table.rows)
@@ -247,7 +247,7 @@ def csv_of(table: Table) -> str:
 
 
 def markdown_text(text: str) -> str:
-    r"""Return a text that Markdown shows as it is, on one line, in a table as well.
+    r"""Escape a text for Markdown, on one line, so that it also fits into a table.
 
     Example:
         >>> markdown_text("a|b *c* <d>")
@@ -257,7 +257,7 @@ def markdown_text(text: str) -> str:
 
 
 def templates_of(package: str, finalize: Callable[[object], object], **settings: Any) -> Environment:
-    """Return the templates of a package; `finalize` gets each value that one prints."""
+    """Return the templates of a package; `finalize` processes each printed value."""
     return Environment(  # noqa: S701 - the caller says how values are escaped
         loader=PackageLoader(package),
         finalize=finalize,
@@ -271,7 +271,7 @@ def templates_of(package: str, finalize: Callable[[object], object], **settings:
 
 @cache
 def _environment(escape: Callable[[str], str] | None = None, **settings: str) -> Environment:
-    """Return templates of a format: what they print is escaped by `escape`, or as HTML, unless it is `Markup`."""
+    """Return the templates of a format; they escape values by `escape`, or as HTML, unless these are `Markup`."""
 
     def finalize(value: object) -> object:
         if hasattr(value, "__html__"):
@@ -288,14 +288,14 @@ def _environment(escape: Callable[[str], str] | None = None, **settings: str) ->
 @cache
 def _pages() -> Environment:
     environment = _environment()
-    shared = partial(_asset, package="robot_runner.core")  # what the report has together with the live page
+    shared = partial(_asset, package="robot_runner.core")  # assets that the report shares with the live page
     environment.globals.update(asset=_asset, shared_asset=shared, json_of=_json_of)
     return environment
 
 
 @cache
 def _papers() -> Environment:
-    # Braces mean too much in LaTeX to delimit anything else.
+    # Braces are LaTeX syntax, so templates need other delimiters.
     return _environment(
         latex_text,
         block_start_string="<%",
@@ -308,12 +308,12 @@ def _papers() -> Environment:
 
 
 def _asset(name: str, package: str = _PACKAGE) -> Markup:
-    # Ours, not a user's: it may hold markup.
+    # Our own file, not a user's: it may contain markup.
     return Markup(files(package).joinpath("assets", name).read_text(encoding="utf-8"))  # noqa: S704
 
 
 def _json_of(data: Mapping[str, Any]) -> Markup:
-    """Return JSON that cannot end the element that it stands in."""
+    """Return JSON that cannot close the HTML element around it."""
     text = verbatim(json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False), _KEPT)
     for character in "<>&":
         text = text.replace(character, f"\\u{ord(character):04x}")
@@ -321,9 +321,9 @@ def _json_of(data: Mapping[str, Any]) -> Markup:
 
 
 def _archive(tables: Iterable[TableFiles]) -> Markup:
-    """Return the address of an archive of all tables, which are much alike: each by itself takes ten times the room."""
+    """Return a data URL of an archive of all tables: they are similar, and single files take ten times the space."""
     into = io.BytesIO()
-    # Without times, so that the same tables are the same bytes.
+    # Without times, so that the same tables give the same bytes.
     with gzip.GzipFile(fileobj=into, mode="wb", mtime=0) as packed, tarfile.open(fileobj=packed, mode="w") as archive:
         for table in tables:
             for ending, text in (("csv", table.csv), ("tex", table.latex)):

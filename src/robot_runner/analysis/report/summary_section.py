@@ -1,4 +1,4 @@
-"""The sections in brief, for readers in a hurry, with the means of measures, and on how to replicate the experiment."""
+"""The summary for readers in a hurry, the table of means, and the section on how to replicate the experiment."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from robot_runner.core.storage.cells import RunStatus
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.tested import Effect
 
-#: Up to so many interactions that are not shown, and conclusions of one verdict, are told one by one, in brief.
+#: The most interactions not shown, and the most conclusions with the same verdict, that are listed one by one.
 _MOST_UNSHOWN = 2
 
 _CONTENTS = (
@@ -45,7 +45,7 @@ _CONTENTS = (
 
 
 def summary_section(material: Material, threats: Sequence[Remark]) -> Section:
-    """Return the section."""
+    """Return the summary section."""
     blocks: list[Block] = [Cards(tuple(_cards(material, threats)))]
     if material.results.is_running:
         note = "The experiment is being executed: this report is of the runs that were done when it was made."
@@ -102,9 +102,9 @@ def _conclusion(material: Material, measure: MeasureStatistics) -> Paragraph:
 
 
 def _briefly(measure: str, effects: Sequence[Effect]) -> Iterator[str]:
-    """Yield what is concluded of effects; of many interactions that are not shown, only how many there are.
+    """Yield the conclusions on effects; of many interactions that are not shown, only their number.
 
-    A design of five factors has 26 interactions, and a reader in a hurry no time for each.
+    A design of five factors has 26 interactions, too many for a reader in a hurry.
     """
     unshown = [each for each in effects if len(each.factors) > 1 and each.conclusion.endswith(NO_PROOF)]
     few = len(unshown) <= _MOST_UNSHOWN
@@ -163,7 +163,7 @@ _MOST_GROUPS = 6
 
 
 def means_table(material: Material, name: str) -> Iterator[Table]:
-    """Yield the means of all measures beside each other, where there are few enough treatments."""
+    """Yield a table of the means of all measures, if there are few enough treatments."""
     described = {measure.name: measure.proportions or measure for measure in material.statistics.measures}
     groups: dict[str, dict[str, Description | Proportion]] = {
         name: {each.label: each for each in of.by_combination or of.by_treatment}

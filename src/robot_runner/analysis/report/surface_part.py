@@ -1,4 +1,4 @@
-"""The part on a response surface: its coefficients, what it lacks, where it neither rises nor falls, and its figure."""
+"""The part on a response surface: its coefficients, lack of fit, stationary point and figure."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _PAIR = 2
 
 
 def surface_parts(material: Material, measure: MeasureStatistics) -> Iterator[Block]:
-    """Yield the part on a measure's surface, where it has one."""
+    """Yield the part on a measure's surface, if it has one."""
     surface = measure.surface
     if surface is None:
         return
@@ -49,7 +49,7 @@ def surface_parts(material: Material, measure: MeasureStatistics) -> Iterator[Bl
 
 
 def surface_in_words(material: Material, measure: MeasureStatistics, surface: Surface) -> Iterator[str]:
-    """Yield what the surface says: how it fits, and its stationary point."""
+    """Yield sentences on the fit of a surface and its stationary point."""
     alpha = material.statistics.alpha
     explained = f"The surface explains {shown_share(surface.r_squared)} of the variance"
     fit = surface.lack_of_fit
@@ -100,7 +100,7 @@ def _coefficients(material: Material, measure: MeasureStatistics, surface: Surfa
 
 
 def surface_figure(material: Material, measure: MeasureStatistics) -> FigureBlock | None:
-    """Return the contours over the two factors that matter most, others at the stationary point or in the middle."""
+    """Return contours over the two most important factors; others are at the stationary point or in the middle."""
     surface = measure.surface
     if surface is None:
         return None
@@ -139,13 +139,13 @@ _LEVELS = 9
 
 
 class Axis(NamedTuple):
-    """A factor that a surface is drawn over.
+    """A factor on an axis of a surface's figure.
 
     Attributes:
-        label: for the axis.
-        numbers: where the surface is computed, in ascending order.
+        label: the label of the axis.
+        numbers: the values at which the surface is computed, ascending.
         runs: the treatment of each run.
-        stationary: where the surface neither rises nor falls; None where it does not lie in the figure.
+        stationary: the stationary point; None where it lies outside the figure.
     """
 
     label: str
@@ -156,7 +156,7 @@ class Axis(NamedTuple):
 
 @figure_style()
 def draw_contours(along: Axis, across: Axis, heights: Floats, value_label: str) -> Figure:
-    """Draw lines of one height, the runs as points, and the stationary point as a cross."""
+    """Draw contour lines, the runs as points, and the stationary point as a cross."""
     figure, axes = new_axes(COLUMN, 3.0)
     filled = axes.contourf(along.numbers, across.numbers, heights, levels=_LEVELS, cmap="cividis", alpha=0.6)
     lines = axes.contour(along.numbers, across.numbers, heights, levels=filled.levels, colors=INK, linewidths=0.5)

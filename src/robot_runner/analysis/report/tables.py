@@ -1,4 +1,4 @@
-"""Builds tables: a list of fields says of each column its heading and how a cell is made of an item."""
+"""Build tables from fields: each has the heading of a column and makes a cell from an item."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A column that is still to be filled.
+    """A column of a table to build.
 
     Attributes:
         column: its heading, alignment and place.
@@ -36,11 +36,11 @@ def build_table(
     """Return a table with a row for each item.
 
     Args:
-        name: of its files; unique in a document.
+        name: the name of its files, unique in a document.
         caption: one sentence.
         items: of any type that the fields can read.
-        fields: one a column; an interval yields several.
-        note: small print beneath it.
+        fields: one for each column; an interval has several.
+        note: small print beneath the table.
 
     Example:
         >>> table = build_table("t", "Lengths.", ["a", "bcd"], [text("Word", str), number("Letters", len)])
@@ -58,13 +58,13 @@ def field(name: str, cell: Callable[[Any], Cell], *, is_number: bool = False, pl
 
 
 def text(name: str, read: Read, tone: Callable[[Any], Tone] = lambda _: Tone.PLAIN) -> Field:
-    """Return a column of texts, which stand out as `tone` says."""
+    """Return a column of texts, highlighted by `tone`."""
     of = _reader(read)
     return Field(Column(name), lambda item: Cell.of_text(of(item), tone(item)))
 
 
 def number(name: str, read: Read, digits: int = 4, *, place: Place = Place.EVERYWHERE, warns: bool = False) -> Field:
-    """Return a column of numbers in so many significant digits; where it warns, those above 0 stand out."""
+    """Return a column of numbers with so many significant digits; if it warns, numbers above 0 are highlighted."""
     of = _reader(read)
 
     def cell(item: Any) -> Cell:
@@ -81,12 +81,12 @@ def coefficient(name: str, read: Read) -> Field:
 
 
 def number_cell(value: float | None, digits: int = 4, tone: Tone = Tone.PLAIN) -> Cell:
-    """Return a cell that holds a number."""
+    """Return a cell with a number."""
     return Cell(value, shown_number(value, digits), tone)
 
 
 def p_value(name: str, read: Read, is_significant: Read = lambda _: False) -> Field:
-    """Return a column of p-values; those that are significant stand out."""
+    """Return a column of p-values; significant ones are highlighted."""
     of, stands_out = _reader(read), _reader(is_significant)
     return Field(
         Column(name, is_number=True),

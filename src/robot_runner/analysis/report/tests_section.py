@@ -1,4 +1,4 @@
-"""The section on tests: each with its reason, its assumptions, and its conclusion in a sentence."""
+"""The section on tests, each with its reason, its assumptions and its conclusion in a sentence."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ _EXPLORATORY = Badge("exploratory", Tone.PLAIN, "The analysis was not fixed befo
 
 
 def tests_section(material: Material) -> Section:
-    """Return the section."""
+    """Return the section on tests."""
     blocks: list[Block] = [Paragraph(_planned(material), Tone.NOTE)]
     if material.statistics.hypotheses:
         blocks.append(_hypothesis_table(material))
@@ -129,7 +129,7 @@ def _test(material: Material, measure: MeasureStatistics) -> Iterator[Block]:
 
 
 def _beside(material: Material, measure: MeasureStatistics, label: str) -> Iterator[Part]:
-    """Yield the tests with one choice made otherwise, folded: the planned one leads."""
+    """Yield the tests with one choice changed, folded, because the planned test comes first."""
     for title, test in besides(material, measure.name):
         name = f"test {one_word(measure.name)} {title.casefold()}"
         table = _effect_table(
@@ -223,7 +223,7 @@ def _effect_table(name: str, caption: str, test: MeasureTest, alpha: float) -> T
 
 
 def _shown_statistic(effect: Effect) -> str:
-    """Return the statistic of an effect; of two tests that are combined, both."""
+    """Return the statistic of an effect; both statistics where two tests are combined."""
     if effect.statistic is None:
         return MISSING
     return "; ".join(
@@ -238,7 +238,7 @@ def _shown_size(size: EffectSize) -> str:
 
 
 def _pair_table(measure: MeasureStatistics, label: str, post_hoc: PostHoc) -> Table:
-    """Return all pairs of treatments, compared."""
+    """Return a table of the comparisons of all pairs of treatments."""
     sizes = list(dict.fromkeys(size.name for pair in post_hoc.comparisons for size in pair.effect_sizes))
     fields: list[Field | tuple[Field, ...]] = [
         text("First", "first"),
@@ -263,10 +263,10 @@ def _pair_table(measure: MeasureStatistics, label: str, post_hoc: PostHoc) -> Ta
 
 
 def _about_brackets(post_hoc: PostHoc) -> str:
-    """Return what the intervals of pairs are."""
+    """Return a sentence on the intervals of pairs."""
     intervals = (pair.interval for pair in post_hoc.comparisons if pair.interval is not None)
     level = next((shown_level(each.level) for each in intervals), "")
-    # Nobody inverts exact tests of differences: of proportions it is the test that decides.
+    # Exact tests of differences are not inverted: for proportions, the test decides.
     belong = (
         "say how large differences may be; p decides whether there is one"
         if post_hoc.quantity == QUANTITY

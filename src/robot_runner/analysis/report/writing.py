@@ -1,4 +1,4 @@
-"""Writes the report of an experiment: one document, and its tables and figures as files beside it."""
+"""Write the report of an experiment: one document, and its tables and figures as files beside it."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from robot_runner.analysis.report.blocks import Document
     from robot_runner.core.design.analysis_plan import AnalysisPlan
 
-#: With more, figures as PDF are not left to a process of its own.
+#: With more runs, PDF figures are not written by a separate process.
 _MOST_RUNS = 2_000
 
 
 class ReportFormat(Enum):
-    """What a report is written as."""
+    """The formats of a report."""
 
     HTML = "html"
     MARKDOWN = "md"
@@ -42,7 +42,7 @@ class ReportFormat(Enum):
 
 @dataclass(frozen=True, slots=True)
 class WrittenReport:
-    """What was written: the document itself, its tables (CSV, LaTeX) and its figures (SVG, PDF, PNG)."""
+    """The written files: the document, its tables (CSV, LaTeX) and its figures (SVG, PDF, PNG)."""
 
     document: Path
     tables: tuple[Path, ...] = ()
@@ -64,13 +64,13 @@ def write_report(
 
     Args:
         experiment: its results or its folder.
-        kind: HTML is one file that needs nothing beside it; Markdown refers to files of figures; JSON has none.
-        output: the folder to write into; None is `report/` in the experiment's folder.
-        figures: which files are made of each figure; Markdown needs SVG.
-        measures: which measures are analysed; None for all.
-        alpha: the level of significance; None for the one that was fixed beforehand, or 0.05.
-        plan: is followed in the place of what was fixed before the experiment; everything is exploratory then.
-        on_step: is told what is being done, such as `figures`, how many of it are, and of how many.
+        kind: HTML is one self-contained file; Markdown refers to files of figures; JSON has no figures.
+        output: the folder to write into; None for `report/` in the experiment's folder.
+        figures: the file formats of each figure; Markdown needs SVG.
+        measures: the measures to analyse; None for all.
+        alpha: the level of significance; None for the planned one, or 0.05.
+        plan: the plan to follow in the place of the experiment's; everything is exploratory then.
+        on_step: is called with the current step, such as `figures`, the number done, and the total.
 
     Raises:
         StorageError: there is no experiment, or the folder cannot be written.
@@ -79,8 +79,8 @@ def write_report(
     draws = kind is not ReportFormat.JSON
     with ExitStack() as closing:
         results = results_of(experiment).confirming
-        # The worker is started early, so that it is ready when the first figure is. On one core it would only compete,
-        # and with thousands of runs figures take little of the time, and the worker much of the memory.
+        # Start the worker early, so that it is ready when the first figure is. On one core it would only compete. With
+        # thousands of runs, figures take little of the time, and the worker takes much of the memory.
         helps = draws and FigureFormat.PDF in figures and (os.cpu_count() or 1) > 1 and len(results.runs) <= _MOST_RUNS
         worker = closing.enter_context(PdfWorker()) if helps else None
         statistics = analyse(results, measures=measures, alpha=alpha, plan=plan, on_step=on_step)
@@ -93,7 +93,7 @@ def write_report(
 
 
 def report_folder(experiment: Path, output: Path | None) -> tuple[Path, Path]:
-    """Return the folder in which no links are followed, and the one that a report is written into.
+    """Return the root below which links are not followed, and the folder for the report.
 
     Raises:
         StorageError: the folder cannot be made.
@@ -107,10 +107,10 @@ def report_folder(experiment: Path, output: Path | None) -> tuple[Path, Path]:
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where the files of a document are written: below `folder`, and over no link below `root`.
+    """The target of a document's files: in `folder`, never through a link below `root`.
 
-    The document comes last, and it alone is waited for until it is on the disk: its figures and tables are many, and
-    can be made again.
+    The document is written last, and only it is synced to the disk: its figures and tables are many, and can be made
+    again.
     """
 
     root: Path
@@ -124,7 +124,7 @@ class _Place:
 
 
 def write_page(document: Document, path: Path) -> None:
-    """Write a document as one HTML file that needs nothing beside it.
+    """Write a document as one self-contained HTML file.
 
     Raises:
         StorageError: the file cannot be written.
@@ -146,7 +146,7 @@ def write_parts(document: Document, folder: Path) -> tuple[Path, ...]:
 
 
 def made_by(what: str, moment: datetime) -> str:
-    """Return the line that says when and by what a document was made."""
+    """Return the line with the date and the program that made a document."""
     return f"{what} made by Robot Runner {version('robot-runner')} on {moment:%Y-%m-%d at %H:%M} UTC."
 
 
@@ -180,7 +180,7 @@ def _write_figures(
     worker: PdfWorker | None = None,
     on_step: OnStep = unheard,
 ) -> tuple[tuple[Path, ...], dict[str, bytes]]:
-    """Write each figure as these kinds of files, as PDF by the worker; return the files, and all figures as SVG."""
+    """Write each figure in these formats, PDF by the worker; return the files, and all figures as SVG."""
     files, drawings = [], {}
     for number, block in enumerate(document.figures):
         on_step("figures", number, len(document.figures))

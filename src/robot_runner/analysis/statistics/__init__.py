@@ -1,1 +1,1 @@
-"""Descriptive statistics, what is estimated and tested by the design and the plan, effect sizes, power."""
+"""Descriptive statistics, estimates and tests that follow from the design and the plan, effect sizes, power."""

@@ -1,8 +1,8 @@
-"""Means adjusted for covariates: the analysis of covariance, with errors that hold where spreads differ.
+"""Means adjusted for covariates: the analysis of covariance, with standard errors that allow unequal variances.
 
-Every combination has a mean, and each covariate one slope. Runs of their own have a variance for each combination; of
-blocks differences within blocks are compared, and chance is how blocks differ in these. Without covariates the tests of
-single differences are those of Welch, and of pairs within blocks.
+Each combination has a mean, and each covariate one slope. Independent runs have a variance for each combination. With
+blocks, differences within blocks are compared, and the error is their variation between blocks. Without covariates the
+tests of single differences are Welch's t test, and the paired t test with blocks.
 """
 
 from __future__ import annotations
@@ -26,32 +26,32 @@ from robot_runner.core.design.analysis_plan import Estimand, Statistic
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.robust_covariance import RobustFit
 
-#: What each kind of test is called.
+#: The names of the tests.
 HOTELLING, BOX = "approximate Hotelling", "ANOVA-type"
 WITHIN, T = "Huynh-Feldt", "t of adjusted means"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class AdjustedMeans:
-    """The estimates of all combinations at the mean of the covariates, and the tests of effects among them.
+    """The adjusted means of all combinations, at the mean of the covariates, and the tests of effects.
 
     Attributes:
         factors: the factors, with their treatments.
         terms: the factors of each effect, main effects first.
-        fit: the model: the mean of all combinations (not of blocks), effects, covariates, batches.
-        covariates: those of which the runs tell a slope, in the model's order.
+        fit: the model: the mean of all combinations (without blocks only), effects, covariates, batches.
+        covariates: those whose slope can be estimated, in the model's order.
         constant: covariates that are the same in all runs.
         centre: the mean of all runs, at the mean of their covariates.
-        spread: the standard deviation that differences are divided by: that of unadjusted values.
-        residual_spread: the standard deviation of what the model leaves unexplained.
-        spread_parts: the parts of the variance that is `spread` squared within blocks; none of runs of their own, of
-            which it is as well known as differences are.
-        is_within: whether the means of blocks are taken away, as all factors differ within blocks.
-        first_slope: the place of the first covariate among the coefficients.
-        slopes_p_value: of the test that slopes are the same for all treatments; None where the runs do not tell.
-        adjusted: the values at the mean of the covariates, of each run.
+        spread: the standard deviation that standardises differences: that of unadjusted values.
+        residual_spread: the standard deviation of the model's residuals.
+        spread_parts: the components of the variance `spread` squared within blocks; none for independent runs, where
+            it is known as precisely as differences are.
+        is_within: whether block means are subtracted, as all factors differ within blocks.
+        first_slope: the index of the first covariate among the coefficients.
+        slopes_p_value: of the test that slopes are the same for all treatments; None where it cannot be computed.
+        adjusted: the value of each run, adjusted to the mean of the covariates.
         statistic: which tests several contrasts at once.
-        note: why interactions are left out; empty where none is.
+        note: why interactions are left out; empty where they are not.
     """
 
     factors: Factors
@@ -72,7 +72,7 @@ class AdjustedMeans:
 
     @property
     def method(self) -> TestMethod:
-        """What a paper calls the tests."""
+        """The name of the tests in a paper."""
         return TestMethod.COVARIANCE
 
     def effects(self) -> Iterator[EffectTest]:
@@ -103,9 +103,9 @@ class AdjustedMeans:
         return (BOX, self.fit.box(weights)) if found is None else (HOTELLING, found)
 
     def difference(self, weights: Sequence[tuple[Mapping[str, str], float]]) -> Contrast:
-        """Estimate a weighted sum of marginal means, in which each combination counts the same.
+        """Estimate a weighted sum of marginal means, with equal weights for all combinations.
 
-        Of blocks whose means are taken away, a sum whose weights do not sum up to 0 has no error that holds.
+        Where block means are subtracted, the standard error is valid only if the weights sum up to 0.
 
         Args:
             weights: treatments by factor, with the weight of their mean.
@@ -116,13 +116,13 @@ class AdjustedMeans:
         return found._replace(estimate=found.estimate + total * self.centre)
 
     def slope(self, covariate: Covariate) -> Contrast:
-        """Return by how much the measure changes with a unit of a covariate."""
+        """Return the slope of a covariate: the change of the measure per unit."""
         weights = np.zeros(len(self.fit.beta))
         weights[self.first_slope + self.covariates.index(covariate)] = 1 / covariate.scale
         return self.fit.contrast(weights)
 
     def adjusted_data(self, data: MeasureData) -> MeasureData:
-        """Return a measure's data with the adjusted values in place of its own."""
+        """Return the data of a measure with its values replaced by the adjusted ones."""
         frame = data.frame.assign(**{VALUE: self.adjusted})
         return replace(data, frame=frame, every=frame, covariates=())
 
@@ -132,11 +132,11 @@ class AdjustedMeans:
 
 
 def fit_adjusted(data: MeasureData, estimand: Estimand, statistic: Statistic) -> AdjustedMeans | NotComputed:
-    """Fit the analysis of covariance of a measure, or say why there is none.
+    """Fit the analysis of covariance of a measure, or return why this is not possible.
 
     Args:
         data: the measure, with its covariates.
-        estimand: what is estimated: means, or ranks (of covariates as well: Conover and Iman, Analysis of covariance
+        estimand: means or ranks; with ranks, covariates are ranked as well (Conover and Iman, Analysis of covariance
             using the rank transformation, 1982).
         statistic: which tests several contrasts at once.
     """

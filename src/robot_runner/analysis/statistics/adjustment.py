@@ -1,4 +1,4 @@
-"""What is told of covariates: their slopes, the means at their mean, and what is doubtful about them."""
+"""The report on covariates: slopes, adjusted means and warnings."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.contrasts import Contrast
     from robot_runner.analysis.statistics.covariate_design import Covariate
 
-#: From here on a covariate is nearly told by the rest of the design (Marquardt 1970; Kutner et al., Applied Linear
-#: Statistical Models, 2005, section 10.5).
+#: The variance inflation from which on a covariate is nearly collinear with the rest of the design (Marquardt 1970;
+#: Kutner et al., Applied Linear Statistical Models, 2005, section 10.5).
 _MOST_INFLATED = 10.0
 
 _UNITS = {ORDER: "run", ELAPSED: "s"}
@@ -36,9 +36,9 @@ def adjustment_of(
 
     Args:
         data: the measure.
-        model: as it was fitted.
-        choices: what was chosen beforehand.
-        unit_of: tells the unit of a measure.
+        model: the fitted model.
+        choices: the choices of the analysis plan.
+        unit_of: returns the unit of a measure.
     """
     by_name = {covariate.name: covariate for covariate in model.covariates}
     slopes = tuple(_slope(data, model, by_name.get(name), name, choices, unit_of) for name in data.covariates)
@@ -86,7 +86,7 @@ def _interval(found: Contrast, alpha: float) -> Interval:
 
 
 def _treatments_p_value(data: MeasureData, name: str) -> float | None:
-    """Return the p-value of the test that a covariate does not differ between treatments, of all effects together."""
+    """Return the p-value of the test that treatments do not change a covariate: of all effects, corrected by Holm."""
     frame = data.frame.assign(**{VALUE: data.covariate(name)})
     model = model_of(replace(data, frame=frame, every=frame), Estimand.MEAN)
     if isinstance(model, NotComputed):

@@ -1,4 +1,4 @@
-"""The design of an experiment as statistics see it: from the runs that are done."""
+"""The design of an experiment for its statistics, derived from the runs that are done."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.results import Results
 
-#: Columns of a measure's data beside the factors. Names of factors never begin with a blank.
+#: Columns of a measure's data besides the factors, whose names never begin with a space.
 VALUE = " value"
 PLACE = " place"
 _BLOCK = " block"
-#: How the schema of a run table describes a factor that applies to all runs.
+#: The description, in the schema of a run table, of a factor that applies to all runs.
 EVERYWHERE = "A factor."
 BATCH = " batch"
 
 
 def covariate_column(name: str) -> str:
-    """Return the column that a covariate has in the data of each measure."""
+    """Return the column of a covariate in the data of each measure."""
     return f" covariate {name}"
 
 
@@ -53,16 +53,17 @@ class MeasureData:
 
     Attributes:
         name: the measure.
-        frame: one row a run that has a value: `run_id`, ` place` (in the order of execution, from 1), ` value`,
+        frame: one row for each run with a value: `run_id`, ` place` (in the order of execution, from 1), ` value`,
             ` block` and ` batch` (where the design has them), and each factor as an ordered categorical of texts.
-        every: the same for all runs that are done; ` value` is NaN where there is none.
-        factors: those that have two and more treatments among the runs with a value.
+        every: the same for all runs that are done; ` value` is NaN where it is missing.
+        factors: those with two or more treatments among the runs with a value.
         is_blocked: whether runs belong to blocks.
-        is_extended: whether the runs with a value are of several batches.
-        covariates: what values are adjusted for; `frame` has a column of each, and only the runs that have all of them.
+        is_extended: whether the runs with a value are from several batches.
+        covariates: the covariates that values are adjusted for; `frame` has a column for each, and only the runs that
+            have all of them.
         known: the design, beyond factors and blocks.
         block: the column of the blocks.
-        conditions: where factors apply that do not apply everywhere.
+        conditions: the conditions under which conditional factors apply.
     """
 
     name: str
@@ -93,12 +94,12 @@ class MeasureData:
 
     @property
     def plots(self) -> Numbers:
-        """The number of the whole plot of each run that has a value, of a split-plot design."""
+        """The number of the whole plot of each run with a value, in a split-plot design."""
         return numbered(self.frame, list(map(role_column, self.known.unit_columns)))
 
     @property
     def unit_names(self) -> list[str]:
-        """Which unit each run with a value belongs to that varies as a whole: its block, whole plot or subject."""
+        """The experimental unit of each run with a value: its block, whole plot or subject."""
         if self.is_blocked:
             return list(map(str, self.blocks))
         if self.known.whole_plot:
@@ -107,17 +108,17 @@ class MeasureData:
         return list(self.frame[role_column(names[0])].astype(str)) if names else [""] * len(self.frame)
 
     def with_plots_as_blocks(self) -> MeasureData:
-        """Return the same runs, with the whole plots of a split-plot design as blocks, and nothing else known of it."""
+        """Return the same runs with the whole plots of a split-plot design as blocks."""
         frame = self.frame.assign(**{_BLOCK: self.plots.astype(str)})
         return replace(self, frame=frame, is_blocked=True, known=PLAIN)
 
     def covariate(self, name: str) -> Floats:
-        """Return a covariate of each run that has a value."""
+        """Return the value of a covariate for each run with a value."""
         return np.asarray(self.frame[covariate_column(name)], dtype=np.float64)
 
     @property
     def lacking(self) -> dict[str, list[str]]:
-        """The covariates that runs with a value lack, by run; those that no run has are left out."""
+        """The covariates that runs with a value lack, by run; runs that lack none are left out."""
         every = self.every[self.every[VALUE].notna() & ~self.every[RUN_ID].isin(set(self.frame[RUN_ID]))]
         found = {
             run_id: [name for name in self.covariates if row[covariate_column(name)] != row[covariate_column(name)]]
@@ -127,11 +128,11 @@ class MeasureData:
 
     @property
     def treatments(self) -> Factors:
-        """The treatments of each factor that occur among runs with a value; nested where factors apply to some only."""
+        """The treatments of each factor among runs with a value; conditional factors are nested."""
         levels = {name: self.levels(name) for name in self.factors}
         conditions = {name: of for name in self.factors if (of := self._deciding(name, levels))}
         for name in set(self.factors) & self.conditions.keys() - conditions.keys():
-            levels[name] += [IDLE] if IDLE in set(self.frame[name]) else []  # it is not tested, see `stranded`
+            levels[name] += [IDLE] if IDLE in set(self.frame[name]) else []  # not tested, see `stranded`
         return factors_of(levels, conditions)
 
     def _deciding(self, name: str, levels: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
@@ -143,34 +144,34 @@ class MeasureData:
 
     @property
     def stranded(self) -> list[str]:
-        """The factors that apply to some runs only, though none that is compared decides on that."""
+        """The conditional factors whose condition is not on a factor that is compared."""
         return [name for name, levels in self.treatments.items() if name in self.conditions and IDLE in levels]
 
     def within(self, factors: Sequence[str]) -> str:
-        """Return among which runs an effect is told, as in `Sensor=camera`; nothing where among all."""
+        """Return the runs within which an effect is estimated, as in `Sensor=camera`; empty for all runs."""
         return self.treatments.within(factors)
 
     def others(self, factors: Sequence[str]) -> list[str]:
-        """Return the factors in which runs are alike that differ in nothing but these, and in what is nested within."""
+        """Return the other factors: neither these nor nested in them."""
         nested = self.treatments.nested_in(factors)
         return [name for name in self.factors if name not in {*factors, *nested}]
 
     def strata_columns(self, but: str) -> list[str]:
-        """Return the columns in which runs that differ in nothing but one factor are alike, block and batch too."""
+        """Return the columns of the strata within which only one factor differs, block and batch included."""
         names = self.others([but])
         return [*names, *([_BLOCK] if self.is_blocked else []), *([BATCH] if self.is_extended else [])]
 
     def levels(self, factor: str) -> list[str]:
-        """Return the treatments of a factor that occur among runs with a value, in their order."""
+        """Return the treatments of a factor among runs with a value, in their order."""
         present = set(self.frame[factor]) - ({IDLE} if factor in self.conditions else set())
         return [str(level) for level in self.frame[factor].cat.categories if level in present]
 
     def groups(self, factors: Sequence[str]) -> list[Group]:
-        """Return the runs of each combination of treatments of these factors that has a value."""
+        """Return the runs of each combination of treatments of these factors with at least one value."""
         return [group for group in self.described_groups(factors) if len(group.values)]
 
     def applied_groups(self, factors: Sequence[str]) -> list[Group]:
-        """Return the described groups but those in which a factor does not apply."""
+        """Return the described groups, except those in which a factor does not apply."""
         conditional = [name for name in factors if name in self.conditions]
         return [
             group
@@ -179,7 +180,7 @@ class MeasureData:
         ]
 
     def described_groups(self, factors: Sequence[str]) -> list[Group]:
-        """Return the runs of each combination of treatments of these factors that has a run that is done."""
+        """Return the runs of each combination of treatments of these factors with at least one run that is done."""
         values = np.asarray(self.every[VALUE], dtype=np.float64)
         run_ids = np.asarray(self.every[RUN_ID], dtype=object)
         columns = [_BLOCK] if self.is_blocked else list(map(role_column, self.known.unit_columns))
@@ -187,7 +188,7 @@ class MeasureData:
         unit = (self.block or "block") if self.is_blocked else next(iter(self.known.unit_columns), "")
         if not factors:
             return [group_of({}, values, run_ids, units, unit)]
-        # By the codes of the treatments, so that groups come in the order of the treatments.
+        # Sorted by the codes of the treatments, so that groups are in the order of the treatments.
         codes = [np.asarray(self.every[factor].cat.codes) for factor in factors]
         categories = [self.every[factor].cat.categories.astype(str).tolist() for factor in factors]
         order = np.lexsort(codes[::-1])
@@ -208,18 +209,19 @@ class MeasureData:
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """What was varied, among the runs that are done.
+    """The design: factors, blocks and covariates of the runs that are done.
 
     Attributes:
-        frame: one row a run that is done: `run_id`, ` place`, the factors as ordered categoricals of texts, ` block`.
-        factors: those with two and more treatments.
-        constant: those with one.
+        frame: one row for each run that is done: `run_id`, ` place`, the factors as ordered categoricals of texts,
+            ` block`.
+        factors: those with two or more treatments.
+        constant: those with one treatment.
         block: the column of the blocks, or None.
         left_out: how many runs of the table are not done.
         without: runs whose values are not used.
-        covariates: what the values of measures are adjusted for; of a covariate itself they are not.
+        covariates: the covariates that measures are adjusted for; a covariate itself is not adjusted.
         known: the design, beyond factors and blocks.
-        conditions: where factors apply that do not apply everywhere.
+        conditions: the conditions under which conditional factors apply.
     """
 
     results: Results
@@ -234,13 +236,13 @@ class Design:
     conditions: Conditions = field(default_factory=dict)
 
     def data(self, measure: str) -> MeasureData | None:
-        """Return the data of a measure, or None where its values are no numbers."""
+        """Return the data of a measure, or None if its values are not numbers."""
         values = self._numbers(measure)
         covariates = () if measure in self.covariates else self.covariates
         return None if values is None else self._data(measure, values, covariates)
 
     def answers(self, measure: str) -> MeasureData | None:
-        """Return the data of a measure that is yes or no, 1 for yes, which covariates do not adjust; None of others."""
+        """Return the unadjusted data of a yes-or-no measure, with 1 for yes; None for other measures."""
         values = self.results.done[measure]
         if not isinstance(values.dtype, pd.BooleanDtype):
             return None
@@ -260,14 +262,14 @@ class Design:
         return MeasureData(measure, frame, every, factors, *told_of)
 
     def _numbers(self, measure: str) -> Floats | None:
-        """Return the values of a measure, NaN where there is none; None where they are no numbers."""
+        """Return the values of a measure, NaN where one is missing; None if they are not numbers."""
         values = self.results.done[measure]
         if isinstance(values.dtype, pd.StringDtype | pd.BooleanDtype) or values.dtype == object:
             return None
         return np.asarray(values.to_numpy(dtype=np.float64, na_value=np.nan))
 
     def _covariate(self, name: str) -> Floats:
-        """Return a covariate of each run; NaN everywhere where it has no numbers."""
+        """Return the value of a covariate for each run; all NaN if it has no numbers."""
         done = self.results.done
         found = self._numbers(name) if name in self.results.measures else None
         if found is None and name == ORDER and name not in done:
@@ -299,7 +301,7 @@ class Design:
 
     @property
     def possible(self) -> int:
-        """How many combinations there can be of the treatments that occur."""
+        """How many combinations the treatments that occur allow."""
         return self._treatments.count
 
     @property
@@ -339,14 +341,14 @@ def design_of(results: Results, *, blocks: str | None = None) -> Design:
 
     Args:
         results: the experiment.
-        blocks: the column of the blocks; None for those that the order was randomised within.
+        blocks: the column of the blocks; None for the blocks within which the order was randomised.
     """
     done = (results := results.confirming).done
     column = blocks if blocks in results.runs.columns else results.block
     known = KnownDesign.of_manifest(results.manifest, results.runs.columns)
     if are_complete(known, results):
         known, column = PLAIN, known.blocks[0]
-    if column is not None and known != PLAIN:  # complete blocks are those of a full factorial alone
+    if column is not None and known != PLAIN:  # only a full factorial has complete blocks
         known, column = replace(known, blocks=tuple(dict.fromkeys([*known.blocks, column]))), None
     columns = {RUN_ID: done[RUN_ID], PLACE: execution_order(results).places}
     counted_only = {results.repetition, column, *known.columns}
@@ -360,7 +362,7 @@ def design_of(results: Results, *, blocks: str | None = None) -> Design:
     batches = None if results.batch in {None, column} else done[results.batch].fillna(1).astype(int)
     if batches is not None and _distinct(batches) > 1:
         columns[BATCH] = pd.Categorical(batches, ordered=True)
-        if column is not None and column == results.repetition:  # it is counted on across batches
+        if column is not None and column == results.repetition:  # repetitions continue counting across batches
             columns[_BLOCK] = columns[_BLOCK] + " of batch " + batches.astype("str")
     if known.period:
         columns |= treatments_before(results, known, names)
@@ -376,17 +378,17 @@ def design_of(results: Results, *, blocks: str | None = None) -> Design:
 
 
 def _conditions(results: Results, blocks: Collection[str | None]) -> Conditions:
-    """Return where factors apply that do not apply everywhere, from the planned runs; rather no block decides."""
+    """Return the conditions of conditional factors, from the planned runs; blocks are the last choice as parents."""
     names = sorted(results.factors, key=lambda name: name not in blocks)
     planned = results.runs[names].astype("str").drop_duplicates()
-    # A treatment may be called so: the schema of a table of ours says where a factor is conditional.
+    # A treatment may happen to be named `inactive`: the schema of our run tables says whether a factor is conditional.
     columns = {name: results.columns[name] for name in results.factors if name in results.columns}
     found = conditions_of(planned)
     return {name: of for name, of in found.items() if name not in columns or columns[name].description != EVERYWHERE}
 
 
 def _several(treatments: pd.Series, conditions: Conditions) -> bool:
-    """Return whether a factor has several treatments; `inactive` of one that is conditional is none."""
+    """Return whether a factor has several treatments; `inactive` is not a treatment of a conditional factor."""
     return len(set(treatments) - ({IDLE} if treatments.name in conditions else set())) > 1
 
 

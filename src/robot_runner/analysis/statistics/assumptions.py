@@ -1,4 +1,4 @@
-"""How the values of a measure are distributed: figures that describe, and that no test is chosen by."""
+"""Checks of distribution assumptions. They describe the data; no test is chosen by them."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 SHAPIRO_WILK = "Shapiro-Wilk"
 LEVENE = "Levene"
 
-#: scipy computes the test for no fewer, and its p-value holds for no more (Royston 1995).
+#: The fewest values for which scipy computes the test, and the most for which its p-value is valid (Royston 1995).
 _LEAST = 3
 _MOST = 5000
 
 _LEAST_FOR_VARIANCE = 2
 
-#: Distances that differ by less, beside the values, are the same but for rounding.
+#: Distances from the median that differ by less, relative to the values, differ by rounding only.
 _SAME = 1e-12
-#: Of three values of which two are equal the p-value is 0, and 8e-16 to rounding.
+#: P-values below this are 0: for three values, two of them equal, rounding yields 8e-16.
 _ROUNDED = 1e-15
 
 
@@ -39,13 +39,13 @@ def normality(
     *,
     freedom: int | None = None,
 ) -> AssumptionCheck | NotComputed:
-    """Check by Shapiro and Wilk's test whether values may come from a normal distribution.
+    """Check with the Shapiro-Wilk test whether values may come from a normal distribution.
 
     Args:
         values: residuals of all groups together, or the values of one group.
-        alpha: below this p-value they are taken not to.
+        alpha: the level of the test: `holds` is False for smaller p-values.
         treatments: the group; empty for residuals.
-        freedom: how many of the values are free to differ; None for all.
+        freedom: the degrees of freedom of the values; None for their number.
 
     Example:
         >>> normality(np.array([4.1, 5.0, 5.2, 5.9, 6.3]), alpha=0.05).holds
@@ -74,16 +74,16 @@ def normality(
 
 
 def equal_variances(groups: Sequence[Group], alpha: float, within: Sequence[str] = ()) -> AssumptionCheck | NotComputed:
-    """Check by Levene's test, around medians (Brown and Forsythe 1974), whether groups may have equal variances.
+    """Check with Levene's test, centred at medians (Brown and Forsythe 1974), whether variances may be equal.
 
     Args:
         groups: the runs of each combination.
-        alpha: below this p-value variances are taken to differ.
-        within: what several runs have in common, such as blocks: the test takes runs that stand by themselves.
+        alpha: the level of the test: `holds` is False for smaller p-values.
+        within: what several runs share, such as blocks; the test needs independent runs, and is then not computed.
     """
     what = f"{LEVENE} test"
     if within:
-        # With blocks that vary three times as much as runs it hardly ever finds anything, whatever the spreads.
+        # With blocks that vary three times as much as runs, the test has hardly any power, whatever the spreads.
         return NotComputed(
             what, f"all groups also have the spread of {enumerated(within)}, which hides how theirs differ."
         )
@@ -92,7 +92,7 @@ def equal_variances(groups: Sequence[Group], alpha: float, within: Sequence[str]
         return NotComputed(what, "there is only one group.")
     if min(map(len, samples)) < _LEAST_FOR_VARIANCE:
         return NotComputed(what, "a group has a single value, which has no variance.")
-    # So are any two values, but for rounding.
+    # Two values are always equally far from their median, except for rounding.
     if all(np.ptp(np.abs(each - np.median(each))) <= _SAME * np.max(np.abs(each)) for each in samples):
         return NoVariation(what, "within each group all values are equally far from the median.")
     with quiet():
@@ -107,7 +107,7 @@ def equal_variances(groups: Sequence[Group], alpha: float, within: Sequence[str]
 
 
 def quantile_pairs(residuals: Floats, run_ids: Sequence[str]) -> QuantilePairs | None:
-    """Return the points of a normal Q-Q figure, as R's `qqnorm` and `qqline` draw them; None for fewer than three."""
+    """Return the points of a normal Q-Q plot, as R's `qqnorm` and `qqline`; None for fewer than three values."""
     count = len(residuals)
     if count < _LEAST or np.ptp(residuals) == 0:
         return None

@@ -1,9 +1,9 @@
-"""The batches of an extended experiment as fixed strata: runs are compared within each, and never across.
+"""The batches of an extended experiment as fixed strata: runs are compared within batches only.
 
-The mean of a combination is a weighted mean of its means within batches, with the same weights for all combinations, so
-that whatever shifts a whole batch leaves every difference exactly. The weights come from the numbers of runs alone:
-those with which differences vary least where spreads are equal. For two treatments they are those of least squares with
-a constant for each batch.
+The mean of a combination is a weighted mean of its means within batches. The weights are the same for all combinations,
+so a shift of a whole batch cancels exactly in every difference. The weights depend on the numbers of runs alone, and
+minimise the variance of differences if spreads are equal. For two treatments they equal those of least squares with a
+constant for each batch.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
 
 class Comparable(NamedTuple):
-    """What of a measure can be compared within batches.
+    """The part of a measure's data that can be compared within batches.
 
     Attributes:
-        data: without the runs, and without the factors, that cannot be told apart from a batch.
-        note: what was done with the batches; empty where there is only one.
-        missing: what cannot be told apart from them.
+        data: the data without the runs and the factors that are confounded with batches.
+        note: how the batches were treated; empty for a single batch.
+        missing: the effects and comparisons that are confounded with batches.
     """
 
     data: MeasureData
@@ -42,10 +42,10 @@ class Comparable(NamedTuple):
 
 
 def batch_shares(counts: Floats) -> Floats:
-    """Return how much each batch counts, summing up to 1; a batch that lacks a combination does not count.
+    """Return the weight of each batch, summing up to 1; a batch that lacks a combination has the weight 0.
 
     Args:
-        counts: how many runs there are, (combinations, batches).
+        counts: the numbers of runs, (combinations, batches).
 
     Example:
         >>> batch_shares(np.array([[3.0, 1.0, 4.0], [3.0, 1.0, 0.0]])).tolist()
@@ -57,16 +57,17 @@ def batch_shares(counts: Floats) -> Floats:
 
 
 def run_counts(cell: Numbers, batch: Numbers) -> Numbers:
-    """Return how many runs there are, (cells, batches)."""
+    """Return the numbers of runs, (cells, batches)."""
     counts = np.zeros((cell.max() + 1, batch.max() + 1), dtype=np.intp)
     np.add.at(counts, (cell, batch), 1)
     return counts
 
 
 def weights_in_blocks(block: Numbers, cell: Numbers, batches: Numbers, cells: int) -> Floats:
-    """Return the weight of each run in the mean of its cell in its block: batches count alike for all cells of a block.
+    """Return the weight of each run in the mean of its cell in its block.
 
-    So what a batch adds leaves the differences within a block. Runs of a batch that lacks a cell there weigh nothing.
+    Batches have the same weights for all cells of a block, so batch effects cancel in differences within the block.
+    Runs of a batch that lacks a cell of the block have the weight 0.
     """
     _, batch = np.unique(batches, return_inverse=True)
     counts = np.zeros((block.max() + 1, cells, batch.max() + 1))
@@ -76,10 +77,10 @@ def weights_in_blocks(block: Numbers, cell: Numbers, batches: Numbers, cells: in
 
 
 def comparable(data: MeasureData) -> Comparable:
-    """Return what can be compared within the batches of a measure's runs.
+    """Return the data that can be compared within the batches of a measure's runs.
 
-    Factors that are constant within every batch are left out. Of combinations that no batch connects, the most are
-    kept. Then, if they suffice, only batches that hold all of these combinations are.
+    Factors that are constant within every batch are left out. If batches do not connect all combinations, the largest
+    connected set is kept. Then only batches with all of these combinations are kept, if they have enough runs.
     """
     if not data.is_extended:
         return Comparable(data)
@@ -139,10 +140,11 @@ def _combinations(data: MeasureData, rows: NDArray[np.bool_]) -> list[str]:
 
 
 def _connected(data: MeasureData) -> NDArray[np.bool_]:
-    """Return which runs are of the most combinations that batches connect; of as many, the most runs, then the later.
+    """Return which runs belong to the largest set of combinations that batches connect.
 
-    Differences of combinations can be estimated beside the batches where, and only where, these connect them (Searle,
-    Linear Models, 1971, section 7.4).
+    Of sets with as many combinations, the one with the most runs is taken, then the later one. Differences of
+    combinations are estimable beside batch effects if and only if batches connect them (Searle, Linear Models, 1971,
+    section 7.4).
     """
     cell, batch = _cells(data), data.batches
     parts = cell.copy()
@@ -157,7 +159,7 @@ def _connected(data: MeasureData) -> NDArray[np.bool_]:
 
 
 def _complete(data: MeasureData) -> NDArray[np.bool_]:
-    """Return which runs are of batches that hold all combinations, or all runs where those do not suffice."""
+    """Return which runs belong to batches with all combinations, or all runs if those are too few."""
     cell, batch = _cells(data), data.batches
     all_of_it = np.ones(len(cell), dtype=bool)
     holding = [each for each in set(batch.tolist()) if len(set(cell[batch == each])) == len(set(cell))]

@@ -1,11 +1,10 @@
-"""The layout of an experiment: which means are compared by which contrasts. It is told by the design alone.
+"""The layout of an experiment: which means are compared by which contrasts. It follows from the design alone.
 
-Runs of their own are compared as they are. In blocks, the runs of a combination within a block are reduced to their
-mean, so that blocks are the units: what differs between blocks by chance, their response to treatments included, is the
-chance that effects are compared with.
+Independent runs are compared directly. With blocks, the runs of a combination within a block are reduced to their mean,
+so that blocks are the units: the variation between blocks, in their response to treatments as well, is the error.
 
-Of fractions, covering arrays and factorials with gaps, which do not have all combinations of the factors, those that
-there are are listed. Effects are then those that least squares estimate from the means of combinations.
+Fractions, covering arrays and incomplete factorials do not have all combinations of the factors, so their combinations
+are listed. Effects are then the least-squares estimates from the means of combinations.
 """
 
 from __future__ import annotations
@@ -40,13 +39,13 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.analysis.statistics.contrasts import Moments
 
-#: Interactions of more factors can hardly be interpreted.
+#: The most factors of an interaction: larger ones can hardly be interpreted.
 MOST_FACTORS = 3
 
-#: A mean for each of more combinations takes long to compute, and nobody can read them.
+#: The most combinations that get a mean each: more take long to compute, and nobody can read them.
 _MOST_CELLS = 500
 
-#: Of the blocks, the share that has to be complete so that the others are left out.
+#: The share of blocks that must be complete if the others are to be left out.
 COMPLETE = 0.75
 
 _PAIR = 2
@@ -57,7 +56,7 @@ ALONE = np.ones((1, 1))
 
 @dataclass(frozen=True, slots=True)
 class EffectContrast:
-    """The contrasts that an effect consists of, orthonormal: of groups of units, and of the cells within each.
+    """The orthonormal contrasts of an effect: between groups of units, and between the cells within each.
 
     Attributes:
         factors: one name, or several for an interaction.
@@ -72,22 +71,22 @@ class EffectContrast:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Layout:
-    """How runs make up the means that are compared.
+    """How runs are combined into the means that are compared.
 
     Attributes:
         factors: the factors, with their treatments.
         between: the factors that differ between units; the others differ within each.
-        is_blocked: whether units are blocks; else each run is one.
-        rows: which runs are used, by their place among the runs with a value; sorted by unit and cell.
+        is_blocked: whether units are blocks; else each run is a unit.
+        rows: the indices of the used runs among the runs with a value; sorted by unit and cell.
         starts: where each cell of a unit begins among `rows`.
-        sizes: how many units each group has; units are sorted by group.
-        effects: what is tested, main effects first.
-        left_out: runs of blocks that are not complete.
+        sizes: the number of units in each group; units are sorted by group.
+        effects: the tested effects, main effects first.
+        left_out: the runs of incomplete blocks.
         is_replicated: whether a cell of a block has several runs.
-        batches: the batch of each of `rows`, where there are several; those of a cell are sorted by it.
-        row_weights: of each of `rows` in the mean of its cell, where there are several batches.
-        terms, inverse: where combinations are listed, the effects of the model, and what makes its coefficients of
-            the means of combinations.
+        batches: the batch of each of `rows`, by which the rows of a cell are sorted; None for a single batch.
+        row_weights: the weight of each of `rows` in the mean of its cell in a block; None for a single batch.
+        terms, inverse: where combinations are listed, the effects of the model, and the matrix that maps the means of
+            combinations to its coefficients.
     """
 
     factors: Factors
@@ -111,15 +110,15 @@ class Layout:
 
     @property
     def cells(self) -> int:
-        """How many combinations there are."""
+        """The number of combinations."""
         return len(self.sizes) * self.factors.only(self.within).count
 
     def moments(self, values: Floats, estimand: Estimand = Estimand.MEAN) -> Moments:
-        """Return the means of all cells with their errors.
+        """Return the means of all cells with their squared standard errors.
 
         Args:
-            values: of all runs that have one, (..., runs).
-            estimand: what is estimated of each cell.
+            values: of all runs with a value, (..., runs).
+            estimand: the estimand of each cell.
         """
         if self.is_blocked:
             return moments_of_units(self.units(values, estimand), self.sizes)
@@ -143,7 +142,7 @@ class Layout:
         return np.asarray(cells.reshape(*cells.shape[:-1], int(self.sizes.sum()), -1))
 
     def averaged_out(self, values: Floats, estimand: Estimand = Estimand.MEAN) -> AveragedOut:
-        """Return what of the variance of a run the means of cells in blocks leave out."""
+        """Return the part of the variance of a run that is averaged out in the means of cells in blocks."""
         unit = np.repeat(np.arange(len(self.starts)), np.diff(np.append(self.starts, len(self.rows))))
         return averaged_out(self._taken(values, estimand), unit, self.row_weights, self.batches)
 
@@ -157,7 +156,7 @@ class Layout:
         return counts, batch_shares(counts.astype(np.float64))
 
     def variance_per_error(self, estimand: Estimand) -> Floats:
-        """Return what the squared error of each unit's mean is multiplied by, to be the variance of one value."""
+        """Return the factor from the squared standard error of each group's mean to the variance of a single value."""
         strata = None if self.is_blocked else self._strata
         if strata is None:
             return winsorised_sizes(self.sizes) if estimand is Estimand.TRIMMED_MEAN else self.sizes.astype(np.float64)
@@ -169,10 +168,10 @@ class Layout:
         return np.asarray(ratio / np.sum(shares**2 / left, axis=1) / WINSORISED**2)
 
     def weights(self, treatments: dict[str, str]) -> Floats:
-        """Return the weights of the cells in the mean of some treatments, each combination counting the same.
+        """Return the weights of the cells in a marginal mean, equal for all its combinations.
 
         Args:
-            treatments: by factor; over the treatments of all other factors the mean is taken.
+            treatments: by factor; the treatments of all other factors are averaged over.
         """
         if self.inverse is not None:
             return np.asarray((self.factors.row(self.terms, treatments) @ self.inverse)[:, None])
@@ -184,9 +183,9 @@ class Layout:
 
 
 def relative_ranks(values: Floats, batches: Numbers | None = None) -> Floats:
-    """Return ranks as shares, 0..1: a mean of them is how probably a value is larger than one of all runs.
+    """Return ranks as shares, 0..1: their mean is the probability that a value is larger than that of a random run.
 
-    Of several batches ranks are those within each (van Elteren 1960).
+    With several batches, ranks are within each (van Elteren 1960).
     """
     if batches is not None:
         ranks = np.empty(values.shape)
@@ -197,9 +196,9 @@ def relative_ranks(values: Floats, batches: Numbers | None = None) -> Floats:
 
 
 def layout_of(data: MeasureData) -> Layout | None:
-    """Return the layout of a measure's runs; None where some means or their spread are not known.
+    """Return the layout of a measure's runs; None where some means or their variance cannot be estimated.
 
-    Then a model has to share what is known: of combinations without runs or with a single one, of incomplete blocks.
+    This is so for combinations without runs or with a single one, and for incomplete blocks: then a model is fitted.
     """
     factors = data.treatments
     if factors.count > _MOST_CELLS:
@@ -218,7 +217,7 @@ def _independent(factors: Factors, codes: dict[str, Numbers], batches: Numbers |
         _, batch = np.unique(batches, return_inverse=True)
         counts = run_counts(cell, batch)
         if not counts.all() or np.any(sizes <= counts.shape[1]):
-            return None  # a batch lacks a combination, or chance has no measure within batches
+            return None  # a batch lacks a combination, or there is no estimate of error within batches
     rows = np.argsort(cell, kind="stable") if batches is None else np.lexsort((batches, cell))
     starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
     effects = _effects(factors, tuple(factors))
@@ -245,11 +244,11 @@ def _blocked(
     between = tuple(name for name in factors if _is_constant(codes[name], block, count))
     within = tuple(name for name in factors if name not in between)
     if not factors.is_apart(between):
-        return None  # blocks do not hold the same combinations: a model takes them out
+        return None  # blocks do not have the same combinations: a model adjusts for blocks
     of_units, of_cells = factors.only(between), factors.only(within)
     cell, group = of_cells.numbers(codes), of_units.numbers(codes)
     if between and batches is not None:
-        return None  # units would have to be stratified: a model takes the batches out
+        return None  # units would have to be stratified: a model adjusts for batches
     weights = None if batches is None else weights_in_blocks(block, cell, batches, of_cells.count)
     held = np.zeros((count, of_cells.count), dtype=np.intp)
     counts = np.ones(len(cell), dtype=bool) if weights is None else weights > 0
@@ -299,12 +298,12 @@ def _effects(factors: Factors, between: Sequence[str]) -> tuple[EffectContrast, 
 
 
 def listed_layout(factors: Factors, codes: Mapping[str, Numbers], terms: Sequence[Term]) -> Layout | None:
-    """Return the layout of runs; None where a combination has a single one, or its effects cannot be told apart.
+    """Return the layout of runs; None where a combination has a single run, or effects are not estimable.
 
     Args:
         factors: the factors, with their treatments.
-        codes: the number of each run's treatment, by factor.
-        terms: the effects that are tested.
+        codes: the index of each run's treatment, by factor.
+        terms: the tested effects.
     """
     listed = np.stack([codes[name] for name in factors], axis=1)
     cells, cell = np.unique(listed, axis=0, return_inverse=True)
@@ -322,7 +321,7 @@ def listed_layout(factors: Factors, codes: Mapping[str, Numbers], terms: Sequenc
         rows = inverse[start : start + columns.shape[1]]
         start += columns.shape[1]
         turned, triangle = np.linalg.qr(rows.T)
-        # The sign of a rotation is arbitrary; that of t is to be that of the first treatment less the second.
+        # The sign of QR's columns is arbitrary; the sign of t shall be that of the first treatment minus the second.
         effects.append(EffectContrast(term, without_rounding((turned * np.sign(np.diag(triangle))).T), ALONE))
     return Layout(
         factors,
@@ -338,12 +337,12 @@ def listed_layout(factors: Factors, codes: Mapping[str, Numbers], terms: Sequenc
 
 
 def incomplete_layout(data: MeasureData) -> Layout | None:
-    """Return the layout of a factorial some of whose combinations have no run, and the others two and more.
+    """Return the layout of an incomplete factorial: some combinations have no run, the others two or more.
 
-    Interactions of two factors are among its effects where all of them can be told apart from each other, else none is.
+    Interactions of two factors are included if all of them are estimable, else none is.
 
     Returns:
-        None of anything else: of blocks, of several batches, and where the combinations do not tell main effects apart.
+        None for anything else: blocks, several batches, and combinations whose main effects are not estimable.
     """
     if data.is_blocked or data.is_extended or len(data.factors) < _PAIR:
         return None

@@ -1,4 +1,4 @@
-"""What is known of the mean of each cell of a layout: means, or trimmed means, with their errors."""
+"""Means or trimmed means of the cells of a layout, with their squared standard errors."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.contrasts import Moments
 from robot_runner.core.design.analysis_plan import Estimand
 
-#: The standard deviation of normal values in those that are left of them by winsorising a fifth at either end (Algina,
-#: Keselman and Penfield, An alternative to Cohen's standardized mean difference effect size, 2005).
+#: The standard deviation of standard normal values after winsorising a fifth at either end (Algina, Keselman and
+#: Penfield, An alternative to Cohen's standardized mean difference effect size, 2005).
 WINSORISED = 0.642
 
-#: The share that is cut off at either end for a trimmed mean (Wilcox, Introduction to Robust Estimation, 2012).
+#: The share that a trimmed mean cuts off at either end (Wilcox, Introduction to Robust Estimation, 2012).
 _TRIMMED = 0.2
 
-#: What is left of a batch's column that tells nothing within units, but for rounding.
+#: Singular values of batch columns within units below this are rounding.
 _ROUNDING = 1e-9
 
 
 def trimmed_from(size: int) -> int:
-    """Return how many of so many values are cut off at either end."""
+    """Return how many of `size` values a trimmed mean cuts off at either end."""
     return int(_TRIMMED * size)
 
 
@@ -42,7 +42,7 @@ def moments_of_runs(values: Floats, sizes: Numbers, estimand: Estimand) -> Momen
 
 
 def moments_of_strata(values: Floats, counts: Numbers, shares: Floats, estimand: Estimand) -> Moments:
-    """Return the moments of independent runs, sorted by cell and batch; each cell has one variance in all batches."""
+    """Return the moments of independent runs, sorted by cell and batch; a cell has the same variance in all batches."""
     ends = np.cumsum(counts).reshape(counts.shape)
     found = [
         _stratum(values[..., end - size : end], estimand) for end, size in zip(ends.flat, counts.flat, strict=True)
@@ -58,47 +58,47 @@ def moments_of_strata(values: Floats, counts: Numbers, shares: Floats, estimand:
 
 
 class SpreadPart(NamedTuple):
-    """An independent part of the variance of a run, with its degrees of freedom."""
+    """An independent component of the variance of a run, with its degrees of freedom."""
 
     variance: float
     freedom: float
 
 
 def freedom_of(parts: Sequence[SpreadPart]) -> float:
-    """Return the degrees of freedom of the sum of the parts (Satterthwaite 1946)."""
+    """Return the degrees of freedom of the sum of the components (Satterthwaite 1946)."""
     return sum(part.variance for part in parts) ** 2 / sum(part.variance**2 / part.freedom for part in parts)
 
 
 class AveragedOut(NamedTuple):
-    """What of the variance of a run the means of units leave out: the share 1 - 1 / n of that within a unit.
+    """The part of the variance of a run that the means of units average out: 1 - 1 / n of that within a unit.
 
-    With it, an effect is in standard deviations of runs, however many of them a unit has.
+    It is added so that effects are in standard deviations of runs, whatever the number of runs in a unit.
     """
 
     variance: Floats
     freedom: float
 
     def beside(self, *own: SpreadPart) -> tuple[SpreadPart, ...]:
-        """Return the parts of the variance of a run, of which the means of units have their own."""
+        """Return the components of the variance of a run, given those of the means of units."""
         return (*own, SpreadPart(float(self.variance), self.freedom)) if self.variance else own
 
 
-#: Of runs that are not averaged.
+#: For runs that are not averaged.
 NOT_AVERAGED = AveragedOut(np.zeros(()), 1.0)
 
 
 def averaged_out(
     values: Floats, unit: Numbers, weights: Floats | None = None, batches: Numbers | None = None
 ) -> AveragedOut:
-    """Return what the means of units leave out of the variance of a run.
+    """Return the part of the variance of a run that the means of units average out.
 
-    Where all units have a single run, or batches tell all that differs within them, nothing is left out.
+    It is 0 if all units have a single run, or if batches explain all differences within units.
 
     Args:
         values: of the runs, (..., runs).
         unit: of each run, from 0.
-        weights: of each run in the mean of its unit; all alike if left out.
-        batches: of each run, where there are several, each of which may be shifted as a whole.
+        weights: of each run in the mean of its unit; equal if left out.
+        batches: of each run, if there are several; each may have a shift, which is removed.
     """
     order, sizes = np.argsort(unit, kind="stable"), np.bincount(unit)
     starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
@@ -119,12 +119,12 @@ def averaged_out(
 
 
 def left_of(counts: Numbers) -> Numbers:
-    """Return how many of so many values are left."""
+    """Return how many of `counts` values are left after trimming."""
     return np.asarray(counts - 2 * np.vectorize(trimmed_from)(counts), dtype=np.intp)
 
 
 def _stratum(values: Floats, estimand: Estimand) -> tuple[Floats, Floats]:
-    """Return what is estimated of a cell within a batch, and its sum of squares."""
+    """Return the estimate of a cell within a batch, and its sum of squares."""
     size = values.shape[-1]
     if estimand is Estimand.TRIMMED_MEAN and trimmed_from(size):
         left = size - 2 * trimmed_from(size)
@@ -135,13 +135,13 @@ def _stratum(values: Floats, estimand: Estimand) -> tuple[Floats, Floats]:
 
 
 def winsorised_sizes(sizes: Numbers) -> Floats:
-    """Return what squared errors of trimmed means are multiplied by, to be the variance of one normal value."""
+    """Return the factors from squared errors of trimmed means to the variance of a single normal value."""
     left = np.array([size - 2 * trimmed_from(int(size)) for size in sizes])
     return np.asarray(left * (left - 1) / (sizes.astype(np.float64) - 1) / WINSORISED**2)
 
 
 def _trimmed(values: Floats) -> tuple[Floats, Floats]:
-    """Return the trimmed mean and its squared error (Yuen 1974): of the winsorised values, for what is left."""
+    """Return the trimmed mean and its squared standard error, which the winsorised values yield (Yuen 1974)."""
     size = values.shape[-1]
     cut = trimmed_from(size)
     ordered = np.sort(values, axis=-1)
@@ -152,7 +152,7 @@ def _trimmed(values: Floats) -> tuple[Floats, Floats]:
 
 
 def moments_of_units(values: Floats, sizes: Numbers) -> Moments:
-    """Return the moments of units that hold all cells within, sorted by group: (..., units, cells)."""
+    """Return the moments of units, each with all cells and sorted by group: (..., units, cells)."""
     ends = np.cumsum(sizes)
     means, errors = [], []
     for start, end in zip(ends - sizes, ends, strict=True):

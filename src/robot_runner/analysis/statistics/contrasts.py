@@ -1,7 +1,7 @@
-"""Tests of contrasts of means whose spreads may differ: t, Welch-James, ANOVA-type and within blocks.
+"""Tests of contrasts of means with unequal variances: t, Welch-James, ANOVA-type and within blocks.
 
-Everything here takes arrays with any number of leading axes, one experiment each, so that the error rates of these very
-functions can be simulated (`python -m benchmarks statistics`).
+All functions take arrays with any number of leading axes, one entry for each experiment, so that their error rates can
+be simulated (`python -m benchmarks statistics`).
 
 Sources: Welch, The generalization of Student's problem when several different population variances are involved
 (Biometrika 34, 1947) and On the comparison of several mean values (Biometrika 38, 1951); Johansen, The Welch-James
@@ -23,46 +23,47 @@ from scipy import stats
 
 from robot_runner.analysis.arrays import Floats
 
-#: How often a bootstrap draws: p-values are then known to about 0.002 near 0.05.
+#: The number of bootstrap draws: the standard error of p-values near 0.05 is then about 0.002.
 DRAWS = 9999
-#: Drawn at once, to bound the memory that it takes.
+#: The most values that are drawn at once, to limit memory.
 _AT_ONCE = 2_000_000
 
-#: The most blocks whose signs are flipped: in 8,192 patterns.
+#: The most blocks for sign flips, which then have 8,192 patterns.
 MOST_FLIPPED = 14
-#: Sums of squares that are the same but for rounding.
+#: Sums of squares whose relative difference is less are equal, except for rounding.
 _SAME = 1e-9
 
-#: P-values are the same each time they are computed.
+#: A fixed seed, so that p-values are reproducible.
 _SEED = 20210525
 
-#: By simulation: below, approximations err in 7 % (six groups of five runs) to 11 % (eight of three) at 5 %.
+#: The fewest degrees of freedom per contrast for the F approximation: below, by simulation, it has 7 % (six groups of
+#: five runs) to 11 % (eight groups of three runs) false positives at 5 %.
 _FEWEST_FREEDOM = 2.3
 
-#: The order of the mean of p-values, by simulation: where they differ, lower ones err too often (-1, the harmonic mean,
-#: in 7 %), and higher ones find less (0, the geometric mean).
+#: The order of the power mean of p-values, chosen by simulation: lower orders have too many false positives (-1, the
+#: harmonic mean: 7 % at 5 %), and higher ones have less power (0, the geometric mean).
 _ORDER = -1 / 3
 
-#: Larger matrices take too long to invert thousands of times.
+#: The most contrasts for a bootstrap: larger matrices take too long to invert thousands of times.
 _MOST_INVERTED = 12
 
-#: Of the variance that a sum of cells would have if these were independent, or of the largest weight: what is less is
-#: left behind by rounding.
+#: A variance below this share of the one that independent cells would have is rounding; so is a weight below this share
+#: of the largest.
 _ROUNDED = 1e-13
-#: Of means: by so much, some units in the last place, those of the same values differ, and no others.
+#: The relative difference, some units in the last place, up to which two means are those of the same values.
 _LAST_PLACES = 1e-15
 
-#: Standard deviations of contrasts that differ by more are none: two and more cells have no spread at all.
+#: The largest ratio of standard deviations of contrasts: above it the smaller is 0, as two or more cells do not vary.
 _SINGULAR = 1e6
 
 
 class Moments(NamedTuple):
-    """What is known of the mean of each cell.
+    """The means of cells and their covariance.
 
     Attributes:
         means: (..., groups, cells within a group).
         errors: the covariance of these means, (..., groups, cells, cells); groups are independent.
-        freedom: degrees of freedom of the covariance, one a group.
+        freedom: degrees of freedom of the covariance, one for each group.
     """
 
     means: Floats
@@ -79,16 +80,16 @@ class Contrast(NamedTuple):
 
     @property
     def t_value(self) -> Floats:
-        """The difference in standard errors."""
+        """The estimate divided by its standard error."""
         return np.asarray(self.estimate / self.error)
 
     @property
     def p_value(self) -> Floats:
-        """Of both sides."""
+        """The two-sided p-value."""
         return np.asarray(2 * stats.t.sf(np.abs(self.t_value), self.freedom))
 
     def reach(self, alpha: float) -> float:
-        """Return how far an interval of 1 - alpha reaches to either side of the difference."""
+        """Return the half-width of the confidence interval of level 1 - alpha."""
         return float(self.error) * float(stats.t.ppf(1 - alpha / 2, float(self.freedom)))
 
 
@@ -102,28 +103,28 @@ class Tested(NamedTuple):
 
 
 def rounding_of(values: Floats) -> float:
-    """Return how large deviations from a model are that rounding leaves behind of values, (..., values).
+    """Return how large residuals can be by rounding alone, given the values, (..., values).
 
-    They are seen beside the range of the values, and beside the values themselves: these may be far from 0.
+    The limit is relative to the range of the values, and to the values themselves, which may be far from 0.
     """
     range_of = float(np.max(np.abs(values - values.mean(axis=-1, keepdims=True))))
     return max(1e-10 * range_of, 1e-13 * float(np.max(np.abs(values))), 1e-300)
 
 
 def beyond_rounding(variances: Floats, independent: Floats) -> Floats:
-    """Return the variances of sums of cells, 0 where rounding alone makes them: all units respond alike.
+    """Return the variances of sums of cells, with 0 for those that are rounding alone: all units respond alike.
 
     Args:
-        variances: as their covariances have them.
-        independent: what they would be if the cells were independent.
+        variances: computed from the covariances.
+        independent: the variances if the cells were independent.
     """
     return np.where(variances <= _ROUNDED * independent, 0.0, variances)
 
 
 def without_rounding(weights: Floats) -> Floats:
-    """Return weights of cells, (..., cells), with 0 for those that rounding alone makes of it.
+    """Return weights of cells, (..., cells), with 0 for those that are rounding alone.
 
-    Where no other cell of a contrast varies, chance would have no other measure than these.
+    If no other cell of a contrast varies, such weights alone would determine its standard error.
     """
     return np.where(np.abs(weights) <= _ROUNDED * np.max(np.abs(weights)), 0.0, weights)
 
@@ -133,10 +134,11 @@ def contrast(moments: Moments, weights: Floats, *, is_corrected: bool = False) -
 
     Args:
         moments: of the cells.
-        weights: one a cell, (groups, cells within a group).
-        is_corrected: whether degrees of freedom are a ratio of unbiased estimates, and no more than equal variances
-            would have: of two runs each, by simulation, those of Satterthwaite find 2 % at 5 %, and these 4 to 5 % (up
-            to 9 % where one combination varies four times as much, and less where one has most of the weight).
+        weights: of each cell, (groups, cells within a group).
+        is_corrected: whether degrees of freedom are a ratio of unbiased estimates, and no more than for equal
+            variances: with two runs each, by simulation, Satterthwaite's have 2 % false positives at 5 %, and these 4
+            to 5 % (up to 9 % where one combination varies four times as much, and less where one has most of the
+            weight).
     """
     weights = without_rounding(weights)
     estimate = np.einsum("gc,...gc->...", weights, moments.means)
@@ -166,16 +168,16 @@ def along(moments: Moments, within: Floats) -> Moments:
 
 
 def welch_james(moments: Moments, between: Floats) -> Tested | None:
-    """Test several contrasts at once, where each group has a variance of its own (Johansen 1980).
+    """Test several contrasts at once, with a separate variance for each group (Johansen 1980).
 
-    For the groups of one factor it is Welch's ANOVA of 1951, for a single contrast the square of Welch's t.
+    For the groups of one factor it is Welch's ANOVA of 1951, and for a single contrast the square of Welch's t.
 
     Args:
         moments: of groups of one cell each.
         between: the contrasts of groups, (contrasts, groups).
 
     Returns:
-        None where it is not defined, as two and more groups have no spread.
+        None if it is not defined, because two or more groups do not vary.
     """
     means, variances = moments.means[..., 0], moments.errors[..., 0, 0]
     found = _wald(means, variances, between)
@@ -190,10 +192,11 @@ def welch_james(moments: Moments, between: Floats) -> Tested | None:
 
 
 def combined(p_values: Sequence[Floats]) -> Floats:
-    """Return one p-value of several of the same hypothesis: their power mean of order -1/3 (Vovk and Wang 2020).
+    """Combine several p-values of the same hypothesis by their power mean of order -1/3 (Vovk and Wang 2020).
 
-    It is the p-value itself where they agree, and never below the smallest, so that two tests together err at most
-    twice as often as each, whatever their dependence; where spreads are equal they agree, and little is lost.
+    Equal p-values are returned as they are, and the result is never below the smallest. So two tests together have at
+    most twice the error rate of each, whatever their dependence. With equal variances they agree, and little power is
+    lost.
 
     Example:
         >>> [round(float(combined(np.array(each))), 3) for each in ([0.04, 0.04], [0.01, 0.5])]
@@ -204,14 +207,14 @@ def combined(p_values: Sequence[Floats]) -> Floats:
 
 
 def _wald(means: Floats, variances: Floats, between: Floats) -> tuple[Floats, Floats] | None:
-    """Return Wald's statistic, and the share that each group has in the projection: its leverage."""
+    """Return Wald's statistic, and the leverage of each group."""
     if len(between) == means.shape[-1] - 1 and np.all(variances > 0):
-        # All contrasts of the groups at once: no matrix is to be taken apart.
+        # All contrasts of the groups at once: no decomposition is needed.
         inverses = 1 / variances
         total = inverses.sum(axis=-1, keepdims=True)
         centre = np.sum(inverses * means, axis=-1, keepdims=True) / total
         return np.sum(inverses * (means - centre) ** 2, axis=-1), 1 - inverses / total
-    # Of contrasts times standard deviations: their covariance would square what these differ by.
+    # Decompose contrasts times standard deviations: their covariance would have the square of the condition number.
     scaled = between * np.sqrt(variances)[..., None, :]
     if not np.isfinite(scaled).all():
         return None
@@ -223,14 +226,14 @@ def _wald(means: Floats, variances: Floats, between: Floats) -> tuple[Floats, Fl
 
 
 def can_be_bootstrapped(between: Floats) -> bool:
-    """Return whether a bootstrap takes no longer than a reader waits: so many matrices are to be inverted."""
+    """Return whether a bootstrap is fast enough, given the size of the matrices to invert."""
     return len(between) == between.shape[1] - 1 or len(between) <= _MOST_INVERTED
 
 
 def is_crowded(freedom: Floats, between: Floats) -> bool:
-    """Return whether groups are too many for their runs, so that Johansen's approximation errs too often.
+    """Return whether groups are too many for their runs, so that Johansen's approximation is too liberal.
 
-    It looks at the numbers of runs alone: at the degrees of freedom that equal spreads would have.
+    This depends on the numbers of runs alone: on the degrees of freedom under equal variances.
 
     Args:
         freedom: degrees of freedom of each group.
@@ -246,14 +249,15 @@ def is_crowded(freedom: Floats, between: Floats) -> bool:
 
 
 def bootstrapped(test: Callable[[Moments], Floats], moments: Moments, draws: int = DRAWS) -> Floats:
-    """Return how often a test finds less in experiments without any effect (Krishnamoorthy, Lu and Mathew 2007).
+    """Return the parametric-bootstrap p-value of a test (Krishnamoorthy, Lu and Mathew 2007).
 
-    These have the variances that were found, and so the p-value hangs on no approximation by an F distribution.
+    It is the share of simulated experiments without an effect whose p-value is at most the observed one. They have the
+    estimated variances, so the p-value does not depend on an approximation by an F distribution.
 
     Args:
         test: returns the p-value of an effect.
         moments: of groups of one cell each.
-        draws: how many experiments are drawn.
+        draws: the number of simulated experiments.
     """
     random = np.random.default_rng(_SEED)
     p_value, variances = test(moments), moments.errors[..., 0, 0]
@@ -276,15 +280,15 @@ def _parts(total: int, size: int) -> Iterator[int]:
 def box(moments: Moments, between: Floats, within: Floats, *, is_corrected: bool = False) -> Tested:
     """Test several contrasts by the sum of their squares, with Box's degrees of freedom.
 
-    For independent runs it is the ANOVA-type statistic of Brunner, Dette and Munk (1997); within blocks it is the
-    analysis of variance as corrected by Greenhouse and Geisser.
+    For independent runs this is the ANOVA-type statistic of Brunner, Dette and Munk (1997). Within blocks it is the
+    analysis of variance with the correction of Greenhouse and Geisser.
 
     Args:
         moments: of the cells.
         between: the contrasts of groups, orthonormal, (contrasts, groups).
         within: the contrasts of the cells within each group, orthonormal, (contrasts, cells).
         is_corrected: whether degrees of freedom are a ratio of unbiased estimates, as those of Huynh and Feldt within
-            one group of blocks: less careful, and nearer to alpha.
+            one group of blocks: less conservative, and nearer to alpha.
     """
     differences = np.einsum("ag,...gc,bc->...ab", between, moments.means, within)
     spread = np.einsum("ac,...gcd,bd->...gab", within, moments.errors, within)
@@ -301,7 +305,7 @@ def box(moments: Moments, between: Floats, within: Floats, *, is_corrected: bool
         squares = unbiased
     with np.errstate(divide="ignore"):
         freedom, rest = total / crossed, total / np.sum(squares / moments.freedom, axis=-1)
-    if is_corrected:  # what the true ones lie between
+    if is_corrected:  # the bounds of the true degrees of freedom
         freedom = np.clip(freedom, 1.0, len(between) * len(within))
         rest = np.clip(rest, moments.freedom.min(), moments.freedom.sum() * len(within))
     f_value = np.sum(differences**2, axis=(-2, -1)) / own
@@ -309,12 +313,13 @@ def box(moments: Moments, between: Floats, within: Floats, *, is_corrected: bool
 
 
 def sign_flipped(contrasts: Floats) -> Floats:
-    """Return the p-value of several contrasts within blocks by flipping the signs of blocks, in all patterns.
+    """Return the p-value of several contrasts within blocks by sign flips of the blocks, in all patterns.
 
-    Without an effect, what a block has of the contrasts is as probable with the other sign, if it is symmetric about 0,
-    whatever the covariances: as it is of normal values, and of treatments that are exchangeable within blocks. So the
-    share of patterns whose sum is as far from 0 is an exact p-value (Fisher, The Design of Experiments, 1935; of
-    vectors: Chung and Fraser, Randomization tests for a multivariate two-sample problem, JASA 53, 1958).
+    Without an effect, the contrasts of a block are as probable with the opposite sign if their distribution is
+    symmetric about 0, whatever the covariances. This is so for normal values, and for treatments that are exchangeable
+    within blocks. So the share of patterns whose sum is at least as far from 0 is an exact p-value (Fisher, The Design
+    of Experiments, 1935; for vectors: Chung and Fraser, Randomization tests for a multivariate two-sample problem, JASA
+    53, 1958).
 
     Args:
         contrasts: of each block, (..., blocks, contrasts), orthonormal.
@@ -322,7 +327,7 @@ def sign_flipped(contrasts: Floats) -> Floats:
     blocks = contrasts.shape[-2]
     observed = np.sum(contrasts.sum(axis=-2) ** 2, axis=-1) * (1 - _SAME)
     as_far = np.zeros(observed.shape)
-    for pattern in range(2 ** (blocks - 1)):  # with the opposite signs all sums are the same
+    for pattern in range(2 ** (blocks - 1)):  # the opposite pattern has the same sums of squares
         signs = np.array([1.0, *(1.0 - 2 * (pattern >> place & 1) for place in range(blocks - 1))])
         as_far += np.sum(np.einsum("b,...bc->...c", signs, contrasts) ** 2, axis=-1) >= observed
     return np.asarray(as_far / 2 ** (blocks - 1))
@@ -335,7 +340,7 @@ def _unbiased(traces: Floats, squares: Floats, freedom: Floats, count: int) -> F
         traces: of the covariances of each group.
         squares: the traces of their squares.
         freedom: their degrees of freedom.
-        count: their order; of order 1 the square of a trace is the trace of the square.
+        count: their order; for order 1, the square of a trace is the trace of the square.
     """
     if count == 1:
         return squares * freedom / (freedom + 2)

@@ -1,4 +1,4 @@
-"""How measures go together, and whether they drift over the order of execution."""
+"""Correlations of measures, and their drift over the order of execution."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 _LEAST = 4
 _LEVEL = 0.95
 
-#: Of so few values all orders are looked at: by Student's t four that rise together have p = 0, and it is 2 in 24.
+#: Up to this many values, p-values are exact, from all permutations: for four values that rise together, Student's t
+#: yields p = 0, and the exact p-value is 2/24.
 _MOST_PERMUTED = 8
 
 
@@ -41,8 +42,8 @@ def correlations_of(
 ) -> tuple[tuple[Correlation, ...], tuple[NotComputed, ...]]:
     """Correlate each pair of measures, over all runs and within combinations of treatments.
 
-    Where several runs are of one block, plot, subject or batch there is neither p-value nor interval: these take runs
-    that stand by themselves.
+    If several runs share a block, plot, subject or batch, there is neither p-value nor interval: these need independent
+    runs.
     """
     found: list[Correlation] = []
     missing: list[NotComputed] = []
@@ -62,7 +63,7 @@ class _Correlated:
 
     @cached_property
     def residuals(self) -> Mapping[str, float]:
-        """What is left of each run's value once the means of the combinations are taken away, by the run's id."""
+        """The residual of each run from its model, by the run's id."""
         return dict(zip(self.data.frame[RUN_ID], residuals_of(self.data)[0], strict=True))
 
 
@@ -84,7 +85,7 @@ def _correlation(one: _Correlated, other: _Correlated) -> Correlation | NotCompu
     if not math.isfinite(pearson.statistic) or not math.isfinite(p_value):
         return NotComputed(what, "the values hardly vary.")
     interval = Interval(float(ends.low), float(ends.high), _LEVEL, "Fisher's z")
-    # Of runs in six rooms that differ, half of all pairs of measures seem to go together that do not.
+    # With runs in six rooms that differ, half of all pairs of uncorrelated measures would seem correlated.
     units = [name for name in first.unit_names if name] or (list(map(str, first.batches)) if first.is_extended else [])
     is_known = len(set(units)) == len(units)
     return Correlation(
@@ -102,7 +103,7 @@ def _correlation(one: _Correlated, other: _Correlated) -> Correlation | NotCompu
 
 
 def spearman(x: Floats, y: Floats) -> tuple[float, float]:
-    """Return Spearman's rho and its p-value: of few values the share of orders that go together as closely.
+    """Return Spearman's rho and its p-value, which is exact, from all permutations, for few values.
 
     Example:
         >>> [round(each, 3) for each in spearman(np.arange(4.0), np.array([1.0, 2.0, 4.0, 8.0]))]
@@ -123,7 +124,7 @@ def _orders(count: int) -> Numbers:
 
 
 def _within(one: _Correlated, other: _Correlated) -> float | None:
-    """Return Pearson's r of what is left of both."""
+    """Return Pearson's r of the residuals of both measures; None without factors or without variation."""
     shared = [run_id for run_id in one.residuals if run_id in other.residuals]
     x, y = (np.array([each.residuals[run_id] for run_id in shared]) for each in (one, other))
     if not one.data.factors or any(_is_flat(left, each.data.values) for left, each in ((x, one), (y, other))):
@@ -132,29 +133,29 @@ def _within(one: _Correlated, other: _Correlated) -> float | None:
 
 
 def _is_flat(residuals: Floats, values: Floats) -> bool:
-    """Return whether residuals are nothing but rounding, beside the values."""
+    """Return whether residuals are rounding alone, relative to the values."""
     return float(np.ptp(residuals)) < 1e-12 * max(1e-300, float(np.max(np.abs(values))))
 
 
 _DRIFT_LEAST = 6  # with fewer runs no order can be significant
 _DIGITS = 9  # of places within blocks, whose means are fractions
-_SAME_PLACE = 1 - 1e-6  # within blocks two runs are one after the other from here on; less is left by runs that lack
-_TIED = 1e-9  # residuals closer than this share of the largest have one rank
+_SAME_PLACE = 1 - 1e-6  # consecutive runs within blocks differ by this at least; missing runs leave smaller ranges
+_TIED = 1e-9  # residuals that differ by less than this share of the largest are ties
 
 
 def drift_of(data: MeasureData, alpha: float, unit: str = "", *, is_ordered: bool = True) -> Drift | NotComputed:
-    """Look for a drift of the residuals over the order of execution (Spearman's rho, Theil-Sen slope).
+    """Test for a drift of the residuals over the order of execution (Spearman's rho, Theil-Sen slope).
 
     Args:
         data: the measure.
         alpha: the level of significance.
         unit: the measure's unit, for the sentence.
-        is_ordered: whether runs tell when they were executed; else the order of the table is that of the sentence.
+        is_ordered: whether the order of execution is known; else the sentence names the order of the table.
     """
     what, within = "drift over the order of execution", tuple(grouped(data))
     places, freedom = data.frame[PLACE].to_numpy(dtype=np.float64), len(data.frame) - 1
     if within:
-        # Residuals of blocks rise and fall with each: what the model takes out of values it takes out of the order.
+        # Blocks differ in their mean place as well: the order is adjusted by the same model as the values.
         left, freedom = residuals_of(data, places)
         places = np.round(left - left.min(), _DIGITS) + 1
     if freedom + 1 < _DRIFT_LEAST:
@@ -167,10 +168,10 @@ def drift_of(data: MeasureData, alpha: float, unit: str = "", *, is_ordered: boo
     if _is_flat(residuals, data.values):
         return NoVariation(what, "within each combination all values are equal.")
     step = _TIED * float(np.max(np.abs(residuals)))
-    tied = np.round(residuals / step) * step  # equal values that differ by what subtracting their means left behind
+    tied = np.round(residuals / step) * step  # subtracting means leaves rounding differences between equal values
     with quiet():
         rho, p_value = spearman(places, tied)
-        if within:  # so many runs are left to go their own way
+        if within:  # the t test with the degrees of freedom that the model leaves
             t_value = abs(rho) * np.sqrt((freedom - 1) / np.maximum(1 - rho**2, 0.0))
             p_value = float(2 * stats.t.sf(t_value, freedom - 1))
         slope = theil_sen(places, tied, _LEVEL)
@@ -196,7 +197,7 @@ def drift_of(data: MeasureData, alpha: float, unit: str = "", *, is_ordered: boo
 
 
 def _are_treatments_uneven(data: MeasureData, places: Mapping[int, float], alpha: float) -> bool:
-    """Return whether some treatments were executed rather earlier than others (Kruskal-Wallis test of the places)."""
+    """Return whether some treatments were executed earlier than others (Kruskal-Wallis test of the places)."""
     by_row = pd.Series(places).sort_index()
     by_factor = (by_row.groupby(data.frame[factor], observed=True) for factor in data.factors)
     with quiet():
@@ -205,7 +206,7 @@ def _are_treatments_uneven(data: MeasureData, places: Mapping[int, float], alpha
 
 def _warning(measure: str, unit: str, found: tuple[float, float, float], is_confounded: bool, order: str) -> str:
     slope, rho, p_value = found
-    # Of values most of which are alike, such as counts, most slopes of pairs are 0, and the median tells no direction.
+    # If most values are equal, as counts may be, the median of the pairwise slopes is 0 and has no direction.
     amount = f" by about {with_unit(abs(slope), difference_unit(unit))} a run" if slope else ""
     figures = f"rho = {shown_coefficient(rho)}, {p_in_words(p_value)}"
     head = f"{measure} {'rises' if rho > 0 else 'falls'} over the {order}{amount} ({figures})"

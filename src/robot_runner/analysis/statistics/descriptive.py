@@ -22,45 +22,45 @@ if TYPE_CHECKING:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Keep libraries from warning, of values that hardly vary say: what they cannot compute is no finite number."""
+    """Suppress warnings of libraries, such as those on values that hardly vary: check that results are finite."""
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         yield
 
 
-#: The squared variances of larger values are beyond floating-point numbers; those of smaller ones vanish.
+#: Squared variances of larger values overflow, and those of smaller ones underflow.
 _LARGEST, _SMALLEST = 1e70, 1e-70
 
-#: A bootstrap draws from so few values hardly more than their ends: its intervals would be far too narrow.
+#: The fewest values for a bootstrap: with fewer, its intervals are far too narrow.
 _LEAST_FOR_BOOTSTRAP = 5
 
-#: How often a bootstrap draws; the error of an interval's end is then well below its width.
+#: The number of bootstrap draws; the error of an interval's end is then well below its width.
 _RESAMPLES = 5000
-#: Of many values each draw takes longer, and draws differ less.
+#: From this many values on, fewer draws are made: each takes longer, and draws differ less.
 _MANY = 200
 _RESAMPLES_OF_MANY = 2000
 
-#: Intervals are the same each time they are computed.
+#: A fixed seed, so that intervals are reproducible.
 _SEED = 20210525
 
 #: Tukey's fences (Tukey, Exploratory Data Analysis, 1977): interquartile ranges beyond the quartiles.
 _FENCE = 1.5
 _OUTER_FENCE = 3.0
-#: Sums of few fractions differ by less, in steps of the last digit; whole numbers are as they were counted.
+#: Fractions that differ by no more than this many units in the last place are equal; whole numbers are exact.
 STEPS_OF_NOISE = 8
-#: What computing with values may add to them, as a share of the largest: 45 units in the last place.
+#: The rounding error of computing with values, relative to the largest: 45 units in the last place.
 _UNITS_IN_LAST_PLACE = 1e-14
 
-#: Fewer values have no spread to speak of.
+#: The fewest values that have a standard deviation.
 _LEAST_FOR_SPREAD = 2
-#: What means of units that are equal differ by once they were computed, of their size.
+#: The relative difference, by rounding, of computed means of units that are equal.
 _ROUNDING = 1e-13
 _T = "t distribution"
 _LEAST_FOR_OUTLIERS = 4
 
 
 def out_of_range(values: Floats) -> str:
-    """Return why values cannot be computed with, as what a measure has; empty where they can."""
+    """Return why values are out of the range of computation, as the predicate of a sentence; empty if they are not."""
     largest = float(np.max(np.abs(values), initial=0.0))
     if largest > _LARGEST:
         return f"has values beyond {_LARGEST:g}, too large to compute with."
@@ -70,12 +70,12 @@ def out_of_range(values: Floats) -> str:
 
 
 def step_of(values: Floats) -> float:
-    """Return how far apart neighbouring numbers are at the size of the largest value."""
+    """Return the distance of neighbouring floating-point numbers at the size of the largest value."""
     return float(np.spacing(np.max(np.abs(values))))
 
 
 def are_equal(values: Floats) -> bool:
-    """Return whether values are the same, but for what adding up leaves of fractions, such as 0.1 + 0.2.
+    """Return whether values are equal, except for rounding of sums of fractions such as 0.1 + 0.2.
 
     Example:
         >>> are_equal(np.array([0.1 + 0.2, 0.3])), are_equal(np.array([2.0**53, 2.0**53 + 2]))
@@ -92,7 +92,7 @@ def describe(group: Group, *, level_of_looks: float | None = None) -> Descriptio
 
     Args:
         group: the runs.
-        level_of_looks: the level of each interval, where runs were added until one was narrow; see `known_precision`.
+        level_of_looks: the level of each interval, if runs were added until one was narrow; see `known_precision`.
 
     Example:
         >>> from robot_runner.analysis.statistics.grouped_runs import Group
@@ -106,7 +106,7 @@ def describe(group: Group, *, level_of_looks: float | None = None) -> Descriptio
         )
         return Description(treatments=group.treatments, n=0, missing=group.missing, **nothing)
     first, median, third = (float(each) for each in np.quantile(values, [0.25, 0.5, 0.75]))
-    is_flat = np.ptp(values) == 0  # a sum of equal values may be rounded, and then their mean and their spread are
+    is_flat = np.ptp(values) == 0  # the sum of equal values may be rounded, which would change mean and spread
     return Description(
         treatments=group.treatments,
         n=len(values),
@@ -124,9 +124,9 @@ def describe(group: Group, *, level_of_looks: float | None = None) -> Descriptio
 
 
 def _mean_interval(group: Group, level_of_looks: float | None) -> Interval | None:
-    """Return Student's interval; a bootstrap's is narrower than it claims (83 % at n = 5, normal or not).
+    """Return Student's interval; that of a bootstrap is too narrow (83 % coverage at n = 5, normal or not).
 
-    Where units have several runs of the group, what varies by chance is the units.
+    If units have several runs of the group, the interval is based on units.
     """
     values = group.values
     if len(values) < _LEAST_FOR_SPREAD or np.ptp(values) == 0:
@@ -141,7 +141,7 @@ def _mean_interval(group: Group, level_of_looks: float | None) -> Interval | Non
 
 
 def _interval_of_units(group: Group, variance: float, units: int, level_of_looks: float | None) -> Interval | None:
-    """Return the interval of a mean, of units that vary as a whole; None where nothing tells how much they do."""
+    """Return the interval of a mean, based on units; None if their variance is unknown or 0."""
     mean, error = float(np.mean(group.values)), math.sqrt(variance)
     if units < _LEAST_FOR_SPREAD or error <= _ROUNDING * float(np.max(np.abs(group.values))):
         return None
@@ -156,17 +156,17 @@ def bootstrap_interval(values: Floats, statistic: Callable[..., Any], level: flo
     Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), chapter 14.
 
     Args:
-        values: what is drawn from.
-        statistic: takes an array and `axis`.
-        level: the confidence.
+        values: the sample.
+        statistic: a function of an array and `axis`.
+        level: the confidence level.
 
     Returns:
-        None for fewer than five values, or where no draw differs from another.
+        None for fewer than five values, or if all draws are equal.
     """
     if len(values) < _LEAST_FOR_BOOTSTRAP or np.ptp(values) == 0:
         return None
     for method in ("BCa", "percentile"):
-        with quiet():  # a degenerate distribution: percentiles are tried next
+        with quiet():  # for a degenerate distribution, percentiles are next
             found = stats.bootstrap(
                 (values,),
                 statistic,
@@ -183,9 +183,9 @@ def bootstrap_interval(values: Floats, statistic: Callable[..., Any], level: flo
 
 
 def rounding_of(values: Floats) -> Any:
-    """Return by how much values, shape (..., runs), may be off by rounding, shape (..., 1).
+    """Return the rounding error of values, shape (..., runs), as shape (..., 1).
 
-    One that is on a fence is not beyond it: in binary, 13.9 is not 12.7 + 1.5 (12.7 - 11.9).
+    A value on a fence is not beyond it, but in binary, 13.9 is not 12.7 + 1.5 (12.7 - 11.9).
     """
     return _UNITS_IN_LAST_PLACE * np.max(np.abs(values), axis=-1, keepdims=True)
 

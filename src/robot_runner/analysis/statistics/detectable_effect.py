@@ -1,6 +1,6 @@
-"""What the number of runs suffices for, whatever their values: the power of the observed effect is not among it.
+"""The detectable effect and the runs needed, from the numbers of runs alone, not the power of the observed effect.
 
-`analysis.planning` answers how many runs a study needs, by the report's own tests.
+`analysis.planning` computes how many runs a study needs, with the tests of the report.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ _NOTE_WITHIN = (
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """What varies by chance.
+    """The experimental units.
 
     Attributes:
-        sizes: how many of these each group has.
+        sizes: the number of units in each group.
         are_blocks: whether they are blocks; else runs.
-        are_shared: whether all groups are in each block.
+        are_shared: whether each block has all groups.
     """
 
     sizes: Sequence[int]
@@ -65,9 +65,9 @@ class Units:
 
 
 def units_of(data: MeasureData) -> Units | NotComputed:
-    """Return what varies by chance, of a measure that one factor is compared for.
+    """Return the experimental units of a measure with one factor.
 
-    Of runs in blocks these are the blocks: either each block has one treatment, or nearly each has all.
+    With blocks these are the blocks: either each block has one treatment, or nearly every block has all.
     """
     if not data.is_blocked:
         return Units([len(group.values) for group in data.groups(data.factors)])
@@ -90,7 +90,7 @@ def power_of(groups: Sequence[Group], units: Units, alpha: float) -> Power | Not
 
     Args:
         groups: the runs of each treatment.
-        units: what varies by chance.
+        units: the experimental units.
         alpha: the level of significance.
     """
     sizes = units.sizes
@@ -121,17 +121,17 @@ def power_of(groups: Sequence[Group], units: Units, alpha: float) -> Power | Not
 def repetitions_needed(
     effect: float, groups: int, *, alpha: float = 0.05, power: float = _TARGET, in_blocks: bool = False
 ) -> int | None:
-    """Return how many runs each group needs, or how many blocks, so that an effect is found with this power.
+    """Return how many runs each group needs, or how many blocks, to detect an effect with this power.
 
     Args:
         effect: Cohen's d for two groups, Cohen's f for more.
-        groups: how many groups there are.
+        groups: the number of groups.
         alpha: the level of significance.
-        power: the probability of finding the effect, 0..1.
-        in_blocks: whether groups are compared within blocks, each of which has all of them.
+        power: the probability of detecting the effect, 0..1.
+        in_blocks: whether groups are compared within complete blocks.
 
     Returns:
-        None where no reasonable number suffices.
+        None if no reasonable number suffices.
 
     Example:
         >>> repetitions_needed(0.8, groups=2)
@@ -152,7 +152,7 @@ def repetitions_needed(
 def _power(effect: float, runs: float, groups: int, alpha: float, *, in_blocks: bool = False) -> float:
     between = groups - 1
     freedom = between, (between if in_blocks else groups) * (runs - 1)  # blocks take degrees of freedom
-    # Of two groups this is the t-test, with both of its tails.
+    # For two groups this is the two-sided t-test.
     squares = runs * effect**2 / 2 if groups == 2 else runs * groups * effect**2  # noqa: PLR2004
     with quiet():
         share = float(stats.ncf.sf(stats.f.isf(alpha, *freedom), *freedom, squares))
@@ -160,7 +160,7 @@ def _power(effect: float, runs: float, groups: int, alpha: float, *, in_blocks: 
 
 
 def _detectable(runs: float, groups: int, alpha: float, *, in_blocks: bool) -> float | None:
-    """Return the smallest effect that is found with the target power; None where none is, or none can be computed."""
+    """Return the smallest effect with the target power; None if there is none, or it cannot be computed."""
 
     def lacking(effect: float) -> float:
         return _TARGET - _power(effect, runs, groups, alpha, in_blocks=in_blocks)
@@ -169,5 +169,5 @@ def _detectable(runs: float, groups: int, alpha: float, *, in_blocks: bool) -> f
         found = float(brentq(lacking, _SMALLEST, _LARGEST))
     except ValueError:  # not even the largest
         return None
-    # Beyond what the noncentral distribution computes, the power jumps to 1: that is not where the target is reached.
+    # Where the noncentral distribution cannot be computed, the power jumps to 1: this is not the target.
     return found if abs(lacking(found)) < _EXACT else None

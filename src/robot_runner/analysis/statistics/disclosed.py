@@ -1,4 +1,4 @@
-"""What a plan of analysis changes about a result, as plain data: values left out, covariates, adjusted means."""
+"""Plain data on what an analysis plan changes in a result: values left out, covariates, adjusted means."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Reason(Enum):
-    """Why the value of a run that is done is not analysed."""
+    """The reason why the value of a run that is done is not analysed."""
 
     OUTLIER = "outlier"
     DOUBTFUL = "doubtful"
@@ -23,7 +23,7 @@ class Reason(Enum):
 
 
 class Beside(Enum):
-    """What is computed once more beside the planned analysis, with one choice made otherwise."""
+    """Sensitivity analyses besides the planned analysis, each with one choice changed."""
 
     WITHOUT_DOUBTFUL = "without doubtful values"
     ALL_RUNS = "with all runs"
@@ -32,10 +32,10 @@ class Beside(Enum):
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """A value that the planned analysis of its measure leaves out; the run table keeps it.
+    """A value that the planned analysis of its measure leaves out; the run table still has it.
 
     Attributes:
-        why: as the rule says, in words.
+        why: the reason in words, by the rule of the plan.
     """
 
     run_id: str
@@ -45,22 +45,22 @@ class LeftOut:
 
 
 def runs_without_value(left_out: Iterable[LeftOut]) -> frozenset[str]:
-    """Return the runs whose value of a measure counts nowhere: not those that lack a covariate alone."""
+    """Return the runs whose value of a measure is used nowhere; those that only lack a covariate are not among them."""
     return frozenset(each.run_id for each in left_out if each.reason is not Reason.COVARIATE)
 
 
 @dataclass(frozen=True, slots=True)
 class Slope:
-    """By how much a measure changes with a covariate, beside treatments, blocks and other covariates.
+    """The slope of a measure over a covariate, adjusted for treatments, blocks and other covariates.
 
     Attributes:
         covariate: a measure, `order` or `elapsed`.
         unit: of the slope, as in `J per V`.
-        value: None where the covariate is the same in all runs (or within all blocks).
+        value: the slope; None if the covariate is the same in all runs (or within all blocks).
         interval: at 1 - alpha.
-        p_value: of a slope of 0; below alpha where the interval leaves out 0.
-        centre: the mean of the covariate, at which means are adjusted.
-        inflation: how much treatments, blocks and other covariates inflate the variance of the slope.
+        p_value: of a slope of 0; below alpha if the interval excludes 0.
+        centre: the mean of the covariate, to which means are adjusted.
+        inflation: the variance inflation factor of the slope, due to treatments, blocks and other covariates.
         treatments_p_value: of the test that the covariate does not differ between treatments, adjusted for the number
             of effects; None where it cannot be tested.
     """
@@ -79,10 +79,11 @@ class Slope:
 
 @dataclass(frozen=True, slots=True)
 class AdjustedMean:
-    """The mean of a treatment at the mean of the covariates, beside that without; each combination counts the same.
+    """The adjusted mean of a treatment, at the mean of the covariates; combinations have equal weights.
 
     Attributes:
-        interval: of the adjusted mean, at 1 - alpha; None within blocks, where only differences have one.
+        mean: without adjustment.
+        interval: of the adjusted mean, at 1 - alpha; None with blocks, where only differences have one.
     """
 
     treatments: Mapping[str, str]
@@ -101,12 +102,13 @@ class Adjustment:
     """How the comparison of a measure was adjusted for covariates.
 
     Attributes:
-        slopes: one a covariate of the plan.
-        means: one a treatment of each factor.
-        slopes_p_value: of the test that slopes are the same for all treatments; it decides nothing. None where the runs
-            do not tell.
-        spread: the standard deviation within combinations; `residual_spread` of what covariates leave of it.
-        warnings: what is doubtful about the covariates, in sentences.
+        slopes: one for each covariate of the plan.
+        means: one for each treatment of each factor.
+        slopes_p_value: of the test that slopes are the same for all treatments; nothing depends on it. None if it
+            cannot be computed.
+        spread: the standard deviation within combinations, without covariates.
+        residual_spread: the same, with covariates.
+        warnings: sentences on problems of the covariates.
     """
 
     slopes: tuple[Slope, ...]

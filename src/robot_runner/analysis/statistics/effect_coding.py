@@ -1,7 +1,7 @@
-"""Factors as numbers: effects coded so that the treatments of each factor sum up to zero.
+"""Sum coding of factors: the coefficients of the treatments of each factor sum up to zero.
 
-Then an effect is what remains on the plain average over the other factors, whatever the numbers of runs (type III), and
-a marginal mean takes no list of all combinations: what it leaves open sums up to zero.
+So an effect is the plain average over the other factors, whatever the numbers of runs (type III), and a marginal mean
+needs no list of all combinations: the effects of the other factors sum up to zero.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from scipy import linalg
 from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.core.words import enumerated
 
-#: The factors of an effect: one, or several of an interaction.
+#: The factors of an effect: one for a main effect, several for an interaction.
 Term = tuple[str, ...]
 
-#: Where each factor applies: for each factor that decides, the treatments under which it does.
+#: The conditions of conditional factors: for each parent factor, the treatments under which the factor applies.
 Conditions = dict[str, dict[str, tuple[str, ...]]]
 
 
 class Factors(dict[str, list[str]]):
-    """The factors that are compared, with the treatments of each in order; all of them apply to all runs.
+    """The compared factors with their ordered treatments; all factors apply to all runs.
 
     Attributes:
-        conditions: of factors that apply to some runs only; none here, see `NestedFactors`.
+        conditions: of conditional factors; none here, see `NestedFactors`.
 
     Example:
         >>> found = Factors({"A": ["x", "y"], "B": ["p", "q"]})
@@ -43,25 +43,25 @@ class Factors(dict[str, list[str]]):
         self.conditions = conditions or {}
 
     def only(self, names: Iterable[str]) -> Self:
-        """Return some of the factors, among which are all that decide on any of them."""
+        """Return some of the factors; their parents must be among them."""
         chosen = set(names)
         own = {name: of for name, of in self.conditions.items() if name in chosen}
         return type(self)({name: levels for name, levels in self.items() if name in chosen}, own)
 
     def is_apart(self, names: Iterable[str]) -> bool:
-        """Return whether some factors and the others do not decide on each other."""
+        """Return whether no condition links these factors with the others."""
         chosen = set(names)
         return all((name in chosen) is (parent in chosen) for name, of in self.conditions.items() for parent in of)
 
     def nested_in(self, names: Iterable[str]) -> set[str]:
-        """Return the factors on which any of these decides, or one that these decide on."""
+        """Return the factors that are nested in these, directly or indirectly."""
         found = set(names)
         for _ in self.conditions:
             found |= {name for name, of in self.conditions.items() if found & set(of)}
         return found - set(names)
 
     def scope(self, term: Iterable[str]) -> dict[str, list[str]]:
-        """Return the treatments that are left of each factor where all of some factors apply."""
+        """Return the treatments of each factor that are possible where all factors of an effect apply."""
         left, open_names = dict(self), list(term)
         while open_names:
             for parent, wanted in self.conditions.get(open_names.pop(), {}).items():
@@ -75,20 +75,20 @@ class Factors(dict[str, list[str]]):
         return [scope[name] for name in term]
 
     def has(self, _: Sequence[str]) -> bool:
-        """Return whether there is an effect of these factors: whether they apply together."""
+        """Return whether these factors have an effect together: whether some combination has them all."""
         return True
 
     def terms(self, most: int) -> tuple[Term, ...]:
-        """Return the effects that there are, of so many factors at most: main effects first."""
+        """Return the effects of up to `most` factors, main effects first."""
         sizes = range(1, min(len(self), most) + 1)
         return tuple(term for size in sizes for term in combinations(self, size) if self.has(term))
 
     def size(self, term: Sequence[str]) -> int:
-        """Return how many columns, or degrees of freedom, an effect has."""
+        """Return the number of columns, or degrees of freedom, of an effect."""
         return math.prod(len(levels) - 1 for levels in self.levels(term))
 
     def within(self, term: Iterable[str]) -> str:
-        """Return among which runs an effect is told, as in `Sensor=camera`; nothing where among all."""
+        """Return the runs within which an effect is estimated, as in `Sensor=camera`; empty for all runs."""
         left: dict[str, list[str]] = {}
         for name in term:
             for parent, wanted in self.conditions.get(name, {}).items():
@@ -97,7 +97,7 @@ class Factors(dict[str, list[str]]):
 
     @property
     def in_words(self) -> str:
-        """Where each conditional factor is tested, and what the means are that it is nested within."""
+        """A note on where conditional factors are tested, and how the means of their parents are weighted."""
         told = [f"{name} within {self.within([name])}" for name in self.conditions]
         parents = enumerated(list(dict.fromkeys(parent for of in self.conditions.values() for parent in of)))
         return (
@@ -107,14 +107,14 @@ class Factors(dict[str, list[str]]):
 
     @property
     def count(self) -> int:
-        """How many combinations there can be."""
+        """The number of possible combinations."""
         return math.prod(map(len, self.values()))
 
     def numbers(self, codes: Mapping[str, Numbers]) -> Numbers:
-        """Return the number of each run's combination, the last factor changing fastest.
+        """Return the index of each run's combination, the last factor changing fastest.
 
         Args:
-            codes: the number of each run's treatment, by factor.
+            codes: the index of each run's treatment, by factor.
         """
         number = np.zeros(len(next(iter(codes.values()), ())), dtype=np.intp)
         for name, levels in self.items():
@@ -122,10 +122,10 @@ class Factors(dict[str, list[str]]):
         return number
 
     def weights(self, treatments: Mapping[str, str]) -> Floats:
-        """Return the weights of the combinations in the mean of some treatments; of others, each counts the same.
+        """Return the weights of the combinations in a marginal mean, equal over the other factors.
 
         Args:
-            treatments: by factor; of all factors they are one combination.
+            treatments: by factor; treatments of all factors select a single combination.
         """
         rows = [
             np.array([float(level == treatments[name]) for level in levels])
@@ -136,7 +136,7 @@ class Factors(dict[str, list[str]]):
         return kron(rows, np.ones(1))
 
     def contrasts(self, term: Sequence[str]) -> Floats:
-        """Return the contrasts of an effect, orthonormal, (degrees of freedom, combinations); of no factor the mean."""
+        """Return the orthonormal contrasts of an effect, (degrees of freedom, combinations); the mean for no factor."""
         parts = [
             linalg.helmert(len(levels)) if name in term else np.full((1, len(levels)), len(levels) ** -0.5)
             for name, levels in self.items()
@@ -144,7 +144,7 @@ class Factors(dict[str, list[str]]):
         return kron(parts, np.ones((1, 1)))
 
     def row(self, terms: Sequence[Term], treatments: Mapping[str, str]) -> Floats:
-        """Return 1 and the columns of each effect, of the mean of some treatments; see `weights`."""
+        """Return the row of the design matrix (1, then the effects) for a marginal mean; see `weights`."""
         coded = {name: sum_coding(len(self[name]))[self[name].index(text)] for name, text in treatments.items()}
         parts = [
             kron([coded[name] for name in term], np.ones(1)) if set(term) <= set(coded) else np.zeros(self.size(term))
@@ -153,7 +153,7 @@ class Factors(dict[str, list[str]]):
         return np.concatenate([np.ones(1), *parts])
 
     def columns(self, codes: Mapping[str, Numbers], terms: Sequence[Term]) -> dict[Term, Floats]:
-        """Return the columns of effects, coded to sum up to zero; where factors do not apply, 0.
+        """Return the sum-coded columns of effects; 0 where factors do not apply.
 
         Args:
             codes: as `codes_of` returns them.
@@ -179,8 +179,8 @@ def coded_columns(codes: Mapping[str, Numbers], sizes: Mapping[str, int], term: 
     """Return the columns of an effect, (runs, degrees of freedom).
 
     Args:
-        codes: the number of each run's treatment, by factor.
-        sizes: how many treatments each factor has.
+        codes: the index of each run's treatment, by factor.
+        sizes: the number of treatments of each factor.
         term: its factors.
     """
     columns = np.ones((len(codes[term[0]]), 1))
@@ -191,5 +191,5 @@ def coded_columns(codes: Mapping[str, Numbers], sizes: Mapping[str, int], term: 
 
 
 def sum_coding(count: int) -> Floats:
-    """Return a row for each treatment of a factor, (treatments, treatments - 1)."""
+    """Return the sum coding of a factor, a row for each treatment: (treatments, treatments - 1)."""
     return np.vstack([np.eye(count - 1), np.full(count - 1, -1.0)])

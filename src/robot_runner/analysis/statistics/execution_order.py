@@ -1,11 +1,11 @@
-"""How the runs that are done were executed: in which order, which out of their place, on which of several robots.
+"""The execution of the runs that are done: their order, runs out of order, and the robots that executed them.
 
-A run of a crossover that failed and was executed again after later periods of its unit has the wrong period in its
-row, and the wrong treatment before it. A run of a split plot that was executed after another whole plot had begun
-belongs to none that the design knows: its floor was laid anew. The model of the design does not hold for either.
+If a run of a crossover failed and was executed again after later periods of its unit, the period in its row and the
+previous treatment are wrong. If a run of a split plot was executed after another whole plot had begun, its whole plot
+was set up anew, and is none of the design's. The model of the design is not valid for such runs.
 
-Robots take turns so that each combination is executed equally often on each. That ends where one was set aside, runs
-failed or were excluded: where shares differ, robots may pass for an effect.
+Robots take turns so that each combination is executed equally often on each. This is no longer so if a robot was set
+aside, or runs failed or were excluded: with unequal shares, a difference between robots may look like an effect.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.outcome import DesignSummary
 
-#: The time stamp that runs are ordered by.
+#: The time stamp that determines the order of runs.
 STAMP = "start_measurement_at"
 
 
@@ -38,9 +38,9 @@ class ExecutionOrder:
     """The order of execution of the runs that are done.
 
     Attributes:
-        places: of each run, from 1.
-        is_known: whether runs or the journal tell it; else it is the order of the table.
-        has_times: whether differences of time stamps are times that went by: not once the clock was set.
+        places: the position of each run, from 1.
+        is_known: whether it is known from time stamps or the journal; else it is the order of the table.
+        has_times: whether differences of time stamps are elapsed times; not so if the clock was set.
     """
 
     places: NDArray[np.int64]
@@ -49,11 +49,11 @@ class ExecutionOrder:
 
 
 def execution_order(results: Results) -> ExecutionOrder:
-    """Return the order by time stamps; that of the journal where these lack, or where the clock was set."""
+    """Return the order by time stamps, or that of the journal if some are missing or the clock was set."""
     done = results.confirming.done
     is_stamped = STAMP in done and bool(done[STAMP].notna().all())
     attempts, is_imported = results.attempts, results.manifest.get("origin") == "imported"
-    # The journal of an import has the order of the table, and times from elsewhere.
+    # The journal of an import has the order of the table, and its times are not those of execution.
     is_set = bool(attempts.attrs.get("clock_was_set")) and not is_imported
     if is_stamped and not is_set:
         places = np.asarray(done[STAMP].rank(method="first"), dtype=np.int64)
@@ -67,9 +67,9 @@ def execution_order(results: Results) -> ExecutionOrder:
 
 
 def displaced_runs(results: Results) -> dict[str, str]:
-    """Return the runs that are done and were executed out of their place, with the reason in words.
+    """Return the runs that are done but were executed out of order, with the reason in words.
 
-    Designs that leave the order open have none, nor have results whose journal does not tell the order.
+    There are none if the design does not restrict the order, or if the journal has no attempts.
     """
     held = _held(results)
     if held.is_open or results.attempts.empty:
@@ -86,9 +86,9 @@ def displaced_runs(results: Results) -> dict[str, str]:
 
 
 def followed_failures(results: Results) -> dict[str, str]:
-    """Return the runs of a crossover whose unit had only failed attempts at the treatment before, with that run.
+    """Return the runs of a crossover after failed attempts at their unit's previous treatment, with the failed run.
 
-    What such an attempt carries over is less than what the treatment would have left, or more.
+    The carry-over from such an attempt may be less, or more, than that from a completed run.
     """
     held = _held(results)
     if not (held.one_by_one and held.rest_between) or results.attempts.empty:
@@ -126,7 +126,7 @@ def _held(results: Results) -> HeldOrder:
 
 
 def _treatments(results: Results, names: Sequence[str]) -> dict[str, dict[str, str]]:
-    """Return the treatments of each run of the table by its id, as texts."""
+    """Return the treatments of each run of the table, as texts, by its id."""
     frame = results.all_runs
     columns = [name for name in names if name]
     texts = zip(*(frame[name].astype("str") for name in columns), strict=True)
@@ -136,7 +136,7 @@ def _treatments(results: Results, names: Sequence[str]) -> dict[str, dict[str, s
 def _out_of_period(
     attempts: Sequence[str], treatments: Mapping[str, Mapping[str, str]], held: HeldOrder, results: Results
 ) -> Iterator[tuple[str, str]]:
-    """Yield the runs that came after a later period of their unit, or that skipped one."""
+    """Yield the runs that were executed after a later period of their unit, or that skipped one."""
     order = list(dict.fromkeys(results.all_runs[held.rest_between].cat.categories.astype("str")))
     place = {period: number for number, period in enumerate(order)}
     planned: dict[str, set[str]] = {}
@@ -163,8 +163,8 @@ def _out_of_period(
 def _out_of_plot(
     attempts: Sequence[str], treatments: Mapping[str, Mapping[str, str]], plot: str
 ) -> Iterator[tuple[str, str]]:
-    """Yield the runs that came after another whole plot had begun since the first run of their own."""
-    begun: list[str] = []  # the whole plots, one after another; one that was left and laid again is there twice
+    """Yield the runs whose whole plot had been interrupted by another one."""
+    begun: list[str] = []  # the whole plots in order; one that was left and begun again is listed twice
     told: dict[str, str] = {}
     for run_id in attempts:
         mine = treatments[run_id][plot]
@@ -177,13 +177,13 @@ def _out_of_plot(
     yield from told.items()
 
 
-#: Differences of shares, and of runs from what even shares would be, that rounding makes are below these.
+#: Smaller differences of shares, and of numbers of runs from those of equal shares, are due to rounding.
 _LEAST_SHARE, _LEAST_RUNS = 0.2, 1.0
 _MOST_TOLD = 4
 
 
 def robot_warnings(results: Results, design: DesignSummary) -> Iterator[str]:
-    """Yield the factors whose treatments are unevenly spread over robots that are no blocks of the analysis."""
+    """Yield a warning for each factor whose treatments are unevenly spread over robots, unless robots are blocks."""
     done = results.confirming.done
     robots = [name for name in results.measures if results.columns[name].owner == ROBOTS_OWNER and name != design.block]
     for column in robots:

@@ -1,4 +1,4 @@
-"""The statistics of a whole experiment: of each measure, and of the hypotheses that were fixed beforehand."""
+"""The statistics of a whole experiment: of each measure, and of the preregistered hypotheses."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ from robot_runner.core.words import counted
 
 _ALPHA = 0.05
 
-#: Is told what is being done, how many of it are, and of how many.
+#: A progress callback: the name of the step, how many items are done, and the total.
 OnStep = Callable[[str, int, int], object]
 
 
 def unheard(_what: str, _done: int, _total: int) -> None:
-    """Tell nobody how far it is."""
+    """Ignore progress."""
 
 
-#: Among more measures pairs are too many to be of use.
+#: The most measures that are correlated: more have too many pairs to be useful.
 _MOST_CORRELATED = 20
 
 
@@ -52,22 +52,22 @@ def analyse(
 ) -> ExperimentStatistics:
     """Compute the statistics of an experiment from the runs that are done.
 
-    All values count; measures that have doubtful ones are computed once more without these, to see what stands.
-    What the analysis plan fixed before the experiment is marked as planned, everything else as exploratory; so is
-    everything where alpha or the correction are other than the plan's.
+    All values are used. Measures with doubtful values are also analysed without these, to see which conclusions stand.
+    Analyses that the plan fixed before the experiment are marked as planned, all others as exploratory. If alpha or the
+    correction differs from the plan's, everything is exploratory.
 
     Args:
-        results: those of the experiment, or its folder.
-        measures: which measures; None for those of the plan, then all others.
+        results: of the experiment, or its folder.
+        measures: the measures; None for those of the plan, then all others.
         alpha: the level of significance; None for that of the plan, or 0.05.
-        correction: how p-values are adjusted; None for that of the plan, or Holm.
-        plan: is followed in the place of what was fixed before the experiment; everything is exploratory then. For
-            results that were made elsewhere, say.
-        on_step: is told how many measures are done, of how many.
+        correction: of p-values; None for that of the plan, or Holm.
+        plan: replaces the plan that was fixed before the experiment, for imported results for example; everything is
+            exploratory then.
+        on_step: is called with the name of the step, the number of measures that are done, and their total.
 
     Raises:
-        AnalysisError: there is no such measure, alpha is not between 0 and 0.5, the correction is none, or the plan has
-            names that the results lack.
+        AnalysisError: there is no such measure, alpha is not between 0 and 0.5, there is no such correction, or the
+            plan has names that the results lack.
 
     Example:
         >>> from robot_runner.analysis import analyse, load_results
@@ -91,7 +91,7 @@ def analyse(
         choices = replace(choices, estimand=kept.estimand, statistic=kept.statistic)
         design = replace(design, covariates=kept.covariates)
     names = _chosen(results, None if measures is None else several(measures), planned)
-    # Errors are controlled among all primary measures, whichever are asked for.
+    # The error rate is controlled over all primary measures, whichever are requested.
     others = [name for name in (kept.measures if kept else ()) if name in results.columns and name not in names]
     doubtful = doubtful_runs(results)
     analysed: list[_Analysed] = []
@@ -112,7 +112,7 @@ def analyse(
         otherwise = Otherwise(which, {each.planned.name: each.runs[which] for each in analysed}, design.covariates)
         standings += standing_effects(told, beside[which], otherwise)
         standings += standing_hypotheses(judged, rejudged, otherwise, tuple(again))
-    measured = replace(design, covariates=())  # beside a covariate that is taken out of one, no correlation is left
+    measured = replace(design, covariates=())  # a measure adjusted for a covariate would not correlate with it
     correlated = () if results.is_exploratory else told
     known = [(of.name, replace(measured, without=runs_without_value(of.left_out))) for of in correlated if of.overall]
     numeric = [data for name, of in known if (data := of.data(name)) is not None]
@@ -142,7 +142,7 @@ def _checked(plan: AnalysisPlan, results: Results) -> AnalysisPlan:
 
 
 class _Analysed(NamedTuple):
-    """The planned analysis of a measure, and those beside it, with the runs that each is without (or with)."""
+    """The planned analysis of a measure, and its sensitivity analyses, with the runs that each leaves out or adds."""
 
     planned: MeasureStatistics
     beside: dict[Beside, MeasureStatistics]
@@ -152,7 +152,7 @@ class _Analysed(NamedTuple):
 def _analysed(
     design: Design, name: str, choices: Choices, plan: AnalysisPlan | None, doubtful: Sequence[str]
 ) -> _Analysed:
-    """Compute the planned analysis of a measure, and what differs from it in one choice."""
+    """Compute the planned analysis of a measure, and its sensitivity analyses."""
     left_out = left_out_of(design, name, plan, doubtful)
 
     def compute(design: Design, left_out: Sequence[LeftOut]) -> MeasureStatistics:
@@ -179,7 +179,7 @@ def _analysed(
     return _Analysed(planned, beside, runs)
 
 
-#: Why runs of a search are not tested.
+#: The reason why runs of a search are not tested.
 SEARCHED = (
     "the design decided on the runs from their results: they are exploratory, and the best of many looks better than "
     "it is. Plan confirm=10, say, for runs that are tested."
@@ -187,7 +187,7 @@ SEARCHED = (
 
 
 def _refused(measure: MeasureStatistics, why: str) -> MeasureStatistics:
-    """Return a measure on which no conclusion is drawn; what is described of it stays."""
+    """Return a measure without tests; its descriptions stay."""
     missing = (NotComputed("the test", why), *measure.not_computed)
     return replace(measure, test=None, post_hoc=(), contrasts=(), adjustment=None, not_computed=missing)
 
@@ -237,7 +237,7 @@ def _warnings(design: Design, measures: Sequence[MeasureStatistics]) -> Iterator
 
 
 def order_warnings(results: Results) -> Iterator[str]:
-    """Yield what became of the order that a design holds, where runs failed and were executed again later."""
+    """Yield warnings on runs that were executed out of the order of the design, or after failed attempts."""
     if displaced := displaced_runs(results):
         were, are = ("was", "is") if len(displaced) == 1 else ("were", "are")
         runs = listed([f"{run_id} ({why})" for run_id, why in displaced.items()])
@@ -254,7 +254,7 @@ def order_warnings(results: Results) -> Iterator[str]:
 
 
 def planned_warnings(measure: MeasureStatistics) -> Iterator[str]:
-    """Yield what the plan's covariates and rules for values leave doubtful."""
+    """Yield warnings on the covariates and on the outlier rule of the plan."""
     if measure.adjustment is not None:
         yield from measure.adjustment.warnings
     lacking = [each.run_id for each in measure.left_out if each.reason is Reason.COVARIATE]

@@ -1,4 +1,4 @@
-"""The runs of one treatment, or of one combination: what is described and compared."""
+"""Groups: the runs of one treatment or of one combination, which are described and compared."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class Group:
     """The runs of one treatment, or of one combination, that have a value.
 
     Attributes:
-        treatments: which treatment of which factor, as texts.
-        missing: how many of its runs have no value.
-        units: the number of the unit of each run, which varies as a whole: its block, whole plot or subject; None where
-            runs stand by themselves.
-        unit: what such a unit is called.
+        treatments: the treatments as texts, by factor.
+        missing: how many runs of the group have no value.
+        units: the number of the experimental unit of each run: its block, whole plot or subject; None for independent
+            runs.
+        unit: the name of such a unit.
     """
 
     treatments: dict[str, str]
@@ -43,24 +43,24 @@ class Group:
 
     @property
     def of_units(self) -> tuple[float, int] | None:
-        """The variance of the mean where runs of a unit vary together, and how many units there are.
+        """The variance of the mean for correlated runs of a unit, and the number of units.
 
-        None where no unit has several runs. It is the cluster-robust variance (Liang and Zeger, Biometrika 73, 1986)
-        with J / (J - 1) for J units: with equally many runs in each, that of the mean of the units' means.
+        None if no unit has several runs. It is the cluster-robust variance (Liang and Zeger, Biometrika 73, 1986) with
+        J / (J - 1) for J units: with equally many runs in each, it is that of the mean of the units' means.
         """
         if self.units is None or (count := len(np.unique(self.units))) == len(self.units):
             return None
-        sums = np.bincount(self.units, self.values - np.mean(self.values))  # 0 where a unit has none
+        sums = np.bincount(self.units, self.values - np.mean(self.values))  # 0 for a unit without runs
         return (float(count / (count - 1) * (sums @ sums)) / len(self.units) ** 2 if count > 1 else math.nan), count
 
     @property
     def in_words(self) -> str:
-        """What an interval has to say where runs of a unit count together."""
+        """The note on an interval that is based on units."""
         return f", runs of one {self.unit} counting together"
 
 
 def numbered(frame: pd.DataFrame, columns: Sequence[str]) -> Numbers:
-    """Return the number of what each row has in these columns."""
+    """Return the number of each row's combination of values in these columns."""
     return np.asarray(frame.groupby(list(columns), observed=True, dropna=False).ngroup(), dtype=np.intp)
 
 
@@ -71,7 +71,7 @@ def group_of(
     units: Numbers | None,
     unit: str,
 ) -> Group:
-    """Return a group of runs, of some of which a value is missing."""
+    """Return the group of these runs; NaN values are missing."""
     present = ~np.isnan(values)
     shared = None if units is None else units[present]
     return Group(treatments, values[present], tuple(run_ids[present]), int((~present).sum()), shared, unit)

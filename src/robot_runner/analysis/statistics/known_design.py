@@ -1,7 +1,7 @@
-"""What the analysis knows of the design: which columns are factors and which are blocks, and what it can estimate.
+"""The design of an experiment for its analysis: which columns are blocks, and which effects can be estimated.
 
-It comes from the facts that the design wrote into the manifest; the aliases are computed from the combinations of the
-run table, planned or done, so that they are right for a table that was made elsewhere, too.
+It is read from the facts that the design wrote into the manifest. Aliases are computed from the planned combinations of
+the run table, so that they are right for imported tables, too.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.results import Results
 
-#: Kinds whose interactions are estimated, or are aliased in a way that is known.
+#: Kinds of designs whose interactions are estimated, or have a known aliasing.
 _WITH_INTERACTIONS = frozenset({"fractional_factorial", "split_plot", "full_factorial"})
-#: Facts that name one column each, or several, which are blocks of some kind: taken out, and not tested.
+#: Facts that name columns of blocks of some kind: the model adjusts for them, and they are not tested.
 _BLOCK_ROLES = ("row", "column", "rows", "columns", "greek", "square", "block", "replicate", "subject", "period", "day")
 _ONE_AT_A_TIME = "one_factor_at_a_time"
 
 
 def role_column(name: str) -> str:
-    """Return the column that a block of the design (a row, a period, a subject) has in the data of each measure."""
+    """Return the column of a block of the design (a row, a period, a subject) in the data of each measure."""
     return f" role {name}"
 
 
 def before_column(factor: str) -> str:
-    """Return the column that has the treatment of the period before, in a crossover."""
+    """Return the column with the treatment of the previous period, in a crossover."""
     return f" before {factor}"
 
 
@@ -45,18 +45,18 @@ class KnownDesign:
     """The design of an experiment, beyond its factors and repetitions.
 
     Attributes:
-        kind: as the manifest names it.
-        blocks: columns whose effects are taken out and not tested: rows, columns, periods, subjects, replicates.
-        subject, period: of a crossover.
-        carry_over: whether the effect of the treatment before is in the model of a crossover: no washout was planned.
-        whole_plot: the column of the whole plots; some treatments change from one to the next alone.
-        plot_columns: blocks within which whole plots are numbered anew.
+        kind: its name in the manifest.
+        blocks: columns that the model adjusts for without testing them: rows, columns, periods, subjects, replicates.
+        subject, period: the columns of a crossover.
+        carry_over: whether the model of a crossover has the effect of the previous treatment: no washout was planned.
+        whole_plot: the column of the whole plots; the treatments of some factors change only between these.
+        plot_columns: blocks within which the numbers of whole plots begin anew.
         model: `main` effects, those and `interactions` of two factors, or `quadratic` for a response surface.
-        coding: the middle and half the range of factors of a response surface.
-        base: the combination that one factor at a time departs from.
-        terms: the effects that are tested; none where the values decide how many there can be.
-        aliases: the effects that cannot be told apart from each tested one.
-        half_aliases: the tested effects that others are mixed with in part.
+        coding: the centre and half the range of each factor of a response surface.
+        base: the base combination of a one-factor-at-a-time design.
+        terms: the tested effects; empty if they depend on the runs with a value.
+        aliases: the aliases of each tested effect.
+        half_aliases: the tested effects that others are partially aliased with.
     """
 
     kind: str = "full_factorial"
@@ -75,11 +75,11 @@ class KnownDesign:
 
     @classmethod
     def of_manifest(cls, manifest: Mapping[str, Any], columns: Iterable[str]) -> KnownDesign:
-        """Return the design that a manifest tells of; that of a full factorial where it tells nothing.
+        """Return the design in a manifest; a full factorial if it has no facts.
 
         Args:
             manifest: of the experiment.
-            columns: of the run table; what names another column is passed over.
+            columns: of the run table; facts that name other columns are ignored.
         """
         design = manifest.get("design")
         facts = design.get("facts") if isinstance(design, dict) else None
@@ -105,19 +105,19 @@ class KnownDesign:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The columns that are no factors: nothing of them is tested."""
+        """The columns of blocks and whole plots, which are not tested."""
         return (*self.blocks, *filter(None, [self.whole_plot]))
 
     @property
     def unit_columns(self) -> tuple[str, ...]:
-        """The columns that tell which runs vary together: those of one whole plot, subject or block."""
+        """The columns of the experimental unit of a run: its whole plot, subject or block."""
         if self.whole_plot:
             return (self.whole_plot, *self.plot_columns)
         return (self.subject,) if self.subject else self.blocks[:1]
 
     @property
     def is_plain(self) -> bool:
-        """Whether the combinations and blocks tell everything, as of a full factorial."""
+        """Whether combinations and complete blocks are all there is to the design, as for a full factorial."""
         return not (self.columns or self.terms or self.is_surface)
 
     @property
@@ -137,17 +137,17 @@ class KnownDesign:
 
     @property
     def together(self) -> int:
-        """Of how many factors effects are estimated together that are not orthogonal: the design is made for these."""
+        """The most factors of effects that are estimated jointly if they are not orthogonal, as the design intends."""
         return 2 if self.model == "interactions" else 1
 
     @property
     def in_words(self) -> str:
-        """The kind of the design, as a reader knows it."""
+        """The kind of the design in words."""
         return self.kind.replace("_", " ")
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a reader of its tests has to know."""
+        """Notes for readers of the tests."""
         found = []
         if self.aliases:
             found.append(
@@ -168,12 +168,12 @@ class KnownDesign:
 
 _CROSSED = ("subject", "period")
 
-#: What is known where the manifest tells nothing.
+#: The design of a manifest without facts.
 PLAIN = KnownDesign()
 
 
 def treatments_before(results: Results, known: KnownDesign, names: Sequence[str]) -> dict[str, pd.Series]:
-    """Return the treatment that each subject had in the period before, as planned; nothing in its first period."""
+    """Return each subject's planned treatment in the previous period; empty in the first period."""
     where, runs = [known.subject, known.period], results.all_runs
     periods = runs.drop_duplicates(where).sort_values(known.period, key=treatment_texts, kind="stable")
     texts = periods[list(names)].astype("str").set_axis(periods[RUN_ID])
@@ -184,7 +184,7 @@ def treatments_before(results: Results, known: KnownDesign, names: Sequence[str]
 
 
 def are_complete(known: KnownDesign, results: Results) -> bool:
-    """Return whether the blocks of a design are of one kind and each hold all combinations, as those of a factorial."""
+    """Return whether a design has one kind of blocks, each with all combinations, as a factorial has."""
     if known.kind != "blocks" or len(known.blocks) != 1:
         return False
     names = [name for name in results.factors if name not in known.blocks]
@@ -196,7 +196,7 @@ def are_complete(known: KnownDesign, results: Results) -> bool:
 def with_structure(
     known: KnownDesign, results: Results, frame: pd.DataFrame, varied: Sequence[str], conditions: Conditions
 ) -> KnownDesign:
-    """Return a design with the effects that its planned combinations can tell, and how whole plots are numbered."""
+    """Return a design with the effects that its planned combinations can estimate, and its `plot_columns`."""
     if known == PLAIN or known.is_surface or not varied:
         return known
     planned = results.all_runs[list(varied)].astype("str").drop_duplicates()

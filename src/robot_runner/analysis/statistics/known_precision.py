@@ -1,4 +1,4 @@
-"""How precisely measures are known of an experiment that was repeated until they are; the intervals are the core's."""
+"""The precision of measures in an experiment with `repeat_until`; the core computes the intervals."""
 
 from __future__ import annotations
 
@@ -22,23 +22,24 @@ from robot_runner.core.words import counted
 if TYPE_CHECKING:
     from robot_runner.analysis.results import Results
 
-#: By simulation, means of normal values are taken for skewed in 1 to 10 % of experiments (fewest values: most often),
-#: those of exponential ones in 50 to 100 %. Fewer values of a combination do not tell.
+#: The skewness from which on values count as skewed, and the fewest values of a combination for an estimate. By
+#: simulation, this flags 1 to 10 % of experiments with normal values (most often with few), and 50 to 100 % with
+#: exponential ones.
 _SKEWED, _TELLING = 0.8, 5
 
 
 @dataclass(frozen=True, slots=True)
 class KnownPrecision:
-    """How precisely one measure is known, of those that an experiment was repeated for.
+    """The precision of one measure of `repeat_until`.
 
     Attributes:
         measure: its column.
-        asked: until when, how often at least and how often at most combinations were to be repeated, in words.
-        repetitions: how often they were.
-        level: the confidence of each interval at one look, with which all looks together hold at 95 %.
-        is_reached: whether all is known as precisely as was asked for.
+        asked: the rule in words: the precision, and the fewest and most repetitions.
+        repetitions: the number of repetitions.
+        level: the confidence level of each interval at one look, so that all looks together have 95 %.
+        is_reached: whether the required precision is reached.
         means, differences: of each combination, and between any two treatments of a factor within repetitions.
-        sentence: what a reader has to know of it.
+        sentence: a summary for readers.
     """
 
     measure: str
@@ -52,11 +53,11 @@ class KnownPrecision:
 
 
 def known_precisions(results: Results, left_out: Mapping[str, Collection[str]]) -> tuple[KnownPrecision, ...]:
-    """Return how precisely each measure is known that the experiment was repeated for; nothing where it was not.
+    """Return the precision of each measure of `repeat_until`; empty without such a rule.
 
     Args:
         results: the experiment.
-        left_out: the runs whose value the analysis does not use, by measure.
+        left_out: the runs whose value the analysis leaves out, by measure.
     """
     return tuple(
         _known(results, measure, rules, left_out.get(measure, ())) for measure, rules in _rules(results).items()
@@ -64,19 +65,19 @@ def known_precisions(results: Results, left_out: Mapping[str, Collection[str]]) 
 
 
 def level_of_looks(results: Results, measure: str) -> float | None:
-    """Return the level of each interval of a measure that the experiment was repeated for; None of any other."""
+    """Return the level of each interval of a measure of `repeat_until`; None for other measures."""
     return level_at_each_look(*_looks(results)) if measure in _rules(results) else None
 
 
 def repeated_interval(known: Known) -> Interval | None:
-    """Return the interval of something that is known, at 95 % over all looks."""
+    """Return the interval of a mean or difference, at 95 % over all looks."""
     if known.mean is None or known.half_width is None:
         return None
     return Interval(known.mean - known.half_width, known.mean + known.half_width, CONFIDENCE, METHOD)
 
 
 def _rules(results: Results) -> dict[str, list[Precision]]:
-    """Return the rules about each measure that the run table has."""
+    """Return the rules of each measure in the run table."""
     found: dict[str, list[Precision]] = {}
     for rule in rules_of_mapping(results.manifest.get("repeat_until"))[0] if results.repetition else ():
         if rule.measure in results.measures:
@@ -85,7 +86,7 @@ def _rules(results: Results) -> dict[str, list[Precision]]:
 
 
 def _looks(results: Results) -> tuple[int, int]:
-    """Return how many repetitions there were at the first look, and are at the last that may come."""
+    """Return the numbers of repetitions at the first look, and at the last possible one."""
     rules, least = rules_of_mapping(results.manifest["repeat_until"])
     return least, max(least, most_repetitions(rules), _repetitions(results))
 
@@ -101,7 +102,7 @@ def _known(results: Results, measure: str, rules: list[Precision], left_out: Col
     asked = rule_in_words(rules, looks[0])
     known = {}
     for of in PreciseOf:
-        # Where no rule is about them, they are known all the same; of several rules, the one that is furthest off.
+        # Without a rule on them, they are computed all the same; of several rules, one that is not reached is taken.
         own = [each for each in judged if each.rule.of is of]
         other = Precision(measure, half_width=rules[0].wanted_in_words, at_most=rules[0].at_most, of=of)
         found = next((each for each in own if not each.is_precise), None) or next(iter(own), None)
@@ -136,7 +137,7 @@ def _without(left_out: Collection[str]) -> str:
 
 
 def _sentence(measure: str, asked: str, judged: list[Judgement], skewness: float) -> str:
-    """Return what was asked for and reached, what the intervals are, and what becomes of the tests."""
+    """Return the summary: the rule and what was reached, the kind of intervals, and the error rate of the tests."""
     reached = "; ".join(each.in_words() for each in judged)
     level = f"{judged[0].level:.1%}".replace("%", " %")
     is_early = any(each.needs_more for each in judged)
@@ -154,7 +155,7 @@ def _sentence(measure: str, asked: str, judged: list[Judgement], skewness: float
 
 
 def _skewness(observed: list[Observed]) -> float:
-    """Return the mean skewness of the values of combinations, without its bias of few values; 0 where all have few."""
+    """Return the mean of the bias-corrected skewness of combinations; 0 if all have too few values."""
     groups: dict[tuple[tuple[str, str], ...], list[float]] = {}
     for run in observed:
         if is_number(run.value):

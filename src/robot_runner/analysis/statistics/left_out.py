@@ -1,4 +1,4 @@
-"""Which values the plan leaves out of the analysis of a measure, and what the rule does to false positives."""
+"""Values that the plan leaves out of the analysis of a measure, and the false positives due to the outlier rule."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.grouped_runs import Group
     from robot_runner.core.design.analysis_plan import AnalysisPlan
 
-#: A test that errs more often at 5 % than this is told to, percent.
+#: The false positives of a 5 % test, in percent, above which a warning is given.
 MOST_FALSE_POSITIVES = 6.5
 
-#: The quartiles and the median of fewer values say nothing of what is far out.
+#: The fewest values for a rule by quartiles or the median.
 _LEAST = 5
 
-#: A median absolute deviation in standard deviations of normal values.
+#: The standard deviation of normal values, in median absolute deviations.
 _NORMAL = 1.4826
 
 _ALPHA = 0.05
-#: Simulated experiments: the share of false positives is then known to 0.5 points.
+#: The number of simulated experiments: the rate of false positives is then known to 0.5 percentage points.
 _EXPERIMENTS = 10_000
 _SEED = 20210525
 
@@ -41,15 +41,15 @@ _SEED = 20210525
 def left_out_of(
     design: Design, measure: str, plan: AnalysisPlan | None, doubtful: Sequence[str]
 ) -> tuple[LeftOut, ...]:
-    """Return the values of a measure that are left out: of runs out of their place, doubtful ones, then outliers.
+    """Return the values of a measure that are left out: of runs out of order, doubtful ones, then outliers.
 
-    Runs that were executed out of the place that their design gave them are left out whether anything was planned or
-    not: the model of that design does not hold for them.
+    Runs that were executed out of the order of their design are left out with and without a plan: the model of the
+    design is not valid for them.
 
     Args:
         design: of the experiment, with all runs that are done.
         measure: its name.
-        plan: what was fixed; None for nothing.
+        plan: the analysis plan, if any.
         doubtful: the runs whose value is doubtful.
     """
     data = design.data(measure)
@@ -67,7 +67,7 @@ def left_out_of(
 
 
 def doubtful_values(design: Design, measure: str, doubtful: Sequence[str]) -> tuple[LeftOut, ...]:
-    """Return the values of these runs as values that are left out, since they are doubtful."""
+    """Return the values of these runs as left out because they are doubtful."""
     return _values_of(design, measure, dict.fromkeys(doubtful, "the value is doubtful"), Reason.DOUBTFUL)
 
 
@@ -97,13 +97,13 @@ def _spread_rule(rule: Outliers) -> str:
 
 
 def outside(values: Floats, rule: Outliers) -> NDArray[np.bool_]:
-    """Return which values of one combination lie further out than a rule of spread allows.
+    """Return which values of one combination are outliers by interquartile ranges or median deviations.
 
-    Of fewer than five values none does, nor where the spread that the rule goes by is 0.
+    There are none among fewer than five values, or if the spread is 0.
 
     Args:
         values: (..., runs), with any number of leading axes.
-        rule: its bounds are not looked at.
+        rule: the rule; its bounds are ignored.
     """
     none = np.zeros(values.shape, dtype=bool)
     if values.shape[-1] < _LEAST:
@@ -121,13 +121,14 @@ def outside(values: Floats, rule: Outliers) -> NDArray[np.bool_]:
 
 
 def false_positives(rule: Outliers, sizes: tuple[int, int]) -> float | None:
-    """Return how often two combinations without any difference differ at 5 % once the rule has left out outliers.
+    """Return the false positives of Welch's t at 5 % after a rule has left out outliers, in percent.
 
-    Runs are simulated: normal values, equal spreads, Welch's t, in percent. A rule of bounds alone has no such rate.
+    Two combinations with normal values and equal variances are simulated. The result is None for a rule with bounds
+    alone.
 
     Args:
         rule: for outliers.
-        sizes: how many runs two combinations have.
+        sizes: the numbers of runs of the two combinations.
     """
     if rule.interquartile_ranges is None and rule.median_deviations is None:
         return None
@@ -135,7 +136,7 @@ def false_positives(rule: Outliers, sizes: tuple[int, int]) -> float | None:
 
 
 def rate_in_words(rate: float) -> str:
-    """Return what a rule for outliers does to tests, as a sentence without its capital letter."""
+    """Return the end of a sentence on the false positives due to an outlier rule."""
     return (
         f"leaving values out by such a rule finds a difference where there is none in {rate:.1f} % at a level of 5 % "
         "(simulated for two combinations of so many runs, normal values and equal spreads)."

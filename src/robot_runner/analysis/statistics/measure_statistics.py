@@ -40,20 +40,20 @@ if TYPE_CHECKING:
 
 _Found = TypeVar("_Found")
 
-#: Groups are described one by one up to this number: a longer table would not be read.
+#: The most groups that are described one by one: nobody would read a longer table.
 _MOST_DESCRIBED = 200
 
 _PAIR = 2
 
 
 class _Gathered:
-    """What could not be computed, noted on the way."""
+    """Collects the results that could not be computed."""
 
     def __init__(self) -> None:
         self.missing: list[NotComputed] = []
 
     def take(self, result: _Found | NotComputed) -> _Found | None:
-        """Return a result, or None after noting why there is none."""
+        """Return a result; record a missing one and return None."""
         if isinstance(result, NotComputed):
             self.missing.append(result)
             return None
@@ -73,8 +73,8 @@ def measure_statistics(
     Args:
         design: of the experiment.
         name: the measure.
-        choices: what was chosen for the analysis beforehand.
-        plan: what was planned; None where nothing was, or where it is not kept.
+        choices: the choices of the analysis plan.
+        plan: the analysis plan; None if there is none, or if it is not followed.
         left_out: the values that are not used.
     """
     every, design = design.data(name), replace(design, without=frozenset(each.run_id for each in left_out))
@@ -146,7 +146,7 @@ def measure_statistics(
 
 
 def _no_numbers(told: Sequence[object]) -> str:
-    """Return why values that have texts among them cannot be computed with."""
+    """Return why values that are not all numbers cannot be analysed."""
     texts = [str(each) for each in told if not isinstance(each, int | float) or not math.isfinite(each)]
     if texts and len(texts) == len(told) and all(map(_reads_as_number, told)):
         return f"its values are texts that read as numbers, such as {texts[0]!r}: publish them as numbers (float)."
@@ -164,7 +164,7 @@ def _reads_as_number(told: object) -> bool:
 
 
 def _too_coarse(data: MeasureData) -> tuple[NotComputed, ...]:
-    """Return that runs differ by too little beside the size of their values, such as times in ns since 1970."""
+    """Return a finding if differences of runs are within rounding of the values, such as times in ns since 1970."""
     groups = [group.values for group in data.groups(data.factors)]
     if max(np.max(np.abs(each - each.mean())) for each in groups) > rounding_of(data.values):
         return ()
@@ -178,7 +178,7 @@ def _too_coarse(data: MeasureData) -> tuple[NotComputed, ...]:
 
 
 def _of_coarse(missing: NotComputed) -> NotComputed:
-    """Return why something was not computed of runs that vary, if by too little: nothing of them is equal."""
+    """Return the true reason for coarse values: they are not equal, but differ by too little."""
     if not isinstance(missing, NoVariation):
         return missing
     return replace(missing, why="runs differ by too little beside the size of their values.")
@@ -187,7 +187,7 @@ def _of_coarse(missing: NotComputed) -> NotComputed:
 def _of_answers(
     answers: MeasureData, measure: MeasureStatistics, gathered: _Gathered, choices: Choices, plan: AnalysisPlan | None
 ) -> MeasureStatistics:
-    """Return the statistics of a measure that is yes or no."""
+    """Return the statistics of a yes-or-no measure."""
     test = gathered.take(carry_out_proportions(answers, choices))
     pairs = [gathered.take(each) for each in compare_proportions(answers, choices, MOST_PAIRS)] if test else []
     for each in contrasts_of(plan, measure.name):
@@ -219,7 +219,7 @@ def _lacking(data: MeasureData) -> Iterator[LeftOut]:
 def _rule_false_positives(
     every: MeasureData | None, plan: AnalysisPlan | None, left_out: Sequence[LeftOut]
 ) -> float | None:
-    """Return what the rule for outliers does to combinations of as many runs as there are, where it left any out."""
+    """Return the false positives due to the outlier rule, for the sizes of the groups; None if it left out nothing."""
     if every is None or plan is None or plan.outliers is None:
         return None
     sizes = sorted(len(group.values) for group in every.groups(every.factors))
@@ -240,7 +240,7 @@ def _described(
 
 
 def _of_one_unit(groups: Sequence[Group]) -> Iterator[NotComputed]:
-    """Yield which groups have no interval, as all their runs are of one unit."""
+    """Yield the groups without interval because all their runs are of one unit."""
     if alone := [group for group in groups if group.of_units is not None and group.of_units[1] == 1]:
         why = f"all runs of a group are of one {alone[0].unit}, so that nothing tells how much these differ."
         yield NotComputed(f"the interval of {listed([group.label for group in alone])}", why)
@@ -261,7 +261,7 @@ def _power(gathered: _Gathered, data: MeasureData, alpha: float) -> Power | None
 
 
 def _assumptions(gathered: _Gathered, data: MeasureData, alpha: float) -> tuple[AssumptionCheck, ...]:
-    """Return how residuals are distributed, whether spreads differ, then how each group is distributed."""
+    """Return the checks of the residuals' normality, of equal variances, then of each group's normality."""
     groups = data.groups(data.factors) if data.factors else []
     all_groups: list[AssumptionCheck | NotComputed] = []
     if groups:

@@ -1,7 +1,6 @@
 """The statistics of an experiment and of each measure, as plain data.
 
-A value that could not be computed is None, and a `NotComputed` beside it says why. Names of treatments are the texts of
-the run table.
+A value that could not be computed is None, and a `NotComputed` says why. Treatments are the texts of the run table.
 """
 
 from __future__ import annotations
@@ -31,11 +30,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """A run whose value lies far from those of its group.
+    """A run whose value is an outlier of its group, by Tukey's fences.
 
     Attributes:
-        is_extreme: further than 3 interquartile ranges beyond the quartiles; others are further than 1.5 (Tukey's
-            fences).
+        is_extreme: whether it is more than 3 interquartile ranges beyond the quartiles; all outliers are more than 1.5
+            beyond.
     """
 
     run_id: str
@@ -45,12 +44,12 @@ class Outlier:
 
 @dataclass(frozen=True, slots=True)
 class GroupOfRuns:
-    """The runs of one group, which something is said of.
+    """A group of runs.
 
     Attributes:
-        treatments: which group, by factor; empty for all runs together.
-        n: how many runs have a value.
-        missing: how many runs are done and have none.
+        treatments: of the group, by factor; empty for all runs together.
+        n: the number of runs with a value.
+        missing: the number of runs that are done without a value.
     """
 
     treatments: Mapping[str, str]
@@ -59,7 +58,7 @@ class GroupOfRuns:
 
     @property
     def label(self) -> str:
-        """The group in words: its treatments, with ` / ` between; `all runs` for all of them."""
+        """The group in words: its treatments, separated by ` / `, or `all runs`."""
         return combination_label(self.treatments.values()) or "all runs"
 
 
@@ -69,7 +68,7 @@ class Description(GroupOfRuns):
 
     Attributes:
         sd: standard deviation with n - 1; None for fewer than two values.
-        mean_interval: confidence interval of the mean.
+        mean_interval: confidence interval of the mean; None if it cannot be computed.
     """
 
     mean: float | None
@@ -84,7 +83,7 @@ class Description(GroupOfRuns):
 
     @property
     def interquartile_range(self) -> float | None:
-        """The third quartile less the first."""
+        """The third quartile minus the first."""
         if self.first_quartile is None or self.third_quartile is None:
             return None
         return self.third_quartile - self.first_quartile
@@ -92,11 +91,11 @@ class Description(GroupOfRuns):
 
 @dataclass(frozen=True, slots=True)
 class Proportion(GroupOfRuns):
-    """How often a measure that is yes or no is yes, over the runs of one group.
+    """The proportion of yes of a yes-or-no measure, over the runs of one group.
 
     Attributes:
-        count: how many say yes.
-        percent: of the runs that have a value; None where none has.
+        count: the number of runs with yes.
+        percent: of the runs with a value; None without such runs.
         interval: its confidence interval, percent.
     """
 
@@ -107,12 +106,12 @@ class Proportion(GroupOfRuns):
 
 @dataclass(frozen=True, slots=True)
 class Proportions:
-    """The proportions of a measure that is yes or no.
+    """The proportions of a yes-or-no measure.
 
     Attributes:
-        overall: all runs together.
-        by_treatment: one a treatment of each factor, factors in their order.
-        by_combination: one a combination, where there are two and more factors.
+        overall: of all runs.
+        by_treatment: of each treatment of each factor, factors in their order.
+        by_combination: of each combination; empty for a single factor.
     """
 
     overall: Proportion
@@ -122,20 +121,20 @@ class Proportions:
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """Whether a measure drifts over the order of execution: is the battery or the room confounding?
+    """The drift of a measure over the order of execution, such as by the battery or the room.
 
-    Residuals (value less what the model of the design tells) are compared with the place in the order of execution;
-    where the model takes out blocks, within these.
+    The residuals from the model of the design are correlated with the place in the order of execution; within blocks,
+    if the model has blocks.
 
     Attributes:
-        places: the place of each run in the order of execution, from 1; `residuals` and `run_ids` belong to it.
-            Within blocks it is what the model leaves of that, rounded, and the least is 1.
+        places: the place of each run in the order of execution, from 1; `residuals` and `run_ids` have the same order.
+            Within blocks, it is the residual of the place from the model, rounded, from 1.
         correlation: Spearman's rho.
-        slope: Theil-Sen slope, in the measure's unit a run.
-        is_significant: whether the drift is not explained by chance at alpha.
-        is_confounded: whether treatments are also unevenly spread over the order, so that drift may pass for an effect.
-        warning: one sentence for the reader; empty where nothing was found.
-        within: the columns of the blocks that places are counted within.
+        slope: Theil-Sen slope, in the measure's unit per run.
+        is_significant: whether the drift is significant at alpha.
+        is_confounded: whether treatments are unevenly spread over the order, so that drift may look like an effect.
+        warning: a sentence for readers; empty without a significant drift.
+        within: the names of the blocks within which places are compared.
     """
 
     places: tuple[int, ...]
@@ -153,7 +152,7 @@ class Drift:
 
 @dataclass(frozen=True, slots=True)
 class RepetitionsNeeded:
-    """How many runs a group needs so that an effect is found with the given power."""
+    """The number of runs of a group that detects an effect with the target power."""
 
     effect_size: float
     magnitude: str
@@ -162,18 +161,18 @@ class RepetitionsNeeded:
 
 @dataclass(frozen=True, slots=True)
 class Power:
-    """What the number of runs suffices for.
+    """The effects that the numbers of runs can detect.
 
-    The power for the observed effect is not among it: it says no more than the p-value does (Hoenig and Heisey, The
-    abuse of power, 2001).
+    The power for the observed effect is not included: it has no more information than the p-value (Hoenig and Heisey,
+    The abuse of power, 2001).
 
     Attributes:
         effect_name: `Cohen's d` or `Cohen's f`.
-        target_power: the power that the figures are for.
-        detectable_effect: the smallest effect that would be found with the target power; None if there is none.
-        needed: runs a group for a small, a medium and a large effect; or blocks, where `counted` says so.
-        note: how to read it.
-        counted: what `needed` counts: `runs of a group`, `blocks of a group` or `blocks`.
+        target_power: the power of all figures.
+        detectable_effect: the smallest effect with the target power; None if there is none.
+        needed: the runs per group, or the blocks (see `counted`), for a small, a medium and a large effect.
+        note: a note on the assumptions.
+        counted: the unit of `needed`: `runs of a group`, `blocks of a group` or `blocks`.
     """
 
     effect_name: str
@@ -187,14 +186,14 @@ class Power:
 
 @dataclass(frozen=True, slots=True)
 class Correlation:
-    """How two measures go together.
+    """The correlation of two measures.
 
     Attributes:
-        n: runs that have both.
+        n: the number of runs with both measures.
         pearson, spearman: over all runs.
-        within: Pearson's r of the residuals: what is left once the treatments' own effect is taken away.
-        p_value: of Spearman's rho; `adjusted_p_value` after correction for the number of pairs. None, as the interval
-            is, where several runs are of one unit, such as a block, and vary together.
+        within: Pearson's r of the residuals, without the effects of treatments.
+        p_value: of Spearman's rho; `adjusted_p_value` is corrected for the number of pairs. Both, and the interval, are
+            None if several runs share an experimental unit, such as a block.
     """
 
     first: str
@@ -211,28 +210,29 @@ class Correlation:
 
 @dataclass(frozen=True, slots=True)
 class MeasureStatistics:
-    """Everything about one measure.
+    """The statistics of one measure.
 
     Attributes:
         name: its column.
-        origin: `measured`, `simulated`, `estimated`, or None where it is not known.
-        is_planned: whether the analysis of it was fixed before the experiment; exploratory otherwise.
-        is_primary: whether it is one of those that the plan is about.
-        overall: all runs together; None where it is not a number.
-        by_treatment: one a treatment of each factor, factors in their order.
-        by_combination: one a combination, where there are two and more factors.
-        assumptions: how residuals are distributed, whether spreads differ, then each group; they decide nothing.
-        post_hoc: pairs of treatments of each factor; of combinations where factors interact.
-        contrasts: of the hypotheses that name one.
+        origin: `measured`, `simulated`, `estimated`, or None if it is unknown.
+        is_planned: whether its analysis was fixed before the experiment; else it is exploratory.
+        is_primary: whether it is a primary measure of the plan.
+        overall: of all runs; None if it is not a number.
+        by_treatment: of each treatment of each factor, factors in their order.
+        by_combination: of each combination; empty for a single factor.
+        assumptions: checks of the residuals' normality, of equal variances, then of each group's normality; nothing
+            depends on them.
+        post_hoc: pairs of treatments of each factor; of combinations if factors interact.
+        contrasts: of the hypotheses with a contrast or a bound.
         not_computed: what could not be computed and why.
-        left_out: the values that are left out; everything here is of the others, but descriptions and Levene's test
-            have those that lack a covariate alone, which are measured as well as any.
-        rule_false_positives: how often two combinations of so many runs (the smallest and the largest) differ at 5 % by
-            chance alone where outliers are left out by the plan's rule, by simulation, percent; None where none was.
-        adjustment: how the tests were adjusted for covariates; descriptions are of values as measured.
-        surface: how it depends on factors that are numbers, where the design is one of a response surface.
-        proportions: how often it is yes, where it is yes or no; the unit of it and of differences is percent then.
-        kept_together: the blocks and batches whose effects residuals are without.
+        left_out: the values that are left out of everything here, except that descriptions and Levene's test include
+            those that only lack a covariate.
+        rule_false_positives: the simulated false positives at 5 % due to the plan's outlier rule, in percent, for two
+            combinations of the smallest and the largest size; None if no outlier was left out.
+        adjustment: how the tests were adjusted for covariates; descriptions are of unadjusted values.
+        surface: its response surface over numeric factors; None for other designs.
+        proportions: of a yes-or-no measure, whose unit is then percent; None for others.
+        kept_together: the blocks and batches whose means are subtracted from residuals.
     """
 
     name: str
@@ -261,18 +261,18 @@ class MeasureStatistics:
 
 @dataclass(frozen=True, slots=True)
 class DesignSummary:
-    """The design as statistics saw it.
+    """A summary of the design.
 
     Attributes:
-        factors: those with two and more treatments among the runs that are done.
-        constant_factors: those with one.
+        factors: those with two or more treatments among the runs that are done.
+        constant_factors: those with one treatment.
         block: the column of the blocks, or None.
-        used: how many runs were used: those that are done.
-        left_out: how many runs of the table were not, because they failed or are still to do.
-        smallest_group, largest_group: runs a combination.
-        sentence: all this in one sentence.
-        kind: of the design, as the manifest names it.
-        within: the factors that apply to some runs only, each with which: as in `Sensor=camera`.
+        used: the number of used runs: those that are done.
+        left_out: the number of runs of the table that failed or are still to do.
+        smallest_group, largest_group: the fewest and the most runs of a combination.
+        sentence: the summary as a sentence.
+        kind: of the design, its name in the manifest.
+        within: the conditional factors, each with its condition, as in `Sensor=camera`.
     """
 
     factors: tuple[str, ...]
@@ -290,12 +290,12 @@ class DesignSummary:
 
     @property
     def is_balanced(self) -> bool:
-        """Whether each combination has the same number of runs, of those that the design chose."""
+        """Whether all combinations of the design have the same number of runs."""
         return self.smallest_group == self.largest_group and not self.lacking_combinations
 
     @property
     def lacking_combinations(self) -> int:
-        """How many combinations have no run though the design is to have them all."""
+        """The number of combinations without a run in a full factorial; 0 for other designs."""
         return self.empty_combinations if self.kind == "full_factorial" else 0
 
 
@@ -304,9 +304,9 @@ class HypothesisOutcome:
     """The outcome of a hypothesis that was fixed before the experiment.
 
     Attributes:
-        p_value: of the effect that it is about; None where it could not be tested.
+        p_value: of its effect or contrast; None if it could not be tested.
         adjusted_p_value: after correction for the family of tests.
-        is_supported: whether the data speak for it at alpha; None where it could not be tested.
+        is_supported: whether it is significant at alpha; None if it could not be tested.
         conclusion: one sentence.
     """
 
@@ -319,17 +319,17 @@ class HypothesisOutcome:
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """Whether a conclusion stands when one choice is made otherwise, as when doubtful values are left out.
+    """Whether a conclusion stands in a sensitivity analysis, such as without doubtful values.
 
     Attributes:
-        factors: of the effect that it is about.
-        statement: the hypothesis that it is about; empty for an effect by itself.
-        left_out: the runs that were left out, then or in the planned analysis.
-        p_value: of the planned analysis; adjusted where it is about a hypothesis.
-        p_value_without: of the other one; None where it could not be computed.
-        stands: None where that could not be told.
+        factors: of the effect.
+        statement: of the hypothesis; empty for an effect.
+        left_out: the runs that are left out, in the sensitivity analysis or in the planned one.
+        p_value: of the planned analysis; adjusted for a hypothesis.
+        p_value_without: of the sensitivity analysis; None if it could not be computed.
+        stands: None if this is unknown.
         conclusion: one sentence.
-        beside: which other analysis it is.
+        beside: which sensitivity analysis.
     """
 
     measure: str
@@ -344,7 +344,7 @@ class Standing:
 
     @property
     def label(self) -> str:
-        """What it is about, in words: the hypothesis, or the effect as in `Task x Speed`."""
+        """The hypothesis, or the effect as in `Task x Speed`."""
         return self.statement or " x ".join(self.factors)
 
 
@@ -354,15 +354,15 @@ class ExperimentStatistics:
 
     Attributes:
         alpha: the level of significance.
-        correction: how p-values of many comparisons were adjusted.
+        correction: of p-values for the number of tests.
         is_planned: whether measures, alpha and hypotheses were fixed before the experiment.
-        measures: one each, planned ones first.
-        warnings: threats to validity that the statistics themselves noticed: drift, imbalance, runs left out.
-        without_doubtful: the measures that have doubtful values, once more without these.
-        standings: whether conclusions about measures that were computed once more stand.
-        with_all_runs: the measures of which the plan leaves out values, once more with these.
-        without_covariates: the measures that are adjusted for covariates, once more without.
-        plan: what was followed: what was fixed before the experiment, or given for this analysis; None for neither.
+        measures: the statistics of each measure, planned ones first.
+        warnings: threats to validity: drift, imbalance, runs left out.
+        without_doubtful: the measures with doubtful values, analysed without these.
+        standings: whether conclusions stand in the sensitivity analyses.
+        with_all_runs: the measures with values that the plan leaves out, analysed with these.
+        without_covariates: the measures that are adjusted for covariates, analysed without these.
+        plan: the plan that was followed: fixed before the experiment, or given to this analysis; None without one.
     """
 
     alpha: float
@@ -381,7 +381,7 @@ class ExperimentStatistics:
     plan: AnalysisPlan | None = None
 
     def beside(self, which: Beside) -> tuple[MeasureStatistics, ...]:
-        """Return the measures that were computed once more, with one choice made otherwise."""
+        """Return the measures of a sensitivity analysis."""
         return {
             Beside.WITHOUT_DOUBTFUL: self.without_doubtful,
             Beside.ALL_RUNS: self.with_all_runs,

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     #: The treatments of a group of runs, by factor.
     Group = Mapping[str, str]
 
-#: More pairs can neither be read nor tested with any power left: 15 treatments make 105.
+#: The most pairs, those of 15 treatments: more can neither be read nor tested with any power.
 MOST_PAIRS = 105
 
 _QUANTITIES = {Estimand.MEAN: "means", Estimand.TRIMMED_MEAN: "trimmed means", Estimand.RANK: "relative ranks"}
@@ -72,7 +72,7 @@ _PAIRED = {
 def compare_pairs(
     data: MeasureData, model: AnyModel, test: MeasureTest, choices: Choices
 ) -> tuple[tuple[PostHoc, ...], tuple[NotComputed, ...]]:
-    """Compare the treatments of each factor pair by pair; the combinations too, of factors that seem to interact."""
+    """Compare the treatments of each factor pair by pair, and the combinations of factors that may interact."""
     beside = planned_model_of(data, check_estimand(choices.estimand), choices.statistic)
     found: list[PostHoc] = []
     missing: list[NotComputed] = []
@@ -97,12 +97,12 @@ def compare_pairs(
     return tuple(found), tuple(missing)
 
 
-#: Of adjusted values the intervals of runs by themselves and of blocks hold in 78 to 97 % by simulation.
+#: Why rank-based effect sizes of adjusted values have no interval: its coverage would be 78 to 97 %, by simulation.
 _OF_ADJUSTED = "it would know nothing of the slopes that values are adjusted with, which are estimated, too."
 
 
 def missing_intervals(test: MeasureTest, post_hoc: Sequence[PostHoc]) -> Iterator[NotComputed]:
-    """Yield, for each kind of effect size, which intervals there are not, and why."""
+    """Yield, for each kind of effect size, which intervals are missing and why."""
     pairs = [
         (size, f"{pair.first} and {pair.second}")
         for each in post_hoc
@@ -132,7 +132,7 @@ def adjusted(p_values: Sequence[float], correction: Correction) -> list[float]:
         return []
     if correction is Correction.BENJAMINI_HOCHBERG:
         return [float(value) for value in stats.false_discovery_control(values, method="bh")]
-    # Holm 1979. statsmodels' multipletests would do, but each of its calls collects the interpreter's garbage.
+    # Holm 1979. Each call of statsmodels' multipletests would run the garbage collector.
     order = np.argsort(values)
     stepped = np.maximum.accumulate(values[order] * np.arange(len(values), 0, -1))
     holm = np.empty(len(values))
@@ -141,7 +141,7 @@ def adjusted(p_values: Sequence[float], correction: Correction) -> list[float]:
 
 
 def carry_out_contrast(model: AnyModel, hypothesis: Hypothesis, choices: Choices) -> ContrastTest | NotComputed:
-    """Test the contrast of a hypothesis, or that a difference is within its bound (two one-sided tests)."""
+    """Test the contrast of a hypothesis, or that a difference is within a bound (two one-sided tests)."""
     found = contrast_of(model, hypothesis, choices.estimand)
     if isinstance(found, NotComputed):
         return found
@@ -156,7 +156,7 @@ def carry_out_contrast(model: AnyModel, hypothesis: Hypothesis, choices: Choices
 
 
 def contrast_of(model: AnyModel, hypothesis: Hypothesis, estimand: Estimand) -> Contrast | NotComputed:
-    """Estimate the contrast of a hypothesis; of many experiments at once where the model is."""
+    """Estimate the contrast of a hypothesis; the model may be of many simulated experiments at once."""
     if hypothesis.within is not None and estimand is Estimand.RANK:
         why = "a bound in the unit of the measure says nothing of ranks, which differ by 1 at most: compare means."
         return NotComputed(_test_of(hypothesis), why)
@@ -173,7 +173,7 @@ def contrast_of(model: AnyModel, hypothesis: Hypothesis, estimand: Estimand) -> 
 
 
 def p_value_of_contrast(found: Contrast, hypothesis: Hypothesis) -> Floats:
-    """Return the p-value of a difference from zero; with a bound, that of a difference smaller than it."""
+    """Return the p-value of a difference from zero; with a bound, that of the equivalence test."""
     if hypothesis.within is None:
         return found.p_value
     with quiet():
@@ -185,7 +185,7 @@ def _test_of(hypothesis: Hypothesis) -> str:
 
 
 def _chosen_pairs(data: MeasureData, groups: Sequence[Group]) -> Iterator[tuple[Group, Group]]:
-    """Yield the pairs of treatments that the design compares: all, or each with the base."""
+    """Yield the pairs of treatments that the design compares: all, or one factor at a time, those with the base."""
     base = data.known.base if data.known.is_one_at_a_time else {}
     for one, other in combinations(groups, 2):
         if all(base.get(name, text) in {text, other[name]} for name, text in one.items()):
@@ -193,9 +193,9 @@ def _chosen_pairs(data: MeasureData, groups: Sequence[Group]) -> Iterator[tuple[
 
 
 def _compared(data: MeasureData, test: MeasureTest, alpha: float) -> Iterator[tuple[str, ...]]:
-    """Yield each factor, and the interactions that may turn out to be significant and are not aliased.
+    """Yield each factor, and the interactions that may be significant, unless effects are aliased.
 
-    Nothing of a surface: its treatments are numbers of which any others could have been taken.
+    There are none for a response surface, whose treatments are arbitrary numbers of a range.
     """
     if data.known.is_surface:
         return
@@ -245,7 +245,7 @@ def _p_value(found: Contrast) -> float | None:
 
 
 def _standardised(model: AnyModel, found: tuple[float, float, float], choices: Choices) -> Iterator[EffectSize]:
-    """Yield how much a difference is in standard deviations; nothing where ranks are compared."""
+    """Yield a difference in standard deviations; nothing for ranks."""
     if choices.estimand is not Estimand.RANK:
         name = "robust d" if choices.estimand is Estimand.TRIMMED_MEAN else "Cohen's d"
         size = cohens_d(*found, float(model.spread), model.spread_parts, level=1 - choices.alpha, name=name)
@@ -255,13 +255,12 @@ def _standardised(model: AnyModel, found: tuple[float, float, float], choices: C
 
 @dataclass(frozen=True, slots=True)
 class _RankSizes:
-    """By how often the one value is the larger, of any pair of treatments of the same factors.
+    """The rank-based effect sizes of pairs of treatments of the same factors.
 
     Attributes:
-        data: the runs; None where nothing is told: most combinations of the other factors are not there, or runs lie in
-            blocks of several kinds.
-        values: of the runs of each treatment, or combination of several, for each combination of the other factors, in
-            each batch by itself; empty where blocks are compared within.
+        data: the runs; None if there are no such sizes: for special designs, and for incomplete blocks.
+        values: of the runs of each treatment (or combination), by the combination of the other factors and the batch;
+            empty if comparisons are within blocks.
         level: of the intervals.
         is_adjusted: whether the values are adjusted for covariates.
     """
@@ -273,9 +272,9 @@ class _RankSizes:
 
     @classmethod
     def among(cls, data: MeasureData, model: AnyModel, factors: Sequence[str], choices: Choices) -> Self:
-        """Look once for what all pairs of treatments of these factors are told from.
+        """Prepare the values for all pairs of treatments of these factors.
 
-        Runs of all treatments of what is nested within are put together.
+        Runs that differ only in nested factors are pooled.
         """
         found: defaultdict[tuple[str, ...], dict[tuple[str, ...], Floats]] = defaultdict(dict)
         is_adjusted = isinstance(model, AdjustedMeans)
@@ -285,14 +284,14 @@ class _RankSizes:
         if not data.is_blocked:
             compared = {*factors, *ranked.others(tuple(factors))}
             names = [name for name in ranked.factors if name in compared]
-            # Those that have runs: all combinations of many factors are too many to be looked at.
+            # Only combinations with runs: many factors have too many combinations.
             for group in ranked.groups((*names, BATCH) if data.is_extended else names):
                 others = tuple(text for name, text in group.treatments.items() if name not in factors)
                 found[tuple(group.treatments[name] for name in factors)][others] = group.values
         return cls(ranked, found, 1 - choices.alpha, is_adjusted)
 
     def of_pair(self, pair: tuple[Group, Group]) -> Iterator[EffectSize]:
-        """Yield by how often the one value is the larger: within blocks where there are any."""
+        """Yield the effect sizes of a pair: within blocks if there are any."""
         sizes = self._sizes(pair)
         yield from (replace(each, interval=None) for each in sizes) if self.is_adjusted else sizes
 
@@ -312,7 +311,7 @@ class _RankSizes:
 
 
 def _within_blocks(data: MeasureData, pair: tuple[Group, Group]) -> Floats | None:
-    """Return the difference in each block that has both; None where none does."""
+    """Return the difference in each block that has both treatments; None without such blocks."""
     means = []
     for treatments in pair:
         rows = np.all([data.frame[name].astype(str) == level for name, level in treatments.items()], axis=0)

@@ -1,9 +1,9 @@
-"""Least squares whose errors hold where spreads differ, with degrees of freedom for few runs.
+"""Least squares with standard errors for unequal variances, and degrees of freedom for few runs.
 
-The covariance is bias-reduced (CR2; of runs of their own HC2): without covariates it gives each combination's own
-variance, so that a difference is Welch's t. Of blocks it is that of whole blocks, and without covariates a difference
-is the paired t. Degrees of freedom are Satterthwaite's, of several contrasts those of the approximate Hotelling test,
-both under working variances.
+The covariance is bias-reduced (CR2; HC2 for independent runs). Without covariates it yields a separate variance for
+each combination, so that the test of a difference is Welch's t test. With blocks it is clustered by block, and without
+covariates the test of a difference is the paired t test. Degrees of freedom are Satterthwaite's; for several contrasts
+those of the approximate Hotelling test, both under working variances.
 
 Sources: MacKinnon and White, Some heteroskedasticity-consistent covariance matrix estimators with improved finite
 sample properties (Journal of Econometrics 29, 1985); Bell and McCaffrey, Bias reduction in standard errors for linear
@@ -23,9 +23,9 @@ from scipy import stats
 from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.contrasts import Contrast, Tested
 
-#: A run whose residual varies by less than this share of chance is told by the model alone: it says nothing of errors.
+#: A run whose residual has less than this share of the error variance is fitted exactly, and does not inform the error.
 _NO_FREEDOM = 1e-8
-#: Of the largest variance of a sum: what is less cannot be told from the others' rounding.
+#: Eigenvalues below this share of the largest are rounding.
 _SINGULAR = 1e-12
 
 
@@ -35,11 +35,11 @@ class RobustFit(NamedTuple):
     Attributes:
         beta: the coefficients.
         residuals: of each run, sorted by unit.
-        exog: the design, sorted by unit, (runs, coefficients).
-        inverse: of the cross products of the design.
-        scaled: the design, each unit multiplied by what removes the bias of its residuals.
-        starts: where each unit begins.
-        working: the variance of each run that degrees of freedom are computed with.
+        exog: the design matrix, sorted by unit, (runs, coefficients).
+        inverse: of its cross products.
+        scaled: the design matrix, each unit multiplied by the matrix that corrects the bias of its residuals.
+        starts: the index of the first run of each unit.
+        working: the working variance of each run, for degrees of freedom.
     """
 
     beta: Floats
@@ -64,7 +64,7 @@ class RobustFit(NamedTuple):
         return Contrast(*map(np.asarray, (weights @ self.beta, np.sqrt(max(0.0, spread)), freedom)))
 
     def hotelling(self, weights: Floats) -> Tested | None:
-        """Test several sums at once (approximate Hotelling, Tipton and Pustejovsky 2015); None of too few runs.
+        """Test several sums at once (approximate Hotelling, Tipton and Pustejovsky 2015); None for too few runs.
 
         Args:
             weights: (sums, coefficients).
@@ -89,8 +89,8 @@ class RobustFit(NamedTuple):
 
         Args:
             weights: orthonormal contrasts of cells, (sums, coefficients).
-            is_repeated: whether cells repeat within units: the corrections of Huynh and Feldt, or where units are fewer
-                than twice the cells of Geisser and Greenhouse.
+            is_repeated: whether cells are repeated within units: with the correction of Huynh and Feldt, or of Geisser
+                and Greenhouse if there are fewer units than twice the cells.
         """
         count = len(weights)
         spread = weights @ self.covariance @ weights.T
@@ -107,11 +107,11 @@ class RobustFit(NamedTuple):
         return Tested(*map(np.asarray, (f_value, between, within, stats.f.sf(f_value, between, within))))
 
     def _moments(self, weights: Floats, *, is_sum: bool = False) -> tuple[Floats, float]:
-        """Return the covariance of sums as it is expected with the working variances, and how much it varies.
+        """Return the expected covariance of sums under the working variances, and its variance.
 
-        The covariance of sums is a sum over units s of (w_s'e)(w_s'e)', and the variances and covariances of w_s'e and
-        w_t'e are of low rank but for s = t, so that no matrix of runs by runs is needed. The second number is the sum
-        of the variances of all elements; with `is_sum`, the variance of their trace.
+        The covariance of sums is a sum over units s of (w_s'e)(w_s'e)'. The covariances of w_s'e and w_t'e have low
+        rank except for s = t, so that no matrix of runs by runs is needed. The second number is the sum of the
+        variances of all elements; with `is_sum`, the variance of the trace.
         """
         rows = self.scaled @ self.inverse @ weights.T
         of_working = self.exog * self.working[:, None]
@@ -143,10 +143,10 @@ def fit_robustly(exog: Floats, values: Floats, units: Numbers | None = None, cel
     """Fit a model by least squares.
 
     Args:
-        exog: the design, of full rank, (runs, coefficients). Of blocks, less the means of blocks.
-        values: of the runs; of blocks, less the means of blocks.
-        units: the block of each run; None where each run is a unit.
-        cells: the combination of each run, where each has a variance of its own; None where all have the same.
+        exog: the design matrix, of full rank, (runs, coefficients). With blocks, block means are subtracted if needed.
+        values: of the runs, treated like `exog`.
+        units: the block of each run; None if each run is a unit.
+        cells: the combination of each run, for a separate working variance each; None for a common one.
     """
     order = np.arange(len(values)) if units is None else np.argsort(units, kind="stable")
     exog, values = exog[order], values[order]
@@ -170,7 +170,7 @@ def fit_robustly(exog: Floats, values: Floats, units: Numbers | None = None, cel
 
 
 def _unbiased(exog: Floats, inverse: Floats) -> Floats:
-    """Return the design of a unit multiplied by the root of the inverse of what is left of chance in its residuals."""
+    """Return the design matrix of a unit multiplied by the inverse square root of its residual maker (CR2)."""
     values, vectors = np.linalg.eigh(np.eye(len(exog)) - exog @ inverse @ exog.T)
     roots = np.where(values > _NO_FREEDOM, 1 / np.sqrt(np.maximum(values, _NO_FREEDOM)), 0.0)
     return np.asarray((vectors * roots) @ vectors.T @ exog, dtype=np.float64)

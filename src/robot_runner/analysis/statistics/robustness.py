@@ -1,4 +1,4 @@
-"""Whether conclusions stand when one choice of the analysis is made otherwise, as without doubtful values."""
+"""Sensitivity: whether conclusions stand if one choice of the analysis changes, such as without doubtful values."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 
 class Otherwise(NamedTuple):
-    """What differs from the planned analysis in the one beside it.
+    """The difference of a sensitivity analysis from the planned one.
 
     Attributes:
-        beside: which analysis it is.
-        left_out: the runs that it leaves out, or that the planned one does, by measure.
+        beside: which sensitivity analysis.
+        left_out: the runs that it, or the planned one, leaves out, by measure.
         covariates: those of the plan.
     """
 
@@ -30,7 +30,7 @@ class Otherwise(NamedTuple):
     covariates: Sequence[str] = ()
 
     def in_words(self, measure: str) -> str:
-        """Return how the sentence on a measure begins."""
+        """Return the beginning of the sentence on a measure."""
         runs = self.left_out.get(measure, ())
         if self.beside is Beside.WITHOUT_DOUBTFUL:
             return f"Without the {counted(len(runs), 'run')} whose {measure} is doubtful ({listed(runs)}),"
@@ -41,7 +41,7 @@ class Otherwise(NamedTuple):
 
 
 def doubtful_runs(results: Results) -> dict[str, tuple[str, ...]]:
-    """Return the runs that are done and whose value is doubtful, by measure; measures without any are left out."""
+    """Return the runs with a doubtful value, by measure; measures without doubtful values are left out."""
     quality = results.quality
     doubtful = quality[quality["quality"] == Quality.DOUBTFUL.value]
     return {str(name): tuple(rows["run_id"]) for name, rows in doubtful.groupby("measure", sort=False)}
@@ -52,12 +52,12 @@ def standing_effects(
     without: Sequence[MeasureStatistics],
     otherwise: Otherwise,
 ) -> Iterator[Standing]:
-    """Yield, for each effect on a measure that was computed once more, whether what was concluded stands.
+    """Yield, for each effect on a measure of a sensitivity analysis, whether its conclusion stands.
 
     Args:
-        measures: the statistics as they were planned.
-        without: those of the measures that were computed once more.
-        otherwise: what differs in these.
+        measures: the planned statistics.
+        without: those of the sensitivity analysis.
+        otherwise: the difference between them.
     """
     by_name = {measure.name: measure for measure in without}
     for measure in measures:
@@ -72,7 +72,7 @@ def standing_hypotheses(
     otherwise: Otherwise,
     measures: Sequence[str],
 ) -> Iterator[Standing]:
-    """Yield, for each hypothesis about one of these measures, whether its outcome stands."""
+    """Yield, for each hypothesis on one of these measures, whether its outcome stands."""
     for now, then in zip(outcomes, without, strict=True):
         measure = now.hypothesis.measure
         if measure not in measures or now.is_supported is None:
@@ -98,9 +98,9 @@ def standing_hypotheses(
 
 
 def gathered(standings: Sequence[Standing], most: int) -> Iterator[str]:
-    """Yield whether conclusions on a measure stand; of more than `most` that share a verdict, how many there are.
+    """Yield sentences on whether conclusions stand; more than `most` with the same verdict are only counted.
 
-    Those that do not stand are told one by one, and so is what changes without the covariates.
+    Those that do not stand are listed one by one, and so are all those without covariates.
     """
     for beside in Beside:
         of_kind = [each for each in standings if each.beside is beside]
@@ -155,7 +155,7 @@ def _changed(effect: Effect, then: Effect, *, turned: bool) -> str:
 
 
 def _turned(measure: MeasureStatistics, without: MeasureStatistics, effect: Effect) -> bool:
-    """Return whether the larger of two treatments is the other one now."""
+    """Return whether the difference of two treatments has changed its sign."""
     now, then = (
         [pair.difference for each in of.post_hoc if each.factors == effect.factors for pair in each.comparisons]
         for of in (measure, without)
@@ -168,6 +168,6 @@ def _verdict(stands: bool | None, beside: Beside) -> str:
         return "; whether the conclusion stands is not known."
     if stands:
         return ": the conclusion stands."
-    # The plan chose the adjustment, and without it effects are known less precisely: that refutes nothing.
+    # The plan chose the adjustment, without which effects are less precise: this does not refute the conclusion.
     where = " without the adjustment" if beside is Beside.WITHOUT_COVARIATES else ""
     return f": the conclusion does not stand{where}."

@@ -1,10 +1,10 @@
-"""The analysis of variance by strata: least squares beside blocks, and of a split-plot design within and between plots.
+"""The analysis of variance by strata: least squares with blocks, and for split plots within and between whole plots.
 
-Blocks (rows, columns, periods, subjects) are fixed and taken out. Where some factors change from whole plot to whole
-plot only, what differs between whole plots is compared with how these vary, and the rest with how runs vary within
-them: the strata of Nelder (The analysis of randomized experiments with orthogonal block structure, Proceedings of the
-Royal Society A 283, 1965), which R's `aov(... + Error(plot))` prints. One variance serves each stratum. Values may have
-leading axes, one experiment each.
+Blocks (rows, columns, periods, subjects) have fixed effects that are adjusted for. If some factors change only between
+whole plots, their effects are compared with the variation of whole plots, and the others with that of runs within whole
+plots: the strata of Nelder (The analysis of randomized experiments with orthogonal block structure, Proceedings of the
+Royal Society A 283, 1965), as in R's `aov(... + Error(plot))`. Each stratum has one variance. Values may have leading
+axes, one entry for each experiment.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
 from robot_runner.analysis.statistics.effect_coding import Factors, Term
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, NoVariation, TestMethod
 
-#: Of a column: less than this share of it is what rounding leaves.
+#: The rest of a column below this share of it is rounding.
 _ROUNDING = 1e-9
 
-#: Takes of columns what lies in one stratum.
+#: A function that projects columns on a stratum.
 _Projection = Callable[[Floats], Floats]
 
 
 class Hypothesis(NamedTuple):
-    """An effect that is tested: that some columns of the model tell nothing.
+    """A tested effect: the null hypothesis is that the coefficients of its columns are 0.
 
     Attributes:
         columns: (runs, degrees of freedom).
@@ -48,8 +48,8 @@ class StratumFit(NamedTuple):
 
     Attributes:
         beta: the coefficients, (..., columns).
-        inverse: of the cross products of the columns, beside blocks.
-        mean_square: of what is left, (...).
+        inverse: of the cross products of the columns, adjusted for blocks.
+        mean_square: of the residuals, (...).
         freedom: its degrees of freedom.
         residuals: (..., runs).
     """
@@ -61,7 +61,7 @@ class StratumFit(NamedTuple):
     residuals: Floats
 
     def wald(self, place: slice | Sequence[int]) -> tuple[Floats, Floats]:
-        """Return the F statistic that some coefficients are zero, and its p-value; NaN where nothing is left."""
+        """Return the F statistic that some coefficients are zero, and its p-value; NaN without error freedom."""
         beta = self.beta[..., place]
         middle = np.linalg.inv(self.inverse[place][:, place])
         squares = np.einsum("...a,ab,...b->...", beta, middle, beta)
@@ -73,11 +73,11 @@ class StratumFit(NamedTuple):
 
 
 def fit_stratum(columns: Floats, blocks: Floats, values: Floats, rank: int) -> StratumFit | None:
-    """Fit columns beside blocks; None where the columns cannot be told apart.
+    """Fit columns adjusted for blocks; None if the columns are collinear.
 
     Args:
-        columns: (runs, columns); both projected onto the stratum.
-        blocks: what is taken out, the constant among it; of any rank.
+        columns: (runs, columns), projected on the stratum.
+        blocks: the nuisance columns, including the constant, projected as well; of any rank.
         values: (..., runs), projected as well.
         rank: the dimensions of the stratum.
     """
@@ -96,7 +96,7 @@ def fit_stratum(columns: Floats, blocks: Floats, values: Floats, rank: int) -> S
 
 
 def _basis(columns: Floats) -> Floats:
-    """Return orthonormal columns that span the same."""
+    """Return an orthonormal basis of the columns."""
     if not columns.size:
         return np.empty((len(columns), 0))
     vectors, sizes, _ = np.linalg.svd(columns, full_matrices=False)
@@ -109,14 +109,14 @@ class StrataModel:
 
     Attributes:
         factors: the factors, with their treatments.
-        hypotheses: what is tested, by its factors.
-        stratum_of: in which of `fits` each effect is.
-        fits: one, or that between whole plots and that within.
-        plot_size: how many runs a whole plot has; 1 where there are none.
-        method: what a paper calls the tests.
-        reason: why this one, in a sentence.
-        notes: what a reader has to know besides.
-        averaged_out: what of the variance of a run is left out where what is modelled are means of runs.
+        hypotheses: the tested effects, by their factors.
+        stratum_of: the index in `fits` of each effect.
+        fits: one, or those between and within whole plots.
+        plot_size: the number of runs in a whole plot; 1 without whole plots.
+        method: the name of the tests in a paper.
+        reason: a sentence on why this model is used.
+        notes: further notes for readers.
+        averaged_out: the part of the variance of a run that is averaged out if the values are means of runs.
     """
 
     factors: Factors
@@ -136,7 +136,7 @@ class StrataModel:
 
     @property
     def spread(self) -> Floats:
-        """The standard deviation of a run: of whole plots and of runs within them together."""
+        """The standard deviation of a run: between and within whole plots together."""
         within = self.fits[-1].mean_square
         if len(self.fits) == 1:
             return np.asarray(np.sqrt(within + self.averaged_out.variance))
@@ -146,7 +146,7 @@ class StrataModel:
 
     @property
     def spread_parts(self) -> tuple[SpreadPart, ...]:
-        """The parts of the variance that is `spread` squared."""
+        """The components of the variance `spread` squared."""
         within = SpreadPart(float(self.fits[-1].mean_square), self.fits[-1].freedom)
         between = SpreadPart(float(self.fits[0].mean_square) / self.plot_size, self.fits[0].freedom)
         if len(self.fits) == 1 or not math.isfinite(between.variance):
@@ -217,14 +217,14 @@ def fit_strata(
 
     Args:
         factors: the factors, with their treatments.
-        hypotheses: what is tested, main effects first.
+        hypotheses: the tested effects, main effects first.
         values: of the runs, (..., runs).
-        blocks: the columns that are taken out, without the constant.
-        plots: the whole plot of each run, from 0; None where there are none.
-        told: what a paper calls the tests, why this one, and what a reader has to know besides.
+        blocks: the nuisance columns, without the constant.
+        plots: the whole plot of each run, from 0; None without whole plots.
+        told: `method`, `reason` and `notes` of the model.
 
     Returns:
-        None where whole plots are unequal, so that effects do not lie in one stratum each.
+        None if whole plots are unequal, so that some effects are in no single stratum.
     """
     blocks = np.column_stack([np.ones(values.shape[-1]), blocks])
     strata = _strata(plots, values.shape[-1])
@@ -244,7 +244,7 @@ def fit_strata(
         if fit is None:
             why = "the factors go together so closely with each other or with blocks that effects cannot be told apart."
             return NotComputed("the test", why)
-        # What rounding leaves is no measure of chance: beside a mean square of 0, nothing is tested in a stratum.
+        # A mean square that is rounding is no estimate of error: with 0, nothing is tested in the stratum.
         is_rounding = np.sqrt(fit.mean_square) <= rounding_of(values)
         fits.append(fit._replace(mean_square=np.where(is_rounding, 0.0, fit.mean_square)))
     if fits[-1].freedom < 1:
@@ -258,7 +258,7 @@ def fit_strata(
 
 
 def _strata(plots: Numbers | None, runs: int) -> list[tuple[_Projection, int]] | None:
-    """Return what projects columns onto each stratum, and its dimensions; None where whole plots are unequal."""
+    """Return the projection on each stratum and its dimensions; None if whole plots are unequal."""
     if plots is None:
         return [(lambda columns: columns, runs)]
     sizes = np.bincount(plots)
@@ -273,7 +273,7 @@ def _strata(plots: Numbers | None, runs: int) -> list[tuple[_Projection, int]] |
 
 
 def _stratum_of(columns: Floats, strata: Sequence[tuple[_Projection, int]]) -> int | None:
-    """Return in which stratum an effect lies wholly; None where in none."""
+    """Return the index of the stratum that contains an effect; None if there is none."""
     whole = float(np.sum(columns**2))
     for place, (project, _) in enumerate(strata):
         if float(np.sum((columns - project(columns)) ** 2)) <= _ROUNDING * whole:

@@ -1,10 +1,10 @@
-"""A response surface: how a measure depends on factors that are numbers, by a polynomial of degree two.
+"""Response surfaces: a polynomial of degree two in numeric factors.
 
 Sources: Box and Wilson, On the experimental attainment of optimum conditions (Journal of the Royal Statistical Society
 B 13, 1951); Myers, Montgomery and Anderson-Cook, Response Surface Methodology, 4th ed., 2016, chapters 2 and 6 (coded
-variables, lack of fit, canonical analysis); errors of eigenvalues: Bisgaard and Ankenman, Standard errors for the
-eigenvalues in second-order response surface models (Technometrics 38, 1996). The test of a factor is that of all its
-terms together, as SAS's RSREG prints it.
+variables, lack of fit, canonical analysis); standard errors of eigenvalues: Bisgaard and Ankenman, Standard errors for
+the eigenvalues in second-order response surface models (Technometrics 38, 1996). A factor is tested by all its terms
+together, as in SAS's RSREG.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ if TYPE_CHECKING:
 
 _THREE = 3
 _LEVEL = 0.95
-#: The stationary point is looked at where the region that was explored ends, in coded units, but for rounding.
+#: The edge of the explored region, in coded units, plus rounding.
 _EDGE = 1 + 1e-9
 
 
 class Coefficient(NamedTuple):
-    """A coefficient of the polynomial, of coded factors.
+    """A coefficient of the polynomial of coded factors.
 
     Attributes:
-        term: the factors that are multiplied: one, one twice (its square), or two; none of the constant.
+        term: the factors of the product: one, one twice (its square), or two; empty for the constant.
         estimate: in the measure's unit.
         interval: at 1 - alpha.
-        statistic, p_value: of the t-test that it is zero.
+        statistic, p_value: of the t-test against zero.
     """
 
     term: Term
@@ -58,7 +58,7 @@ class Coefficient(NamedTuple):
 
 
 class LackOfFit(NamedTuple):
-    """Whether the surface lacks something: what it leaves, beside how much repeated runs vary."""
+    """The test for lack of fit: the residuals of the surface compared with the variation of repeated runs."""
 
     f_value: float
     freedom: tuple[float, float]
@@ -66,14 +66,14 @@ class LackOfFit(NamedTuple):
 
 
 class StationaryPoint(NamedTuple):
-    """Where the surface neither rises nor falls.
+    """The stationary point of the surface, where its gradient is zero.
 
     Attributes:
-        at: in the factors' own units.
+        at: its coordinates, in the units of the factors.
         value: of the measure there.
-        kind: `minimum`, `maximum`, `saddle point`, or `ridge` where a curvature's interval has both signs.
+        kind: `minimum`, `maximum`, `saddle point`, or `ridge` if the interval of a curvature includes 0.
         curvatures: the eigenvalues, in the measure's unit for coded factors, with their intervals.
-        is_inside: whether it lies where runs were executed.
+        is_inside: whether it is inside the explored region.
     """
 
     at: Mapping[str, float]
@@ -85,15 +85,15 @@ class StationaryPoint(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """A response surface, as a report shows it.
+    """A response surface, for the report.
 
     Attributes:
-        coding: the middle and half the range of each factor, in its own unit: coded it goes from -1 to 1.
+        coding: the centre and half the range of each factor, in its unit; coded values are from -1 to 1.
         coefficients: the constant first.
-        lack_of_fit: None where no combination was repeated, or the surface has as many terms as combinations.
+        lack_of_fit: None if no combination was repeated, or the surface has as many terms as combinations.
         r_squared: the share of the variance that it explains.
-        stationary: None where the surface has no curvature, or was not fitted with any.
-        others: factors that are no numbers; the surface is that of their average.
+        stationary: None if the surface has no curvature, or no squares of all factors.
+        others: the factors that are not numeric, over which the surface is averaged.
     """
 
     coding: Mapping[str, tuple[float, float]]
@@ -104,7 +104,7 @@ class Surface:
     others: tuple[str, ...] = field(default=())
 
     def at(self, numbers: Mapping[str, Floats]) -> Floats:
-        """Return the surface's value at some numbers of each factor, in its own unit."""
+        """Return the value of the surface at some values of each factor, in its unit."""
         coded = {name: (numbers[name] - middle) / half for name, (middle, half) in self.coding.items()}
         total = np.zeros(np.broadcast_shapes(*(np.shape(each) for each in coded.values())))
         for each in self.coefficients:
@@ -122,14 +122,14 @@ class SurfaceModel:
     Attributes:
         factors: the factors, with their treatments.
         coding: see `Surface`.
-        terms: the polynomial's, without the constant.
-        others: the terms of factors that are no numbers, with their columns' places.
+        terms: of the polynomial, without the constant.
+        others: the factors that are not numeric, with the indices of their columns.
         columns: of all terms, (runs, coefficients).
-        blocks: the columns that are taken out, the constant among them.
+        blocks: the nuisance columns, including the constant.
         cells: the combination of each run.
         fit: by least squares.
         values: (..., runs).
-        notes: what a reader has to know besides.
+        notes: further notes for readers.
     """
 
     factors: Mapping[str, Sequence[str]]
@@ -145,12 +145,12 @@ class SurfaceModel:
 
     @property
     def method(self) -> TestMethod:
-        """What a paper calls the tests."""
+        """The name of the tests in a paper."""
         return TestMethod.SURFACE
 
     @property
     def reason(self) -> str:
-        """Why this test, in a sentence."""
+        """A sentence on why this model is used."""
         return (
             "Factors that are numbers: a polynomial of degree two is fitted by least squares, and a factor is tested "
             "by all its terms together. One variance serves all runs."
@@ -158,16 +158,16 @@ class SurfaceModel:
 
     @property
     def spread(self) -> Floats:
-        """The standard deviation of what the surface leaves unexplained."""
+        """The residual standard deviation."""
         return np.sqrt(self.fit.mean_square)
 
     @property
     def spread_parts(self) -> tuple[SpreadPart, ...]:
-        """Nothing: it is as well known as effects are."""
+        """Empty: the spread is known as precisely as effects are."""
         return ()
 
     def effects(self) -> Iterator[EffectTest]:
-        """Yield the test of each factor by all its terms, then of each interaction."""
+        """Yield the test of each factor, by all its terms, then of each interaction."""
         for term, places in self._hypotheses():
             f_value, p_value = self.fit.wald(places)
             mine = self.columns[:, places] - self.columns[:, places].mean(axis=0)
@@ -187,10 +187,10 @@ class SurfaceModel:
                 yield term, [place]
 
     def difference(self, weights: Sequence[tuple[Mapping[str, str], float]]) -> Contrast:
-        """Estimate a weighted sum of the surface's values at treatments, the other factors in the middle.
+        """Estimate a weighted sum of the surface's values at treatments, with the other factors at their centre.
 
         Args:
-            weights: treatments by factor, with their weight; the weights sum up to zero.
+            weights: treatments by factor, with their weight; the weights must sum up to zero.
         """
         row = np.zeros(self.columns.shape[1])
         for treatments, weight in weights:
@@ -206,7 +206,7 @@ class SurfaceModel:
         return Contrast(np.asarray(self.fit.beta @ row), np.asarray(error), freedom)
 
     def surface(self, alpha: float) -> Surface:
-        """Return what a report shows of the surface; of a single experiment."""
+        """Return the surface for the report; only for a single experiment."""
         middle = self.columns.mean(axis=0)
         count, runs = len(self.terms), len(self.values)
         constant = float(self.values.mean() - self.fit.beta @ middle)
@@ -239,7 +239,7 @@ class SurfaceModel:
         )
 
     def _lack_of_fit(self, left: float) -> LackOfFit | None:
-        """Compare what the surface leaves with how runs of the same combination (and block) vary."""
+        """Compare the residuals with the variation of runs of the same combination (and block)."""
         _, cell = np.unique(np.column_stack([self.cells, self.blocks]), axis=0, return_inverse=True)
         counts = np.bincount(cell.ravel())
         means = np.bincount(cell.ravel(), self.values) / counts
@@ -277,7 +277,7 @@ class SurfaceModel:
         )
 
     def _intervals_of_curvatures(self, axes: Floats, curvatures: Floats, alpha: float) -> list[Interval]:
-        """Return the intervals of the pure squares along the surface's own axes (Bisgaard and Ankenman 1996)."""
+        """Return the intervals of the curvatures along the principal axes (Bisgaard and Ankenman 1996)."""
         names = list(self.coding)
         places = {term: place for place, term in enumerate(self.terms)}
         reach = float(stats.t.ppf(1 - alpha / 2, self.fit.freedom))
@@ -312,15 +312,15 @@ def fit_surface(
     values: Floats,
     coding: Mapping[str, tuple[float, float]],
 ) -> SurfaceModel | NotComputed:
-    """Fit a surface of degree two, or of as many terms as the runs suffice for.
+    """Fit a surface of degree two, or with as many terms as the runs allow.
 
     Args:
         factors: the factors, with their treatments.
-        levels: the treatment of each run, of each factor that is a number.
-        others: the columns of factors that are no numbers.
-        blocks: the columns that are taken out, without the constant.
+        levels: the treatment of each run, for each numeric factor.
+        others: the columns of factors that are not numeric.
+        blocks: the nuisance columns, without the constant.
         values: of the runs.
-        coding: the middle and half the range of factors, where the design has them; else those of the runs.
+        coding: the centre and half the range of factors, if the design has them; else those of the runs are taken.
     """
     numbers = {name: np.array([float(text) for text in texts]) for name, texts in levels.items()}
     ends = {name: ((each.max() + each.min()) / 2, np.ptp(each) / 2) for name, each in numbers.items()}
@@ -348,7 +348,7 @@ def fit_surface(
 
 
 def _polynomials(coded: Mapping[str, Floats]) -> Iterator[tuple[tuple[Term, ...], str]]:
-    """Yield the terms of surfaces, the richest first, and what is left out of each."""
+    """Yield the terms of surfaces, the largest first, each with a note on what is left out."""
     lines: list[Term] = [(name,) for name in coded]
     squares: list[Term] = [(name, name) for name, each in coded.items() if len(set(each.tolist())) >= _THREE]
     crossed: list[Term] = list(combinations(coded, 2))

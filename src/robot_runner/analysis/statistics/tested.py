@@ -1,4 +1,4 @@
-"""What tests yield: plain data that carry the numbers and the reasons. No p-value is given that does not hold."""
+"""The results of tests as plain data, with reasons. Invalid p-values are left out."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def named_within(name: str, within: str) -> str:
-    """Return an effect with the runs among which it is told.
+    """Return an effect with the runs within which it is estimated.
 
     Example:
         >>> named_within("Resolution", "Sensor=camera")
@@ -25,11 +25,11 @@ def named_within(name: str, within: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class NotComputed:
-    """Something that could not be computed.
+    """A result that could not be computed.
 
     Attributes:
-        what: as in `Shapiro-Wilk test of Task=Video`.
-        why: one sentence.
+        what: the result, as in `Shapiro-Wilk test of Task=Video`.
+        why: the reason, one sentence.
     """
 
     what: str
@@ -38,7 +38,7 @@ class NotComputed:
 
 @dataclass(frozen=True, slots=True)
 class NoVariation(NotComputed):
-    """Something that could not be computed as nothing varies there, or by no more than rounding would make it."""
+    """A result that could not be computed because values do not vary, or by rounding alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +47,8 @@ class Interval:
 
     Attributes:
         low, high: its ends.
-        level: the confidence, 0.95 for 95 %.
-        method: how it was computed, as in `bootstrap (BCa)`.
+        level: the confidence level, 0.95 for 95 %.
+        method: as in `bootstrap (BCa)`.
     """
 
     low: float
@@ -58,7 +58,7 @@ class Interval:
 
 
 class Magnitude(Enum):
-    """How much an effect is, in a word."""
+    """The magnitude of an effect, in a word."""
 
     NEGLIGIBLE = "negligible"
     SMALL = "small"
@@ -67,7 +67,7 @@ class Magnitude(Enum):
 
 
 class TestMethod(Enum):
-    """A test, by the name under which a paper names it."""
+    """A test, by its name in a paper."""
 
     __test__ = False  # no tests for pytest
 
@@ -90,13 +90,13 @@ class TestMethod(Enum):
 
 
 class EffectTest(NamedTuple):
-    """What was computed for one effect.
+    """The computed test of one effect.
 
-    The numbers are arrays where several experiments were computed at once.
+    The numbers are arrays if several experiments were computed at once.
 
     Attributes:
         factors: one name, or several for an interaction.
-        test: which test it is, as in `Welch's t`.
+        test: its name, as in `Welch's t`.
         statistic_name: `t` or `F`.
         freedom: degrees of freedom, one or two.
         variance: the mean of the squared effects on all combinations.
@@ -115,13 +115,13 @@ class EffectTest(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class EffectSize:
-    """How much an effect is.
+    """An effect size.
 
     Attributes:
-        name: as in `Cohen's d`, `Cliff's delta`, `Vargha-Delaney A12`, `partial eta squared`.
-        interval: its confidence interval, where one can be computed.
-        magnitude: its name, by the thresholds of `source`.
-        source: where the thresholds come from.
+        name: as in `Cohen's d`, `Cliff's delta`, `Vargha-Delaney A12`, `partial omega squared`.
+        interval: its confidence interval; None if it cannot be computed.
+        magnitude: by the thresholds of `source`.
+        source: of the thresholds.
     """
 
     name: str
@@ -133,12 +133,12 @@ class EffectSize:
 
 @dataclass(frozen=True, slots=True)
 class AssumptionCheck:
-    """How the values are distributed, as a figure that describes; no test is chosen by it.
+    """The check of a distribution assumption, as a description; no test is chosen by it.
 
     Attributes:
         name: `Shapiro-Wilk` or `Levene`.
-        treatments: the group that was looked at; empty for all groups together (residuals).
-        holds: whether it is not refuted at alpha.
+        treatments: of the checked group; empty for all groups together (residuals).
+        holds: whether the assumption is not rejected at alpha.
         conclusion: one sentence.
     """
 
@@ -152,7 +152,7 @@ class AssumptionCheck:
 
 @dataclass(frozen=True, slots=True)
 class QuantilePairs:
-    """The points of a normal Q-Q figure of the residuals (value less the mean of its combination), in ascending order.
+    """The points of a normal Q-Q plot of the residuals from the model, in ascending order.
 
     Attributes:
         theoretical: quantiles of the standard normal distribution.
@@ -170,12 +170,12 @@ class QuantilePairs:
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """The test of the ranks of all values, or of their means where ranks are tested: does a conclusion hang on it?
+    """A robustness check: the test of the ranks of all values, or of the means if ranks are tested.
 
     Attributes:
         of: `ranks` or `means`.
-        p_value: before adjustment; None where it could not be computed.
-        agrees: whether it comes to the same side of alpha as the test beside it; None where that is not known.
+        p_value: before adjustment; None if it could not be computed.
+        agrees: whether it is on the same side of alpha as the main test; None if that is unknown.
     """
 
     of: str
@@ -188,13 +188,13 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class TestPart:
-    """One of the tests whose p-values are combined to that of an effect.
+    """One of the tests whose p-values are combined for an effect.
 
     Attributes:
         name: `Welch-James` or `ANOVA-type`.
-        statistic: an F.
+        statistic: F.
         degrees_of_freedom: two.
-        p_value: of this test alone, of which nothing is concluded.
+        p_value: of this test alone, from which nothing is concluded.
     """
 
     __test__ = False  # no tests for pytest
@@ -207,23 +207,23 @@ class TestPart:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """One line of a table of tests: the effect of a factor, or of several together (their interaction).
+    """The test of an effect, of a factor or an interaction: a row of a table of tests.
 
     Attributes:
         factors: one name, or several for an interaction.
-        test: which test it is, as in `Welch's t`.
+        test: its name, as in `Welch's t`.
         statistic_name: `t` or `F`.
-        statistic: of the first part, where there are parts.
+        statistic: of the first part, if there are parts.
         degrees_of_freedom: one or two.
-        p_value: before adjustment; None where it could not be computed.
-        adjusted_p_value: after adjustment for the family of tests that it belongs to.
-        is_significant: whether the adjusted p-value is below alpha; None where there is none.
-        effect_sizes: how much it is.
-        check: the test of ranks beside it.
-        conclusion: one plain sentence, or two.
-        parts: the tests whose p-values are combined; none where there is a single test.
-        aliases: the effects that the design cannot tell apart from it, by their factors.
-        within: among which runs it is told, as in `Sensor=camera`, where a factor applies to some only.
+        p_value: before adjustment; None if it could not be computed.
+        adjusted_p_value: after adjustment for its family of tests.
+        is_significant: whether the adjusted p-value is below alpha; None without a p-value.
+        effect_sizes: with their intervals.
+        check: the robustness check.
+        conclusion: one or two sentences.
+        parts: the tests whose p-values are combined; empty for a single test.
+        aliases: the effects that are aliased with it, by their factors.
+        within: the runs within which a conditional factor is tested, as in `Sensor=camera`; else empty.
     """
 
     factors: tuple[str, ...]
@@ -243,25 +243,25 @@ class Effect:
 
     @property
     def label(self) -> str:
-        """The effect in words, as in `Task` or `Task x Speed`; with what it cannot be told apart from."""
+        """The effect in words, as in `Task` or `Task x Speed`, with its condition and aliases."""
         name = named_within(" x ".join(self.factors), self.within)
         return f"{name} (aliased with {listed([' x '.join(each) for each in self.aliases])})" if self.aliases else name
 
 
 @dataclass(frozen=True, slots=True)
 class MeasureTest:
-    """The test of a measure, as the design and the plan fix it.
+    """The test of a measure, which the design and the plan determine.
 
     Attributes:
         method: the test.
-        estimand: what is compared: `mean`, `trimmed mean`, `rank`, or `proportion` of a measure that is yes or no.
-        reason: why this one, in a sentence.
+        estimand: `mean`, `trimmed mean`, `rank`, or `proportion` for a yes-or-no measure.
+        reason: a sentence on why this test is used.
         effects: its results, main effects first.
-        family: the tests among which errors are controlled together, in words; how many they are.
+        family: the tests over which the error rate is controlled, in words.
         family_size: their number.
-        spread: the standard deviation that differences are divided by for Cohen's d; None where there is none.
-        library: what computed it, with its version.
-        notes: what else the reader has to know, such as that an interaction could not be estimated.
+        spread: the standard deviation for Cohen's d; None if there is none.
+        library: the library that computed it, with its version.
+        notes: further notes for readers, such as that an interaction could not be estimated.
     """
 
     method: TestMethod
@@ -277,16 +277,16 @@ class MeasureTest:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Two groups compared, among all pairs.
+    """The comparison of a pair of groups.
 
     Attributes:
         first, second: the treatments, as texts.
-        difference: the estimate of the first less that of the second; each combination counts the same.
+        difference: the estimate of the first minus that of the second; combinations have equal weights.
         interval: confidence interval of the difference at 1 - alpha, not adjusted for the number of comparisons.
-        p_value: before adjustment; below alpha where the interval leaves out 0.
+        p_value: before adjustment; below alpha if the interval excludes 0.
         adjusted_p_value: after adjustment for the number of pairs, and no smaller than that of the effect.
         is_significant: whether the adjusted p-value is below alpha.
-        check_p_value: of the same comparison of the ranks of all values (of means, where ranks are compared).
+        check_p_value: of the same comparison by ranks (by means, if ranks are compared).
     """
 
     first: str
@@ -308,11 +308,11 @@ class PostHoc:
     """All pairs of the treatments of one factor (or of combinations of several).
 
     Attributes:
-        factors: whose treatments are compared; several where combinations are.
+        factors: the factor, or several if combinations are compared.
         method: the test of each pair, in words.
-        correction: how p-values were adjusted.
-        quantity: what differences are of: `means`, `trimmed means`, `relative ranks`, or `proportions`.
-        within: among which runs, where a factor applies to some only.
+        correction: of p-values.
+        quantity: the compared quantity, such as `means`, `trimmed means`, `relative ranks` or proportions.
+        within: the runs within which a conditional factor is compared; else empty.
     """
 
     factors: tuple[str, ...]
@@ -324,19 +324,19 @@ class PostHoc:
 
     @property
     def label(self) -> str:
-        """Whose treatments are compared, in words."""
+        """The compared factors in words."""
         return named_within(" x ".join(self.factors), self.within)
 
 
 @dataclass(frozen=True, slots=True)
 class ContrastTest:
-    """A contrast that a hypothesis names, or the difference that it bounds.
+    """The test of a hypothesis on a contrast, or on a bound of a difference.
 
     Attributes:
         statement: the hypothesis in words.
         estimate: the weighted sum of means.
-        interval: at 1 - alpha; at 1 - 2 alpha where the hypothesis is one of equivalence, which it decides.
-        p_value: that the sum is not zero; of two one-sided tests where it is one of equivalence.
+        interval: at 1 - alpha; for equivalence at 1 - 2 alpha, which decides it.
+        p_value: of the test against zero; for equivalence, of two one-sided tests.
     """
 
     statement: str

@@ -1,8 +1,8 @@
-"""The slope of Theil and Sen over thousands of runs, whose pairs would not fit into memory, nor be counted one by one.
+"""The Theil-Sen slope for thousands of runs, whose pairs are too many for memory, or to be counted one by one.
 
-The slopes of all pairs that are below a number are as many as the pairs that fall once a line of this slope is taken
-away, and a sort counts these. So the slope of a rank is the root of a function (Cole, Salowe, Steiger and Szemeredi, An
-optimal-time algorithm for slope selection, SIAM Journal on Computing 18, 1989, have the idea).
+The number of pairwise slopes below s equals the number of pairs that decrease after a line with slope s is subtracted,
+which a sort counts. So the slope of a rank is the root of a function (the idea of Cole, Salowe, Steiger and Szemeredi,
+An optimal-time algorithm for slope selection, SIAM Journal on Computing 18, 1989).
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-#: With so many values `scipy.stats.theilslopes` holds some 100 MB: it holds each pair several times, in both orders.
+#: The most values for `scipy.stats.theilslopes`, which then needs some 100 MB: it stores each pair several times.
 _MOST_AT_ONCE = 2_000
-#: How closely a slope is looked for, as a share of that from one corner of all values to the other.
+#: The tolerance of a slope, relative to that of the diagonal of all values.
 _PRECISION = 1e-18
 _MOST_STEPS = 500
 
 
 class TheilSen(NamedTuple):
-    """The median of the slopes of all pairs of values, with its confidence interval (Sen 1968)."""
+    """The median of all pairwise slopes, with its confidence interval (Sen 1968)."""
 
     slope: float
     low: float
@@ -34,10 +34,10 @@ class TheilSen(NamedTuple):
 
 
 def theil_sen(places: Floats, values: Floats, level: float) -> TheilSen:
-    """Return the slope as `scipy.stats.theilslopes` does, in memory that grows with the values and not their pairs.
+    """Return the slope like `scipy.stats.theilslopes`, in memory linear in the number of values.
 
     Args:
-        places: ascending; pairs of which both are alike have no slope.
+        places: in ascending order; pairs at the same place have no slope.
         values: as many, at least two.
         level: of the confidence interval, as in 0.95.
 
@@ -61,7 +61,7 @@ def _ties(values: Floats) -> Floats:
 
 
 def _ends(places: Floats, values: Floats, count: int, level: float) -> tuple[int, int]:
-    """Return the ranks of the ends of the interval (equation 2.6 of Sen 1968), rounded as scipy rounds them."""
+    """Return the ranks of the ends of the interval (equation 2.6 of Sen 1968), rounded like scipy's."""
     n = len(values)
     alike = [float(np.sum(ties * (ties - 1) * (2 * ties + 5))) for ties in map(_ties, (places, values))]
     variance = (n * (n - 1) * (2 * n + 5) - sum(alike)) / 18
@@ -70,10 +70,10 @@ def _ends(places: Floats, values: Floats, count: int, level: float) -> tuple[int
 
 
 def _slopes_of_ranks(places: Floats, values: Floats, ranks: tuple[int, ...]) -> dict[int, float]:
-    """Return the slopes of these ranks among the slopes of all pairs, from 0."""
-    order = np.lexsort((values, places))  # of values at the same place none falls, whatever the line
+    """Return the slopes of these ranks, from 0, among all pairwise slopes."""
+    order = np.lexsort((values, places))  # pairs at the same place never decrease, whatever the line
     places, values = places[order], values[order]
-    centred = values - np.median(values)  # a line would be lost in the rounding of values that are far from 0
+    centred = values - np.median(values)  # for values far from 0, a line would be lost in rounding
     gaps = np.diff(places)
     rise = float(np.ptp(values)) or 1.0
     reach, precision = 2 * rise / float(gaps[gaps > 0].min()), _PRECISION * rise / float(np.ptp(places))
@@ -84,24 +84,24 @@ def _slopes_of_ranks(places: Floats, values: Floats, ranks: tuple[int, ...]) -> 
     found = {}
     for rank in set(ranks):
         near = optimize.brentq(beyond, -reach, reach, (rank,), xtol=precision, maxiter=_MOST_STEPS)
-        # Once a line of its own slope is taken away, both values of a pair are alike, and so neighbours.
+        # After a line with its slope is subtracted, both values of a pair are equal, and so neighbours.
         beside = np.argsort(centred - near * places, kind="stable")
         run = np.diff(places[beside])
         slopes = np.diff(values[beside])[run != 0] / run[run != 0]
-        found[rank] = float(slopes[np.argmin(np.abs(slopes - near))]) + 0.0  # and not -0.0
+        found[rank] = float(slopes[np.argmin(np.abs(slopes - near))]) + 0.0  # to avoid -0.0
     return found
 
 
 def _falling(values: Floats) -> int:
-    """Return how many pairs of values have the larger one first, by merging sorted halves into ever larger ones."""
+    """Return the number of inversions, pairs with the larger value first, by a merge sort."""
     size = 1 << (len(values) - 1).bit_length()
-    rows: NDArray[np.intp] = np.arange(size)  # what is added behind is larger than all others
+    rows: NDArray[np.intp] = np.arange(size)  # the padding is larger than all values
     rows[np.argsort(values, kind="stable")] = np.arange(len(values))
     found, half = 0, 1
     while half < size:
         rows = rows.reshape(-1, 2 * half)
         order = np.argsort(rows, axis=1, kind="stable")
-        # The place of a value of the first half is its place there, and those of the other half that are smaller.
+        # The place of a value of the first half is its place there plus the number of smaller ones in the other half.
         moved = np.flatnonzero(order < half) % (2 * half)
         found += int(moved.sum()) - len(rows) * half * (half - 1) // 2
         rows, half = np.take_along_axis(rows, order, axis=1), 2 * half

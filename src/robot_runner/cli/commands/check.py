@@ -34,7 +34,7 @@ from robot_runner.core.words import shown_value
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     add_config(parser)
     add_set(parser)
     parser.add_argument(

@@ -19,7 +19,7 @@ from robot_runner.core.storage.lock import forget_requests
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     add_target(parser, is_the_only_one=True)
     add_set(parser)
     parser.add_argument(

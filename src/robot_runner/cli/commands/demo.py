@@ -44,7 +44,7 @@ _UNITS = {"CPU": "%", "Memory": "%", "Energy": "J"}
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     parser.add_argument(
         "--folder",
         metavar="FOLDER",

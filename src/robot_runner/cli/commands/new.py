@@ -25,7 +25,7 @@ _PLUGINS = {"profiler": "my_meter", "system": "my_robot"}
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     parser.add_argument(
         "file",
         metavar="FILE",

@@ -17,7 +17,7 @@ from robot_runner.core.storage.lock import leave_request
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     add_target(parser, is_the_only_one=True)
     add_set(parser)
 

@@ -32,7 +32,7 @@ from robot_runner.core.words import counted, listed, one_line
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     add_config(parser)
     add_set(parser)
     parser.add_argument("--all", action="store_true", help="show every run of a long table")

@@ -38,7 +38,7 @@ class _Described:
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     add_json(parser)
 
 

@@ -38,7 +38,7 @@ _WHERE = "robot-runner queue"
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     parser.add_argument(
         "action",
         metavar="ACTION",

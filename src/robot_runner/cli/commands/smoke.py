@@ -36,7 +36,7 @@ from robot_runner.core.words import counted, shown_duration
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     add_config(parser)
     add_set(parser)
     parser.add_argument("--plain", action="store_true", help="print plain lines on a terminal, too")

@@ -26,7 +26,7 @@ _BAR = 30
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     add_target(parser, is_the_only_one=True)
     add_set(parser)
     add_json(parser)

@@ -35,7 +35,7 @@ _MOST_LINES = 20
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     parser.add_argument(
         "plugin",
         metavar="PLUGIN",

@@ -1,4 +1,4 @@
-"""What is printed at the end of an experiment: what is done, where the results are, what looked odd, what is next."""
+"""What is printed at the end of an experiment: what is done, where the results are, warnings, and what to do next."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def print_outcome(console: UserConsole, finished: ExperimentFinished, progress: 
 
 
 def print_verdict(console: UserConsole, finished: ExperimentFinished, progress: Progress) -> None:
-    """Print how many runs are done, why others failed, and what looked odd."""
+    """Print how many runs are done, why others failed, and the warnings."""
     console.print()
     console.print(_verdict(finished, progress), style=f"bold {_colour(finished)}")
     print_odd(console, failures=finished.failures, findings=finished.findings, run_ids=progress.run_ids)

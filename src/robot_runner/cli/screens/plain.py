@@ -1,4 +1,4 @@
-"""What both screens say beside their rows; and the screen of plain lines, for a log, a pipe and who prefers them."""
+"""The texts of both screens, and the screen of plain lines: for logs, pipes and users who prefer it."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from robot_runner.core.execution.task import AttemptStatus, RunOutcome, RunTask
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.words import counted, enumerated, one_line, shown_duration
 
-#: A shorter experiment is over before its duration is read, s.
+#: A shorter expected duration is not printed, s.
 _WORTH_TELLING = 60.0
-#: How often a log is told of a gate that is awaited, s.
+#: How often a line is printed while a gate is awaited, s.
 _GATE_EVERY = 60.0
-#: A gate that opens sooner is not worth a line, s: most hold at the second look.
+#: For a gate that opens sooner no line is printed, s: most hold at the second look.
 _GATE_AFTER = 1.0
 
 
 def terminal_input() -> int | None:
-    """Return the descriptor on which somebody can press ENTER, or None where nobody sits."""
+    """Return the descriptor on which a user can press ENTER, or None where there is no terminal."""
     with suppress(AttributeError, OSError, ValueError):
         if sys.stdin.isatty():
             return sys.stdin.fileno()
@@ -39,14 +39,14 @@ def terminal_input() -> int | None:
 
 
 def forget_typed(descriptor: int | None) -> None:
-    """Forget what was typed before it was asked for: an ENTER during a run must not start the next one."""
+    """Discard what was typed before the question: an ENTER during a run must not start the next one."""
     if descriptor is not None:
         with suppress(termios.error):
             termios.tcflush(descriptor, termios.TCIFLUSH)
 
 
 def opening(started: notices.ExperimentStarted) -> list[str]:
-    """Return what is said when an experiment starts."""
+    """Return the lines that are printed when an experiment starts."""
     before = f", {started.done_count:,} of them done before" if started.done_count else ""
     runs = f"{counted(started.run_count, 'run')}{before}, seed {started.seed}"
     lines = [f"{started.experiment_name}: {runs}, results in {shown_path(started.folder)}"]
@@ -59,7 +59,7 @@ def opening(started: notices.ExperimentStarted) -> list[str]:
 
 
 def announced(notice: notices.PreparationStarted | notices.ProbeStarted | notices.HostRestarts) -> str:
-    """Return what is said of something that takes a while and shows nothing meanwhile."""
+    """Return the line for something that takes a while and prints nothing meanwhile."""
     if isinstance(notice, notices.PreparationStarted):
         return f"{notice.what} ..."
     if isinstance(notice, notices.ProbeStarted):
@@ -68,7 +68,7 @@ def announced(notice: notices.PreparationStarted | notices.ProbeStarted | notice
 
 
 def closing(run_id: str) -> str:
-    """Return what is said once the user has interrupted."""
+    """Return the line that is printed once the user has interrupted."""
     return f"Interrupted: closing {run_id} (its robot is stopped, its profilers too). Ctrl-C again kills it at once."
 
 
@@ -91,7 +91,7 @@ def continue_command(folder: Path, questions: Sequence[Question] = ()) -> str:
 
 
 def run_to_come(waiting: notices.WaitingForUser, model: RunTableModel) -> list[str]:
-    """Return what is said of the run that the user is asked about: its treatments, and how much is left before it."""
+    """Return the lines about the run that the user is asked about: its treatments, what is left, and what to do."""
     if not waiting.run_id:
         return []
     treatments = treatments_in_words(waiting, model)
@@ -108,17 +108,17 @@ def run_to_come(waiting: notices.WaitingForUser, model: RunTableModel) -> list[s
 
 
 def question_asked(question: Question) -> str:
-    """Return what stands before the place where an answer is typed."""
+    """Return the prompt of a question."""
     return f"  {question.asked}: "
 
 
 def refusals(refused: notices.AnswersRefused) -> list[str]:
-    """Return why answers are not taken, a line each."""
+    """Return why answers were refused, a line each."""
     return [one_line(f"  {found.where}: {found.problem}. {found.fix}".rstrip()) for found in refused.findings]
 
 
 def pausing(paused: notices.Paused, *, by_key: bool) -> str:
-    """Return what is said while the experiment is paused."""
+    """Return the line that is printed while the experiment is paused."""
     key = "press ENTER, or in another terminal: " if by_key else ""
     run = f"run {paused.next_run_number} of {paused.run_count}"
     return f"Paused before {run}. To go on: {key}{continue_command(paused.folder)}"

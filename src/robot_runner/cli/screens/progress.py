@@ -1,4 +1,4 @@
-"""How far an experiment is, gathered from the notices, and its finished runs as rows of a table that grows."""
+"""How far an experiment is, gathered from the notices, and its finished runs as rows of a growing table."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class CurrentRun:
 
     Attributes:
         started: when its attempt began, on the screen's clock.
-        event: what is happening.
-        shared: what plugins said last about what they do, such as the phase of a mission.
-        failure: what went wrong in it, if anything did; what is open is closed then.
+        event: the event that is being handled.
+        shared: what plugins reported last about what they do, such as the phase of a mission.
+        failure: what went wrong in it, if anything did; then the run is being closed.
     """
 
     task: RunTask
@@ -38,7 +38,7 @@ class CurrentRun:
 
 
 class Progress:
-    """What a screen knows of an experiment.
+    """What a screen knows about an experiment.
 
     Args:
         clock: monotonic, in seconds.
@@ -52,7 +52,7 @@ class Progress:
         bad_values: the runs of this session whose values are not good, by measure and quality.
         is_waiting: whether the user is asked to go on, or the experiment is paused.
         gates: what is awaited before runs, by run: several places may wait at the same time.
-        gate_seconds: how long gates were awaited in this session, those that are over, s of their clocks.
+        gate_seconds: how long gates that are over were awaited in this session, s of their clocks.
         has_begun: whether any run was begun in this session.
     """
 
@@ -97,7 +97,7 @@ class Progress:
 
     @property
     def left_in_words(self) -> str:
-        """The same in words; nothing where it is not known."""
+        """How long the rest takes, in words; empty where it is not known."""
         return self._left.in_words(self._clock() - self._left_since) if self._left is not None else ""
 
     def take(self, notice: notices.Notice) -> None:
@@ -234,7 +234,7 @@ class RunRows:
         return Text(_INDENT + aligned(columns, [column.heading for column in columns]), style="bold")
 
     def left_out(self, width: int) -> str:
-        """Return which columns do not fit, in words; nothing where all do."""
+        """Return which columns do not fit, in words; empty where all do."""
         hidden = [column.heading for column in [*self._what, *self._yields][len(self._fitting(width)) :]]
         return f"too narrow for {enumerated(hidden)}; run_table.csv has all measures" if hidden else ""
 

@@ -25,7 +25,7 @@ class Author:
         affiliation_url: its page, best its identifier at ror.org, or None.
 
     Raises:
-        ConfigError: one of them cannot be; `findings` lists everything that was found.
+        ConfigError: an attribute is invalid; `findings` lists all problems.
 
     Example:
         >>> Author("Josiah Carberry", orcid="https://orcid.org/0000-0002-1825-0097").orcid
@@ -57,10 +57,10 @@ class Author:
 
 
 def authors_from_text(text: str) -> tuple[Author, ...]:
-    """Read authors as they are written on the command line: with `|` between two, with `;` between their parts.
+    """Read authors from the command line: separated by `|`, their parts by `;`.
 
     Raises:
-        ValueError: it is not written so; ConfigError: a part cannot be.
+        ValueError: the form is another one; ConfigError: a part is invalid.
 
     Example:
         >>> [author.name for author in authors_from_text("Ada Lovelace | Josiah Carberry; 0000-0002-1825-0097")]

@@ -1,6 +1,6 @@
-"""What validation reads in the code of callbacks: traps that a run in a process, or by a clock, of its own lays.
+"""Checks of the code of callbacks: mistakes because a run has its own process and, if simulated, its own clock.
 
-Looked at is what stands in the config, or in modules that are not installed; nothing of it is executed.
+The code of the config, and of modules that are not installed, is read; nothing of it is executed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from robot_runner.core.words import listed
 
 
 def check_callbacks(loaded: LoadedConfig, parameters: Parameters, events: EventManager) -> list[Finding]:
-    """Warn of each trap that callbacks of the config, and of the plugins that stand beside it, walk into."""
+    """Return a warning for each such mistake in callbacks of the config and of plugins beside it."""
     code = _LocalCode(loaded)
     found: dict[tuple[str, str, str], None] = dict.fromkeys(_replaced_files(code, events))
     if parameters.run_process is not RunProcess.IN_PROCESS:
@@ -52,10 +52,10 @@ class _CalledCode(NamedTuple):
     """A function that a callback calls, or the callback itself.
 
     Attributes:
-        nodes: all that its syntax tree consists of.
-        outside: what the names of its module stand for.
+        nodes: all nodes of its syntax tree.
+        outside: the global names of its module.
         owner: the object whose method the callback is; None for a function.
-        own: what the function calls that object, such as `self`.
+        own: the name of that object in the function, such as `self`.
     """
 
     nodes: tuple[ast.AST, ...]
@@ -64,7 +64,7 @@ class _CalledCode(NamedTuple):
     own: str
 
     def named(self, node: ast.AST) -> Any:
-        """Return what a node names in its module or in its owner; None for anything else."""
+        """Return the object that a node names in its module or in its owner; None for anything else."""
         if isinstance(node, ast.Name):
             return self.outside.get(node.id)
         name = self.attribute(node)
@@ -84,7 +84,7 @@ class _LocalCode:
 
     def __init__(self, loaded: LoadedConfig) -> None:
         trees = {path: tuple(ast.walk(tree_of(path))) for path in (loaded.source.path, *loaded.local_modules)}
-        # By file and first line, that of a decorator included, as code objects have them.
+        # By file and first line, which is that of the first decorator, as in code objects.
         self._functions = {
             (str(path), min([node.lineno, *(each.lineno for each in node.decorator_list)])): node
             for path, nodes in trees.items()
@@ -111,11 +111,11 @@ class _LocalCode:
             unread += filter(inspect.isfunction, map(called.named, called.nodes))
 
 
-# What a run stores in the config or a plugin: it never reaches another process.
+# Values that a run stores in the config or a plugin, which never reach another process.
 
 #: Methods of lists, dicts and sets that change them.
 _CHANGING = {"add", "append", "clear", "discard", "extend", "insert", "pop", "remove", "setdefault", "update"}
-#: What comes before the first run reads nothing of one.
+#: The events of the orchestrator that may follow a run.
 _LATER = tuple(each for each in ORCHESTRATED_EVENTS if each is not RobotRunnerEvents.BEFORE_EXPERIMENT)
 _CONTAINERS = {"Counter", "OrderedDict", "defaultdict", "deque", "dict", "list", "set"}
 _FIX_OF_CHANGE = (
@@ -139,7 +139,7 @@ def _lost_changes(code: _LocalCode, events: EventManager) -> Iterator[tuple[str,
 
 
 def _containers_in(node: ast.AST) -> Iterator[str]:
-    """Yield the variables and attributes to which a list, a dict or a set is given: other objects are no containers."""
+    """Yield the variables and attributes to which a list, a dict or a set is assigned."""
     match node:
         case ast.Assign(targets=targets, value=value):
             pass
@@ -188,8 +188,8 @@ def _read_by(called_code: Iterator[_CalledCode]) -> Iterator[str]:
                 yield attribute
 
 
-# Generators of random numbers that are made once: a forked run inherits them as they are. Those that `random` and
-# `numpy.random` have for all are given a state of each run's own (core/execution/inherited.py).
+# Random generators that are made once: each forked run inherits the same state. The global ones of `random` and
+# `numpy.random` are seeded for each run (core/execution/inherited.py).
 
 #: By module and class: `random.SystemRandom` draws from the system, and has no state.
 _GENERATORS = {
@@ -221,7 +221,7 @@ def _is_generator(value: Any) -> bool:
     return (type(value).__module__, type(value).__name__) in _GENERATORS
 
 
-# Missions that wait by the clock of this machine, in which no time goes by for the simulated robot.
+# Missions that wait by the clock of this machine: for the simulated robot no time passes then.
 
 _FIX_OF_SLEEP = "Wait by context.clock.sleep(seconds): on a real robot it does what time.sleep does."
 
@@ -245,7 +245,7 @@ def _sleeps(called: _CalledCode) -> bool:
     return False
 
 
-# Robots that are driven by the orchestrator: the process that stands by to stop one waits for the death of a run.
+# Robots that are driven by the orchestrator, which has no standby: that waits for the death of a run.
 
 _FIX_OF_DRIVE = "Drive in start_run or launch_mission: whatever is killed there, a process stands by to stop the robot."
 
@@ -271,7 +271,7 @@ def _commands_velocity(node: ast.AST, called: _CalledCode) -> bool:
 
 
 def _is_zero(message: ast.expr) -> bool:
-    """Return whether all numbers of a message, as it is written in the code, are 0; one without any is so, too."""
+    """Return whether all numbers of a message in the code are 0, or it has none."""
     match message:
         case ast.Dict(values=fields):
             return all(map(_is_zero, fields))
@@ -281,15 +281,15 @@ def _is_zero(message: ast.expr) -> bool:
             return False
 
 
-# Files that each run writes under one name: that of the last run replaces all others.
+# Files that each run writes under the same name, so that the last run's replaces all others.
 
-#: What writes a file anew whose name comes first, by the name of the function or method.
+#: Functions and methods that overwrite a file that is their first argument.
 _WRITING = {
     "imwrite", "savefig", "savetxt", "savez", "savez_compressed",
     "to_csv", "to_excel", "to_feather", "to_hdf", "to_json", "to_parquet", "to_pickle",
 }  # fmt: skip
 _WRITING_METHODS = {"write_bytes", "write_text"}
-#: What is written there goes to devices and to the system.
+#: Folders of devices and of the system, where nothing is overwritten.
 _NO_FILES = ("/dev/", "/proc/", "/sys/")
 _FIX_OF_FILE = "Write into context.run_folder, which each run has for itself: what lies there is kept, and packed."
 
@@ -311,7 +311,7 @@ def _moves(called: _CalledCode) -> bool:
 
 
 def _written(node: ast.AST, called: _CalledCode) -> str | None:
-    """Return the name of the file that a call writes anew, where it is the same in each run."""
+    """Return the name of the file that a call overwrites, where it is the same in each run."""
     match node:
         case ast.Call(func=ast.Name(id="open"), args=[file, mode, *_]) if _is_writing(mode):
             return _fixed_name(file, called)

@@ -1,4 +1,4 @@
-"""What validation looks at in a config: names, static parameters, the run table, the results folder, threads."""
+"""Checks of a config: names, static parameters, the run table, the results folder, threads."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.vain_parameters import parameters_guarded
 from robot_runner.core.words import counted
 
-# The measures: that a column is not of a misspelt one.
+# Columns with misspelt names of measures.
 
 
 def check_columns(columns: MeasureColumns) -> list[Finding]:
-    """Warn of each column of the config's own that is nearly called like a plugin's measure that has no column."""
+    """Return a warning for each column of the config whose name is close to a plugin's measure without a column."""
     left_out = {each.name: each for each in columns.declared if not each.is_in_table}
     findings = []
     for column in columns.in_table:
@@ -63,11 +63,11 @@ def check_columns(columns: MeasureColumns) -> list[Finding]:
     return findings
 
 
-# The analysis plan: that it is about factors and measures that the experiment has.
+# The analysis plan: its factors and measures.
 
 
 def check_analysis(parameters: Parameters, model: RunTableModel | None, columns: MeasureColumns) -> list[Finding]:
-    """Return which names of the plan the run table does not have, and which hypotheses are about blocks."""
+    """Return findings on names of the plan that the run table does not have, and on hypotheses about blocks."""
     if parameters.analysis is None or model is None:
         return []
     blocks = [factor.name for factor in model.factors]
@@ -104,7 +104,7 @@ def check_analysis(parameters: Parameters, model: RunTableModel | None, columns:
 def check_repeat_until(
     loaded: LoadedConfig, parameters: Parameters, model: RunTableModel | None, columns: MeasureColumns
 ) -> list[Finding]:
-    """Return what of `repeat_until` does not fit the design as the config has it, and what a design decides by."""
+    """Return findings on `repeat_until` where it does not fit the design, and on the measures of an adaptive design."""
     if model is None:
         return []
     own, where = as_configured(model), f"{loaded.where}.repeat_until"
@@ -131,7 +131,7 @@ def check_repeat_until(
     return findings
 
 
-# Misspelt attributes and callbacks: a name that is nearly one of ours was meant to be it.
+# Misspelt attributes and callbacks: names that are close to one of ours.
 
 
 def check_names(loaded: LoadedConfig) -> list[Finding]:
@@ -146,7 +146,7 @@ def check_names(loaded: LoadedConfig) -> list[Finding]:
     for name in sorted(names):
         if name.startswith("_") or name in parameters or name in callbacks:
             continue
-        found = inspect.getattr_static(loaded.config, name, None)  # a property may need what only a run has
+        found = inspect.getattr_static(loaded.config, name, None)  # without executing a property
         is_method = callable(found) or isinstance(found, classmethod)
         ours = callbacks if is_method else parameters
         meant = nearest(name, ours, SLIP)
@@ -156,10 +156,9 @@ def check_names(loaded: LoadedConfig) -> list[Finding]:
 
 
 def check_neighbours(loaded: LoadedConfig) -> list[Finding]:
-    """Return a warning for each file beside the config that is called like a module of Python's own library.
+    """Return a warning for each file beside the config that is named like a module of the standard library.
 
-    The config's folder comes first when something is imported, as a script's does: `random.py` there is what anybody
-    gets who imports `random` from now on, a plugin of ours too.
+    The config's folder comes first on the path, as a script's does: a `random.py` there is imported by plugins, too.
     """
     folder = loaded.source.path.parent
     places = {*folder.glob("*.py"), *(each.parent for each in folder.glob("*/__init__.py"))}
@@ -222,7 +221,7 @@ def _malformed(loaded: LoadedConfig, parameter: Parameter, value: object) -> Fin
 
 
 def _meant(parameter: Parameter, value: object) -> str:
-    """Return what to write where a text stands for the value, as it does on the command line."""
+    """Return a hint where the value is a text that would be valid on the command line."""
     if not isinstance(value, str) or not value.strip() or parameter.kind.is_secret:
         return ""
     try:
@@ -235,25 +234,25 @@ def _meant(parameter: Parameter, value: object) -> str:
     return f" Write {parameter.name} = {written}."
 
 
-# What the checks of installed packages find.
+# Checks of installed packages.
 
 
 def announced_checks(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> list[Finding]:
-    """Return what the checks find that installed packages announce in the group `robot_runner.checks`.
+    """Return the findings of the checks that installed packages announce in the group `robot_runner.checks`.
 
     Each is a function that takes these arguments and returns findings.
     """
     return announced_findings("checks", lambda point: point.load()(where, parameters, plugins))
 
 
-# The results folder: that it can be made or written, found out without touching it.
+# The results folder: whether it can be made or written, without touching it.
 
-#: What Robot Runner itself keeps of a run: its records in the journal, its row, its log.
+#: The size of a run's records in the journal, its row and its log, bytes.
 _BYTES_PER_RUN = 4096
 
 
 def check_results_path(loaded: LoadedConfig, parameters: Parameters) -> list[Finding]:
-    """Return why the experiment's folder could not be made."""
+    """Return an error if the experiment's folder cannot be made or written."""
     where = f"{loaded.where}.results_output_path"
     try:
         existing = _nearest_existing(experiment_folder(parameters, loaded).root)
@@ -287,7 +286,7 @@ def check_disk_space(
 
 
 def _left(files: ExperimentFolder, runs: int) -> int:
-    """Return how many runs are still to be executed: what the others take is taken already."""
+    """Return how many runs are still to be executed."""
     try:
         return max(0, runs - len(done_runs(files.journal)))
     except StorageError:  # found when the experiment is resumed
@@ -306,7 +305,7 @@ _LISTED_IN: ContextVar[Path | None] = ContextVar("_LISTED_IN", default=None)
 
 @contextmanager
 def runs_listed_in(path: Path) -> Iterator[None]:
-    """While this lasts, a run table that lies elsewhere lists the runs of a design that is too large to be planned."""
+    """Let another run table list the runs of a design that is too large to be planned, for a while."""
     token = _LISTED_IN.set(path)
     try:
         yield
@@ -328,7 +327,7 @@ def _take_listed(model: RunTableModel, path: Path | None) -> list[Finding]:
     if path is None or not model.is_too_large:
         return []
     try:
-        # Columns of measures are a user's own for this reading; nobody but the plan looks at it.
+        # Only the plan is read: columns of measures count as a user's own.
         rows = read_run_table(path, TableLayout.of_model(model, ()))
     except RobotRunnerError as error:
         return list(error.findings)
@@ -337,7 +336,7 @@ def _take_listed(model: RunTableModel, path: Path | None) -> list[Finding]:
 
 
 def create_model(loaded: LoadedConfig) -> tuple[RunTableModel | None, list[Finding]]:
-    """Have the config create its run table; returns the model, or None and the findings that refuse it.
+    """Let the config create its run table; return the model, or None and the findings that refuse it.
 
     A design that is too large to be planned is planned from the run table on disk, where there is one.
     """

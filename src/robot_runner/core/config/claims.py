@@ -1,7 +1,8 @@
 """What a run claims for itself, so that runs which would disturb each other never overlap.
 
 A claim is a text: `host:localhost` is this machine, its processor, memory and energy; `robot:ros2`, `host:pi@robot`,
-`serial:/dev/ttyUSB0` and `device:camera 0` name what their plugins use. Who does not say claims the whole machine.
+`serial:/dev/ttyUSB0` and `device:camera 0` name what their plugins use. A plugin or config without declared claims
+claims the whole machine.
 """
 
 from __future__ import annotations
@@ -25,14 +26,14 @@ from robot_runner.core.plugin import THIS_MACHINE, Plugin, System, with_parts
 from robot_runner.core.treatments import built_with, factors_of, values_of
 from robot_runner.core.words import counted, enumerated
 
-#: Of a design with more runs than this, the first ones tell what all of them claim.
+#: In a design with more runs than this, the claims of the first ones stand for all.
 _LOOKED_AT = 200
 
 
 def usable_cores(system: Path = Path("/")) -> int:
     """Return how many cores this process may use: those of its affinity, and no more than its control groups allow.
 
-    A container or a job of a cluster often sees all cores of its machine, and has the time of a few (`--cpus=2`).
+    A container or a job of a cluster often sees all cores of its machine, but may use the time of a few (`--cpus=2`).
 
     Args:
         system: the root of the file system, for tests.
@@ -52,7 +53,7 @@ def _quotas(system: Path) -> Iterator[float]:
             if controllers and "cpu" not in controllers.split(","):
                 continue
             mounts = ("sys/fs/cgroup/" + controllers,) if controllers else ("sys/fs/cgroup", "sys/fs/cgroup/unified")
-            # In a container, the path may be that of its host, and is not there: the mount itself is its group.
+            # In a container, the path may be that of its host, and not exist: then the mount itself is its group.
             for mount, group in product(mounts, (Path(path.lstrip("/")), *Path(path.lstrip("/")).parents)):
                 yield from _quota_of(system / mount / group)
 
@@ -68,7 +69,7 @@ def _quota_of(group: Path) -> Iterator[float]:
 
 
 def worker_count(parameters: Parameters) -> int:
-    """Return how many runs may be in flight on this machine at the same time, before anybody claims anything."""
+    """Return how many runs may be in flight on this machine at the same time, claims aside."""
     if parameters.run_process is RunProcess.IN_PROCESS:
         return 1
     return usable_cores() if parameters.workers == "auto" else int(parameters.workers)
@@ -79,8 +80,8 @@ class Claims:
 
     Args:
         parameters: of the experiment.
-        plugins: all of it; those with bound parameters may claim something else in each run.
-        events: who hears them: a config without callbacks in a run does nothing there.
+        plugins: of the experiment; those with bound parameters may have different claims in each run.
+        events: their subscribers: a config without callbacks in a run claims nothing.
     """
 
     def __init__(self, parameters: Parameters, plugins: Sequence[Plugin], events: EventManager) -> None:
@@ -92,7 +93,7 @@ class Claims:
         self._known: dict[tuple[object, ...], tuple[str, ...]] = {}
 
     def of(self, combination: Mapping[str, Any], robot: str | None = None) -> dict[str, list[str]]:
-        """Return what a run with these treatments claims, each claim with those who make it.
+        """Return the claims of a run with these treatments, each with the names of those who make it.
 
         Args:
             combination: its treatments.
@@ -105,7 +106,7 @@ class Claims:
         return claims
 
     def common(self, combinations: Iterable[Mapping[str, Any]]) -> dict[str, list[str]]:
-        """Return what all of these runs claim: where there is anything, only one of them goes on at a time."""
+        """Return the claims that all of these runs have in common: if there is one, they never overlap."""
         common: dict[str, list[str]] | None = None
         do_vary = any(map(factors_of, self._plugins))
         for combination, robot in product(combinations if do_vary else islice(combinations, 1), self._reached):
@@ -114,10 +115,10 @@ class Claims:
         return common or {}
 
     def against_others(self, combinations: Iterable[Mapping[str, Any]]) -> frozenset[str]:
-        """Return what these runs claim against other experiments: what plugins and the config say, and real robots.
+        """Return what these runs claim against other experiments: declared claims, and real robots.
 
-        Who does not say keeps runs of this experiment apart, and no other experiment out. Of a cluster, claims are
-        about machines that are not this one, but for the robot.
+        The default claim on the whole machine only keeps runs of this experiment apart. On a cluster, claims are about
+        other machines, except that on the robot.
         """
         chosen = [*combinations]
         found = {claim for combination in chosen for claim in self._declared(combination)}
@@ -133,23 +134,21 @@ class Claims:
                     yield from self._of_plugin(plugin, combination, robot)
 
     def _robots(self, combinations: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-        """Yield the real robots, each with the graph that it is on and the namespaces that plugins name there.
+        """Yield the real robots, each by its graph and the namespaces that plugins name there.
 
-        One robot is claimed by one text, however it is reached, whether its namespace is part of its name or a plugin
-        has it.
+        So one robot has one claim, however it is reached, and whether its namespace is in its link or in a plugin.
         """
         links = [link for link in self._parameters.links if not is_simulated(link)]
         namespaces = self._namespaces(combinations) if links else set()
         for link in links:
-            with suppress(LinkError):  # that there is no such robot is told where it is checked
+            with suppress(LinkError):  # reported by the check of the robot
                 robot = f"robot:{robot_on_graph(link)}"
                 yield from (f"{robot}/{each}".rstrip("/") for each in namespaces)
 
     def _namespaces(self, combinations: Sequence[Mapping[str, Any]]) -> set[str]:
-        """Return the namespaces that plugins, and those that they are made of, have in any of these runs.
+        """Return the namespaces that plugins, and their parts, have in any of these runs.
 
-        None, an empty one, is the robot's own: a system operates it there, or else callbacks do; a profiler may be
-        about any other.
+        An empty one is the robot's own, where a system or else callbacks operate it; a profiler may be about any other.
         """
         found: set[str] = set()
         is_operated = False
@@ -169,7 +168,7 @@ class Claims:
         key = (plugin.name, robot, *(f"{name}={value}" for name, value in treatments.items()))
         if key not in self._known:
             claimed = built_with(plugin, combination).claims(robot)
-            self._known[key] = (claimed,) if isinstance(claimed, str) else tuple(map(str, claimed))  # not its letters
+            self._known[key] = (claimed,) if isinstance(claimed, str) else tuple(map(str, claimed))
         return self._known[key]
 
 
@@ -192,14 +191,14 @@ def _of_config(parameters: Parameters, events: EventManager) -> Iterator[str]:
 
 
 def held_claims(claims: Claims, model: RunTableModel) -> frozenset[str]:
-    """Return what an experiment of this design claims against others; of a large one, what its first runs do."""
+    """Return what an experiment of this design claims against others, by its first `_LOOKED_AT` runs."""
     return claims.against_others(run.combination for run in islice(model.plan(), _LOOKED_AT))
 
 
 def check_workers(
     where: str, parameters: Parameters, plugins: Sequence[Plugin], events: EventManager, model: RunTableModel | None
 ) -> list[Finding]:
-    """Return why workers would be idle, where several are asked for, or robots that take turns."""
+    """Return a warning if several workers, or robots that take turns, would be idle because of claims."""
     if model is None:
         return []
     what, names = ("robot", "robot") if parameters.robots else ("worker", "workers")

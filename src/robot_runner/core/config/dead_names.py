@@ -1,4 +1,4 @@
-"""Methods and attributes of a config that look like ours, or like an earlier tool's, and that nothing uses."""
+"""Warnings for methods and attributes of a config that look like ours, or an earlier tool's, and are never used."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from robot_runner.core.errors import Finding, nearest
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 from robot_runner.core.late_annotations import names_in, names_read_by
 
-#: What to use for a method: names that earlier tools have for it, or that people guess.
+#: The fix for a method, with names that earlier tools have for it, or that people guess.
 _METHODS = {
     "Call it launch_mission.": (
         "interact interaction interact_with_robot mission start_mission run_mission execute_mission perform_mission "
@@ -70,24 +70,23 @@ _ATTRIBUTES = {
 _FIX_OF_METHOD = {name: fix for fix, names in _METHODS.items() for name in names.split()}
 _FIX_OF_ATTRIBUTE = {name: fix for fix, names in _ATTRIBUTES.items() for name in names.split()}
 
-#: A name that is made of these words alone is meant for an event.
+#: A name of these words alone is probably meant for an event.
 _MOMENTS = frozenset(["before", "after", "start", "stop", "begin", "end", "launch", "finish", "execute", "populate"])
 _SUBJECTS = frozenset(
     ["run", "runs", "experiment", "measurement", "measurements", "measuring", "mission", "interaction", "data"]
 )
 _FILLING = frozenset(["on", "each", "every", "all", "the", "handle", "do"])
-#: How alike two names are before one is taken for the other (1.0: equal); nothing uses them, so less will do than
-#: where a name is refused.
+#: How similar two names must be (1.0: equal); less than where a name is refused, as nothing uses this one.
 _ALIKE = 0.75
 _HUMP = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
-#: In what a time is, as ours say it and as others do: `run_timeout_in_s` is the guess `run_timeout`.
+#: The unit at the end of a name, in our form and in others: `run_timeout_in_s` counts as `run_timeout`.
 _UNIT_OF_TIME = re.compile(r"_(?:in_)?(?:m?s|secs?|min|(?:milli)?seconds?|minutes?)$")
 
 
 def check_dead_names(loaded: LoadedConfig) -> list[Finding]:
-    """Return a warning for each public name of the config that looks like ours, and that nothing calls or reads.
+    """Return a warning for each public name of the config that looks like ours and is never called or read.
 
-    A config of another dialect keeps its own names: it is checked where that is known.
+    Configs of other dialects, which have their own names, are checked by their rooms.
     """
     config_class = type(loaded.config)
     if config_class.__name__ != loaded.source.class_name:
@@ -116,7 +115,7 @@ def _own_names(config_class: type) -> set[str]:
 
 
 def _used_names(loaded: LoadedConfig) -> set[str] | None:
-    """Return the names that the code of a config reads or calls; None where it looks them up by computed names."""
+    """Return the names that the code of a config reads or calls; None where it computes names (`getattr`)."""
     used: set[str] = set()
     for path in (loaded.source.path, *loaded.local_modules):
         for node in ast.walk(tree_of(path)):
@@ -152,7 +151,7 @@ def _read_by(node: ast.AST) -> Iterator[str]:
 
 
 def _registers(decorator: ast.expr) -> bool:
-    """Return whether a decorator may hand its method to somebody who calls it."""
+    """Return whether a decorator may register its method to be called."""
     return not (isinstance(decorator, ast.Name) and decorator.id in {"staticmethod", "classmethod", "property"})
 
 

@@ -1,7 +1,6 @@
-"""From a config file of any dialect to a config object: the one way in which config files are loaded.
+"""Loading a config file of any dialect: the one way in which config files are loaded.
 
-Our own dialect is the core's; others are announced in the group `robot_runner.dialects`, each by an object that keeps
-to the protocol `Dialect`.
+Our own dialect is the core's; others are announced in the group `robot_runner.dialects`, each as a `Dialect`.
 """
 
 from __future__ import annotations
@@ -21,9 +20,9 @@ from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.secret_names import is_secret_name
 
-#: The variable of the environment that tells which config was loaded, and what was set from outside.
+#: The environment variable with the file of the config, and the parameters that were set from outside.
 LOADED_VARIABLE = "ROBOT_RUNNER_CONFIG"
-#: Where a module stands that is called as a config is once it is loaded.
+#: The folder with a module that has the name of a loaded config.
 _FOR_CHILDREN = str(Path(__file__).parent / "in_children")
 
 
@@ -31,7 +30,7 @@ class Dialect(Protocol):
     """How another tool, or an earlier version, spells a config file. Importing it must be cheap."""
 
     def recognise(self, path: Path) -> Callable[[Mapping[str, str]], LoadedConfig] | None:
-        """Return what loads this file, given the static parameters to set; None where it is not of this dialect.
+        """Return a function that loads this file, given static parameters to set; None where it is of another dialect.
 
         The file is read, and nothing of it is executed.
 
@@ -40,11 +39,11 @@ class Dialect(Protocol):
         """
 
     def stand_in_modules(self) -> frozenset[str]:
-        """Return the top-level modules that files of this dialect import and that are there while one is loaded."""
+        """Return the top-level modules that files of this dialect import and that exist only while one is loaded."""
 
 
 def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({})) -> LoadedConfig:
-    """Execute a config file and instantiate its config class; one of another dialect is brought to ours.
+    """Execute a config file and instantiate its config class; one of another dialect is converted to ours.
 
     Raises:
         ConfigError: the file cannot be read, parsed or executed, mixes dialects, has no config class, or a parameter
@@ -61,10 +60,9 @@ def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({}))
 
 
 def _tell_children(path: Path, overrides: Mapping[str, str]) -> None:
-    """Let processes that `multiprocessing` starts anew (the default on macOS, and from Python 3.14 on) find the config.
+    """Let processes that `multiprocessing` does not fork (on macOS, and from Python 3.14 on) find the config.
 
-    They are told what is on `sys.path`, and inherit the environment: what is secret does not go there, as programs that
-    callbacks start may print it.
+    They get `sys.path`, and inherit the environment, where secrets are left out, as programs of callbacks may print it.
     """
     told = {name: text for name, text in overrides.items() if not is_secret_name(name)}
     os.environ[LOADED_VARIABLE] = json.dumps({"file": str(path.resolve()), "set": told})
@@ -73,12 +71,12 @@ def _tell_children(path: Path, overrides: Mapping[str, str]) -> None:
 
 
 def stand_in_modules() -> frozenset[str]:
-    """Return the top-level modules that config files of some dialect may import though no package brings them."""
+    """Return the top-level modules that config files of some dialect may import though no package has them."""
     return frozenset().union(*(dialect.stand_in_modules() for dialect in _installed()[0]))
 
 
 def _installed() -> tuple[list[Dialect], tuple[Finding, ...]]:
-    """Return the dialects that can be used, and a warning for each other: our own configs go without it."""
+    """Return the dialects that can be used, and a warning for each that cannot; our own configs need none."""
     dialects: list[Dialect] = []
     unusable: list[Finding] = []
     for point in entry_points("dialects"):

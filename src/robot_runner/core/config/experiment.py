@@ -1,4 +1,4 @@
-"""An experiment, ready to be executed: what the config file says, checked and resolved."""
+"""An experiment that is ready to be executed, and how its parts are made from a loaded config."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ from robot_runner.core.storage.table_columns import OWN_SPELLING, TableLayout, T
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """One config, found to be well formed, with everything that executing it needs.
+    """One config without errors, with everything that is needed to execute it.
 
     Attributes:
         config_path: the config file, absolute.
         overrides: static parameters that were set from outside: deviations from the file.
         folder: where everything of this experiment is kept.
-        columns: the measures that runs may yield, and which of them the run table has columns for.
+        columns: the measures that runs may yield, and the columns of the run table among them.
         spelling: how the run table's file spells headings and statuses.
-        replication: which package is executed again and what was changed on purpose, for the manifest; None where
-            the experiment is nobody's replication.
-        registration: what was registered before the first run; None where nothing was.
+        replication: for the manifest, which package is executed again and what was changed on purpose; None where
+            the experiment is no replication.
+        registration: what was registered before the first run, or None.
         inputs: the files that its plugins and robots read, as the config names them.
-        kept: how much of the config's source the folder keeps: the `file`, the notebook's `cell` alone, or `nothing`.
+        kept: what the folder keeps of the config's source: the `file`, only the notebook's `cell`, or `nothing`.
     """
 
     config_path: Path
@@ -67,8 +67,8 @@ class Experiment:
         """Return the columns of the run table.
 
         Args:
-            types: those in its schema, where there is one already.
-            warms_up: whether the table has warm-up runs though the config may have none any more.
+            types: those in its schema, if there is one.
+            warms_up: whether the table has warm-up runs, also if the config has none any more.
 
         Raises:
             DesignError: a measure is called like a factor.
@@ -84,7 +84,7 @@ class Experiment:
         return tuple(plugin for plugin in self.plugins if isinstance(plugin, System))
 
 
-#: Of a path that is too long to be one, so much is told, characters.
+#: How many characters of an invalid path a message shows.
 _MOST_SHOWN = 80
 
 
@@ -92,7 +92,7 @@ def experiment_folder(parameters: Parameters, loaded: LoadedConfig) -> Experimen
     """Return where everything of an experiment is kept; a relative results path begins where the config file is.
 
     Raises:
-        ConfigError: no folder can lie there.
+        ConfigError: there cannot be a folder.
     """
     if loaded.folder is not None:
         return loaded.folder
@@ -114,7 +114,7 @@ def experiment_folder(parameters: Parameters, loaded: LoadedConfig) -> Experimen
 
 
 def grown_model(model: RunTableModel, folder: ExperimentFolder) -> RunTableModel:
-    """Return the design with the batches and repetitions that were added to the experiment, as its journal has them.
+    """Return the design with the batches and repetitions that were added to the experiment, by its journal.
 
     Raises:
         StorageError: the journal cannot be read.
@@ -130,7 +130,7 @@ def event_manager_for(loaded: LoadedConfig, plugins: tuple[Plugin, ...]) -> Even
     """Subscribe plugins, then the config: its explicit subscriptions first, then its methods named like events.
 
     Raises:
-        ConfigError: a callback cannot be called, or what is to stop a robot; carries a finding for each.
+        ConfigError: callbacks, or a `make_safe`, cannot be called; with a finding for each.
     """
     manager = EventManager()
     findings: list[Finding] = []
@@ -156,7 +156,7 @@ def event_manager_for(loaded: LoadedConfig, plugins: tuple[Plugin, ...]) -> Even
 
 
 def _check_called_with_context(name: str, method: Any, owner: str) -> None:
-    """Look at a method that no event calls: that it is not executed is found once a robot has to be stopped."""
+    """Check a method that is no callback of an event, such as `make_safe`, before a robot has to be stopped by it."""
     if not callable(method):
         fix = f"Write def {name}(self, context), or leave it out."
         raise ConfigError(f"{name} is {method!r}, which cannot be called", where=owner, fix=fix)
@@ -170,9 +170,9 @@ _log = logging.getLogger(__name__)
 def named_inputs(
     parameters: Parameters, plugins: Sequence[Plugin], model: RunTableModel | None, config: object = None
 ) -> tuple[InputFile, ...]:
-    """Return the files that are named, each once; who cannot tell them is logged and left out.
+    """Return the input files that plugins, robots and the config (by a method `input_files`) name, each once.
 
-    A config may have a method `input_files`, too, for what its callbacks read.
+    One whose method raises is logged and left out.
     """
     found: dict[InputFile, None] = {}
     asked: list[tuple[str, Callable[[], Iterable[InputFile]]]] = [

@@ -1,4 +1,4 @@
-"""Gates and guards, as a config declares them: what is awaited before each run, and watched during it."""
+"""Gates and guards of a config: what is awaited before each run, and watched during it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class GatePolicy(Enum):
     """What follows a gate whose condition did not hold in time.
 
     STOP: the experiment stops; the run is still to do, and the same command goes on with it.
-    WAIT: the gate is waited for all the same, and a warning says that it takes long.
+    WAIT: the gate is awaited all the same, and a warning says that it takes long.
     DOUBT: the run is executed, and all of its values are doubtful.
     FAIL: the attempt fails without having been executed.
     """
@@ -41,7 +41,7 @@ class GuardAction(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """A condition that is awaited before each attempt at a run, after what the operator does.
+    """A condition that is awaited before each attempt at a run, after the operator's steps.
 
     Attributes:
         condition: what must hold.
@@ -49,7 +49,7 @@ class Gate:
         on_timeout: what follows where it did not hold in time.
 
     Raises:
-        ConditionError: one of them is none of its kind.
+        ConditionError: an attribute is of the wrong type or out of range.
 
     Example:
         >>> from robot_runner import temperature_below
@@ -84,7 +84,7 @@ class Guard:
         action: what follows where it does.
 
     Raises:
-        ConditionError: one of them is none of its kind.
+        ConditionError: an attribute is of the wrong type.
 
     Example:
         >>> from robot_runner import battery_below

@@ -1,4 +1,4 @@
-"""Whether the robot's graph has what plugins need of it: asked of each plugin with each treatment, before any run."""
+"""Checking before any run that the robot's graph has what plugins need, with each treatment."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from robot_runner.core.links.graph_names import GraphNeed, namespace_prefix
 from robot_runner.core.plugin import Circumstances, Plugin
 from robot_runner.core.words import enumerated
 
-#: The callbacks of a config that may start a robot's nodes before its run needs them.
+#: The events in which a config may start a robot's nodes before its run needs them.
 _BEFORE = (RobotRunnerEvents.BEFORE_EXPERIMENT, RobotRunnerEvents.BEFORE_RUN, RobotRunnerEvents.START_RUN)
 
 
 class GraphCheck:
-    """Looks at the graphs of an experiment's robots, all at once; nothing is moved or started."""
+    """Looks at the graphs of an experiment's robots, all at the same time; nothing is moved or started."""
 
     def __init__(
         self,
@@ -38,7 +38,7 @@ class GraphCheck:
                 continue  # which is found already
             needs = _needs(plugins, model, robot, self._failed)
             if not needs and any(plugin.starts_nodes for plugin in plugins):
-                continue  # of a graph that a run fills itself, nothing can be said before
+                continue  # a graph whose nodes the run itself starts
             try:
                 self._looks[robot] = begin_graph_look(robot, needs)
             except LinkError as error:
@@ -47,7 +47,7 @@ class GraphCheck:
     def findings(self, robot: str | None) -> Iterator[Finding]:
         """Yield what is missing on the graph of one robot: a warning where the experiment may start it itself.
 
-        What is wrong in a plugin, such as a field of its goal, has a place of its own and stays an error.
+        A mistake in a plugin, such as a field of its goal, remains an error.
         """
         look = self._looks.get(robot or "")
         found = [*self._failed, *(look() if look is not None else ())]
@@ -60,7 +60,7 @@ class GraphCheck:
 
 
 def _starters(parameters: Parameters, plugins: Sequence[Plugin], events: EventManager) -> Iterator[str]:
-    """Yield what of an experiment may start a robot, or wait for it, before a run needs it."""
+    """Yield in words the parts of an experiment that may start a robot, or wait for it, before a run needs it."""
     yield from (f"plugin {plugin.name}" for plugin in plugins if plugin.starts_nodes)
     heard = [each for event in _BEFORE for each in events.subscribers(event) if each.kind is OwnerKind.CONFIG]
     yield from dict.fromkeys(f"{each.event.callback_name} of the config" for each in heard)

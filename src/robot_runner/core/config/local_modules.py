@@ -1,7 +1,6 @@
-"""The modules that a config imports and that nobody can install: those beside it, and others of this machine.
+"""The modules that a config imports and that are not installed: those beside it, and others of this machine.
 
-They are kept with the results, each at the place from which a config beside it imports it, and so travel to workers and
-to whoever executes the experiment again.
+They are kept with the results, so that they can be imported from the kept config, and go to workers and replications.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from urllib.parse import unquote, urlsplit
 from robot_runner.core.config.source import tree_of
 from robot_runner.core.vain_parameters import CONFIG_MODULE
 
-#: Python's own modules and ours: they lie below a config in the home folder where Python, or a clone, is there too.
+#: Python's modules and ours, which may be below the config's folder, too, if that is the home folder.
 _OF_NO_CONFIG = (Path(os.__file__).parent, Path(__file__).parents[2])
 _NO_CONFIGS = tuple(f"{each}/" for each in _OF_NO_CONFIG)
 _OURS, _OUR_NAME = __name__.partition(".")[0], "robot-runner"
@@ -30,16 +29,16 @@ _PACKAGE = "__init__.py"
 
 
 def local_modules_among(config: Path, names: set[str]) -> dict[Path, Path]:
-    """Return the files that these modules, or what the config and its callbacks import, come from; not the config's.
+    """Return the files of the modules `names`, and of those that the config and its callbacks import.
 
-    Those from elsewhere than beside or below the config are found by what import statements name, as a process may have
-    loaded others for other reasons.
+    Modules outside the config's folder are found by import statements, as the process may have loaded others for other
+    reasons.
 
     Returns:
-        the place of each file, relative to the config's folder: its own, or that of its module's name.
+        for each file its path relative to the config's folder: its own, or by the name of its module.
     """
     folder = config.parent
-    # `multiprocessing` calls the program `__mp_main__`: it may lie below the config's folder, and is no part of it.
+    # `__mp_main__`, the main program under `multiprocessing`, may be below the config's folder, but is no part of it.
     files = {_file_of(sys.modules.get(name)) for name in names - {"__mp_main__"}}
     loaded = {path for path in files if path is not None and is_local(path, folder)}
     found = imported_files({path: path.relative_to(folder) for path in (config, *loaded)}, folder)
@@ -48,7 +47,7 @@ def local_modules_among(config: Path, names: set[str]) -> dict[Path, Path]:
 
 
 def _file_of(module: object) -> Path | None:
-    """Return the file of a module; None of an object that stands in for one and answers to every name."""
+    """Return the file of a module; None for a mock object that has any attribute."""
     try:
         file = getattr(module, "__file__", None)
     except Exception:  # noqa: BLE001 - a stranger's code: a package may import its own modules only here, and in vain
@@ -57,12 +56,12 @@ def _file_of(module: object) -> Path | None:
 
 
 def _without_dots(path: str | os.PathLike[str]) -> Path:
-    """Return a path in which no folder is named by dots, as where a config extends `sys.path` by `<its folder>/..`."""
+    """Return a path without `..`, which a config may have added to `sys.path`."""
     return Path(os.path.abspath(path))  # noqa: PTH100 - links are kept
 
 
 def is_local(path: Path, folder: Path) -> bool:
-    """Return whether a file stands in a folder or below it, and is neither installed there nor Python's own or ours."""
+    """Return whether a file is below a folder, and is neither installed there nor Python's or ours."""
     return folder in path.parents and not _is_installed(path)
 
 
@@ -73,22 +72,22 @@ def _is_installed(path: Path) -> bool:
 
 
 def _is_elsewhere(path: Path) -> bool:
-    """Whether a file is no part of anything that is installed, also of no folder that is installed as it stands."""
+    """Return whether a file is not installed, not even as editable."""
     return not _is_installed(path) and not any(each in path.parents for each in editable_folders())
 
 
 @cache
 def editable_folders() -> Mapping[Path, str]:
-    """Return the folders that are installed as they stand (`pip install --editable`), each with what it is called.
+    """Return the folders of editable installations (`pip install --editable`), each with its distribution's name.
 
-    A package of the experiment has them as wheels. Ours is left out: beside our clone there may be anything.
+    A package of the experiment has them as wheels. Ours is left out, as there may be anything in our clone.
     """
     from importlib.metadata import distributions  # noqa: PLC0415 - few configs import from elsewhere
 
     found = {}
     for each in distributions():
         is_editable = False
-        with suppress(ValueError, AttributeError):  # it is as its installer wrote it
+        with suppress(ValueError, AttributeError):  # an installer may have written another form
             told = json.loads(each.read_text("direct_url.json") or "{}")
             address = urlsplit(str(told.get("url", "")))
             is_editable = address.scheme == "file" and told.get("dir_info", {}).get("editable")
@@ -98,10 +97,10 @@ def editable_folders() -> Mapping[Path, str]:
 
 
 def imported_files(files: Mapping[Path, Path], folder: Path) -> dict[Path, Path]:
-    """Return these Python files, and those that they import wherever in their code; nothing is executed.
+    """Return these Python files, and those that they import anywhere in their code, without executing them.
 
     Args:
-        files: the place of each in the config's folder, relative to it.
+        files: the path of each, relative to the config's folder.
         folder: the config's.
     """
     searched = [_without_dots(each) for each in sys.path]
@@ -118,7 +117,7 @@ def imported_files(files: Mapping[Path, Path], folder: Path) -> dict[Path, Path]
             if is_here:
                 place = each.relative_to(folder)  # noqa: PLW2901 - where it stands, whatever root it was found by
             elif each.suffix != ".py" or not _is_elsewhere(each) or place in places:
-                continue  # what stands beside the config is imported before what is called the same
+                continue  # a module of the same name beside the config comes first
             if each not in found:
                 found[each] = place
                 places.add(place)
@@ -127,13 +126,13 @@ def imported_files(files: Mapping[Path, Path], folder: Path) -> dict[Path, Path]
 
 
 def _is_meant(path: Path, place: Path, *, is_here: bool) -> bool:
-    """Whether a file is what is imported by this name: not where other modules stand in for an earlier tool's."""
+    """Return whether importing this name leads to the file, and not to a stand-in for an earlier tool's module."""
     root, top = path.parents[len(place.parts) - 1], place.parts[0].removesuffix(".py")
     named = place.parent if place.name == _PACKAGE else place.with_suffix("")
     module = sys.modules.get(".".join(named.parts))
     if module is not None:
         file = _file_of(module)
-        # An object without a file is what the module itself has put in its place: `sys.modules[__name__] = Settings()`.
+        # An object without a file was put there by the module itself: `sys.modules[__name__] = Settings()`.
         return file == path if file is not None else type(module) is not ModuleType
     package = sys.modules.get(top)
     folders = getattr(package, "__path__", None)
@@ -143,13 +142,13 @@ def _is_meant(path: Path, place: Path, *, is_here: bool) -> bool:
 
 
 def _is_known(top: str) -> bool:
-    """Whether a module is Python's own, or was imported from where it is installed: nobody looks for it elsewhere."""
+    """Return whether a module is Python's, or was imported from an installed distribution."""
     file = _file_of(sys.modules.get(top))
     return top in sys.stdlib_module_names or (file is not None and _is_installed(file))
 
 
 def _imported_by(path: Path, place: Path, roots_of: Callable[[str], Sequence[str]]) -> Iterator[tuple[Path, Path]]:
-    """Yield the files that a file imports, each with its place as its module's name has it."""
+    """Yield the files that a file imports, each with its path by the name of the module."""
     for node in ast.walk(tree_of(path)):
         match node:
             case ast.Import(names=names):
@@ -164,7 +163,7 @@ def _imported_by(path: Path, place: Path, roots_of: Callable[[str], Sequence[str
 
 
 def _files_of(module: str, places: Sequence[str], within: Path) -> Iterator[tuple[Path, Path]]:
-    """Yield the files of a module and of the packages that it is in, as far as they are found, with their places."""
+    """Yield the existing files of a module and of its parent packages, with their paths."""
     if module.partition(".")[0] == _OURS:
         return  # a config may stand at the root of our own repository
     for part in module.split("."):
@@ -179,14 +178,14 @@ def _files_of(module: str, places: Sequence[str], within: Path) -> Iterator[tupl
 
 
 def editable_code() -> dict[str, str]:
-    """Return a digest of the code of each distribution that is installed as it stands and was imported, by its name.
+    """Return a digest of the code of each editable distribution that was imported, by its name.
 
-    Its version tells nothing of it: it changes with each change of a file.
+    Its version does not change with its files.
     """
     found: dict[str, set[Path]] = {}
     for name, module in list(sys.modules.items()):
         file, top = str(getattr(module, "__file__", None)), sys.modules.get(name.partition(".")[0])
-        # As texts: hundreds of modules are looked at, and nearly all are installed.
+        # As texts, not paths, for speed: there are hundreds of modules.
         is_installed = file.startswith(_NO_CONFIGS) or "-packages/" in file
         if top is None or is_installed or name == CONFIG_MODULE or not file.endswith(".py"):
             continue

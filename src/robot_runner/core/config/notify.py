@@ -1,4 +1,4 @@
-"""Who is told how an experiment goes on: at which moments, and where the secret address comes from."""
+"""Notifications: at which moments they are sent, and where their secret addresses come from."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 from robot_runner.core.design.numeric_range import is_whole
 from robot_runner.core.errors import Finding, did_you_mean
 
-#: What can be told of.
+#: The moments at which notifications can be sent.
 NOTIFIED_OF = ("end", "failure", "waiting")
 _VARIABLE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _MOST_BYTES = 64 * 1024
@@ -21,14 +21,14 @@ _INSTALL = "Install it: pip install 'robot-runner[notify]'. Or go without: --set
 
 @dataclass(frozen=True, slots=True)
 class Notify:
-    """Tells somebody by mail, ntfy, Slack, Telegram and others (https://appriseit.com) how the experiment goes on.
+    """Notifies people by mail, ntfy, Slack, Telegram and others (https://appriseit.com) how the experiment goes on.
 
-    The addresses hold passwords: they stand in an environment variable or in a file, one a line, and nowhere else.
+    The addresses hold passwords: they are in an environment variable or in a file, one a line, and nowhere else.
 
     Attributes:
-        on: what is told of: the `end` of the experiment, the `failure` of a run, and that it is `waiting` for a person
-            or for a condition.
-        every: after so many runs it is told how many are done; None for never.
+        on: when to notify: at the `end` of the experiment, at the `failure` of a run, while it is `waiting` for a
+            person or for a condition.
+        every: also each time that so many runs have ended; None for never.
         url_from: an environment variable, or a file (its name has a `/`, or it is a Path).
 
     Example:
@@ -60,7 +60,7 @@ def _is_address(source: object) -> bool:
 
 
 def addresses_from(notify: Notify) -> tuple[str, ...]:
-    """Return the addresses that are to be told; none where the variable or the file is not there or is empty."""
+    """Return the addresses; none where the variable or the file is missing or empty."""
     if notify.is_file:
         try:
             with Path(notify.url_from).expanduser().open(encoding="utf-8") as file:
@@ -74,7 +74,7 @@ def addresses_from(notify: Notify) -> tuple[str, ...]:
 
 
 def check_notify(where: str, notify: Notify | None) -> Iterator[Finding]:
-    """Yield what keeps anybody from being told."""
+    """Yield findings on why notifications could not be sent."""
     if notify is None:
         return
     malformed = list(_malformed(where, notify))

@@ -1,4 +1,4 @@
-"""What keeps operator steps and their questions from being carried out, found before anything is executed."""
+"""Checks of operator steps and their questions, before anything is executed."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import Finding, did_you_mean
 from robot_runner.core.words import counted, enumerated, listed
 
-#: So many runs are shown to a function that says before which runs a step is done.
+#: With how many runs the function of a step is tried.
 _TRIED = 200
 _RULES = ("every", "when_changes", "first")
 
 
 def check_operator_steps(where: str, steps: Sequence[OperatorStep], model: RunTableModel | None) -> list[Finding]:
-    """Return everything that is wrong with the steps of a config."""
+    """Return all problems of the steps of a config."""
     findings: list[Finding] = []
     names = Counter(step.name for step in steps if isinstance(step.name, str))
     asked = Counter(question.name for step in steps for question in _questions(step) if isinstance(question.name, str))

@@ -1,4 +1,4 @@
-"""What a person does before or after a run, and what they are asked: steps, when due, and typed answers."""
+"""The operator's steps before or after runs, when they are due, and their questions with typed answers."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ ANSWER_TYPES: dict[str, type] = {"text": str, "number": float, "whole number": i
 _TYPE_NAMES = {kind: name for name, kind in ANSWER_TYPES.items()}
 _YES, _NO = frozenset({"y", "yes", "true", "1"}), frozenset({"n", "no", "false", "0"})
 
-#: What of a question is plain data as it is.
+#: The attributes of a question that are plain data.
 _PLAIN = ("unit", "low", "high", "note", "optional", "text")
 
-#: For which runs a step is done: a function of the treatments, or the treatments that it is done for, by factor.
+#: For which runs a step is done: a function of the treatments, or treatments by factor.
 StepCondition = Callable[[Mapping[str, Any]], bool] | Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What a person is asked about a run. The answer is a measure of that run, entered by hand, or a note of it.
+    """A question about a run. The answer is a measure of that run, entered by hand, or a note of it.
 
     Attributes:
         name: the column of the run table, such as `voltage`.
-        type: float, int, str or bool; where it is left out, that of the choices, or str.
+        type: float, int, str or bool; by default that of the choices, or str.
         unit: as that of a measure.
-        low, high: a number below or above is not taken, and asked for again.
-        choices: the answers that are taken; nothing given: any.
-        note: whether the answer is a note of the run in the journal, and no measure.
-        optional: whether an empty answer is taken: the value is missing.
+        low, high: a number below or above is refused, and asked for again.
+        choices: the accepted answers; none for any.
+        note: whether the answer is a note in the journal instead of a measure.
+        optional: whether an empty answer is accepted, as a missing value.
         text: what the person reads in place of the name.
 
     Example:
@@ -58,17 +58,17 @@ class Question:
 
     @property
     def kind(self) -> AnswerType:
-        """The type of the answers: the one that is given, or that of the choices, or str."""
+        """The type of the answers."""
         return self.type or (self.choices[0].__class__ if self.choices else str)
 
     @property
     def asked(self) -> str:
-        """What the person is asked, with unit and limits: `voltage (V, 9 to 13)`."""
+        """The question with unit and limits: `voltage (V, 9 to 13)`."""
         return f"{self.text or self.name}{f' ({self.hint})' if self.hint else ''}"
 
     @property
     def hint(self) -> str:
-        """Which answers are taken, in a few words."""
+        """The accepted answers, in a few words."""
         if self.choices:
             *most, last = map(_shown, self.choices)
             return f"{', '.join(most)} or {last}" if most else last
@@ -86,7 +86,7 @@ class Question:
         """Return the answer that a text gives; None for an empty text, if the question is optional.
 
         Raises:
-            MeasureError: it is not taken.
+            MeasureError: it is refused.
         """
         said = text.strip()
         if not said and self.optional:
@@ -131,7 +131,7 @@ class Question:
         return MeasureError(problem, where=self.name, fix=f"Enter {self._wanted()}.")
 
     def _wanted(self) -> str:
-        """Return what is to be entered, as a sentence has it."""
+        """Return the accepted answers as a sentence."""
         if self.kind in {bool, str} or self.choices:
             return self.hint or "an answer"
         has_both = self.low is not None and self.high is not None
@@ -159,17 +159,17 @@ def _shown(choice: Any) -> str:
 class OperatorStep:
     """What a person does before a run, such as swapping a battery. The run starts once they say that it is done.
 
-    A step is done before each run, and before each further attempt at it, unless one of these says otherwise. With
-    `after` it is done once a run is done, and the next one at its place waits until then.
+    By default, a step is done before each run, and before each further attempt at it. With `after` it is done once a
+    run is done, and the next one at its place waits until then.
 
     Attributes:
-        name: what is to be done, as the person reads it.
+        name: what is to be done, for the person to read.
         every: before the first run, and once this many runs have begun since it was done last.
-        when_changes: a factor, or several: where their treatments are not those that it was done for last.
+        when_changes: a factor, or several: before a run with other treatments of these than it was done for last.
         first: once, before the first run.
-        before: only before these runs; beside any of the three above.
-        after: after each run that is done (`True`), or after these; beside none of the others.
-        ask: what the person is asked when it is done.
+        before: only before these runs; can be combined with any of the three above.
+        after: after each run that is done (`True`), or after these runs; cannot be combined.
+        ask: the questions once it is done.
 
     Example:
         >>> OperatorStep("place the robot at A", before={"Room": "lab"}).suits({"Room": "lab"})
@@ -213,12 +213,12 @@ class OperatorStep:
 
 
 def _treatments_among(wanted: Any) -> Sequence[Any]:
-    """Return what one entry of a condition may name, as `Factor.named` decides: one treatment, or several."""
+    """Return the treatments that one entry of a condition names, for `Factor.named`."""
     return (wanted, *wanted) if isinstance(wanted, list | tuple | range | set | frozenset) else (wanted,)
 
 
 def operator_measures(steps: Sequence[OperatorStep]) -> tuple[Measure, ...]:
-    """Return the measures that the answers of steps are."""
+    """Return the measures of the answers of steps."""
     return tuple(
         Measure(
             question.name,
@@ -244,8 +244,8 @@ def read_answers(
     """Read the answers to several questions; all findings at once.
 
     Returns:
-        The values that were taken, and a finding for each that was not, for each question without an answer, and for
-        each name that nothing asks for.
+        The accepted values, and a finding for each refused one, each question without an answer, and each name without
+        a question.
     """
     by_name = {question.name: question for question in questions}
     taken = dict(answered or {})

@@ -1,4 +1,4 @@
-"""What the values of static parameters are: how each is checked, normalised, and read from the command line."""
+"""The kinds of values of static parameters: how each is checked, normalised, and read from the command line."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """What the values of a static parameter are.
+    """The kind of values of a static parameter.
 
     Attributes:
         expected: completes the sentence "it must be ...".
-        accepts: says whether a value is well formed.
+        accepts: returns whether a value is valid.
         from_text: reads a value of the command line; raises ValueError or KeyError.
-        normalise: makes what `Parameters` holds of a value that is accepted.
-        type_name: what the documentation calls the type, where the annotation says less.
-        is_secret: whether a malformed value may hold a password, and is not shown.
+        normalise: converts a valid value to what `Parameters` holds.
+        type_name: the type in the documentation, where the annotation says less.
+        is_secret: whether an invalid value may hold a password, and is not shown.
     """
 
     expected: str
@@ -75,7 +75,7 @@ def _not_from_text(text: str) -> NoReturn:
 
 
 def _none_from_text(text: str) -> tuple[()]:
-    """Return what stands for no elements of a list that no text can write."""
+    """Return an empty tuple, the only list of such objects that a text can express."""
     return () if text.strip().casefold() == "none" else _not_from_text(text)
 
 
@@ -116,7 +116,7 @@ NAME = Kind(
 PATH = Kind(
     "a path, such as Path('~/results')",
     lambda value: isinstance(value, str | Path) and "\0" not in str(value) and str(value) != "",
-    lambda text: Path(text) if text else text,  # of which Path would make the folder that happens to be there
+    lambda text: Path(text) if text else text,  # Path("") would be the current folder
     Path,
 )
 LINK = Kind(
@@ -168,7 +168,7 @@ CLAIMS = Kind(
     _names_from_text,
     tuple,
 )
-_MOST_WORKERS = 10_000  # each is made ready before the first run: a slip would fill the memory
+_MOST_WORKERS = 10_000  # each is prepared before the first run: a mistake would fill the memory
 WORKERS = Kind(
     f'a whole number, 1 to {_MOST_WORKERS:,}, or "auto"',
     lambda value: value == "auto" or (is_whole(value) and 1 <= value <= _MOST_WORKERS),

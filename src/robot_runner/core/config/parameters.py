@@ -28,7 +28,7 @@ from robot_runner.core.plugin import Plugin
 
 
 class OperationType(Enum):
-    """Whether a run starts by itself (AUTO), or once the user says so (SEMI: to swap a battery, say)."""
+    """Whether a run starts automatically (AUTO), or once the user says so (SEMI: to swap a battery, say)."""
 
     AUTO = "auto"
     SEMI = "semi"
@@ -91,7 +91,7 @@ def _declare(description: str, kind: kinds.Kind, default: Any = REQUIRED) -> Any
 
 
 def _declared(cls: type[StaticParameters]) -> type[StaticParameters]:
-    """Take down the declarations of a class, and leave their defaults in their places."""
+    """Register the declarations of a class, and replace them by their defaults."""
     for name, annotation in cls.__annotations__.items():
         declared: Parameter = vars(cls)[name]
         PARAMETERS[name] = replace(declared, name=name, type_name=declared.type_name or annotation)
@@ -104,7 +104,7 @@ def _declared(cls: type[StaticParameters]) -> type[StaticParameters]:
 
 @_declared
 class StaticParameters:
-    """What can be set in a config, beside what the experiment does and measures."""
+    """The static parameters of a config, with their defaults."""
 
     experiment_name: str = _declare("Names the experiment and its folder.", kinds.NAME)
     results_output_path: Path | str = _declare(
@@ -282,7 +282,7 @@ class StaticParameters:
 
 
 class Parameters(StaticParameters):
-    """The static parameters of a config that was found to be well formed: normalised, and fixed.
+    """The static parameters of a valid config, normalised and read-only.
 
     Example:
         >>> Parameters(experiment_name="two_speeds", attempts=2).attempts
@@ -308,11 +308,11 @@ class Parameters(StaticParameters):
 
     @property
     def links(self) -> tuple[str, ...]:
-        """How the robots are reached: all that take turns, or the only one; nothing where there is none."""
+        """How the robots are reached: all that take turns, or the only one, or none."""
         return tuple(self.robots.values()) or ((self.robot,) if self.robot is not None else ())
 
     def but(self, **changed: Any) -> Parameters:
-        """Return the same with some of them changed."""
+        """Return a copy with some parameters changed."""
         return Parameters(**{**vars(self), **changed})
 
     def __setattr__(self, name: str, value: object) -> NoReturn:

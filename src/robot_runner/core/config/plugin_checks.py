@@ -28,9 +28,8 @@ T = TypeVar("T")
 def gather_plugins(loaded: LoadedConfig, model: RunTableModel | None) -> tuple[tuple[Plugin, ...], list[Finding]]:
     """Return the plugins of the config: those in `plugins`, then those that an import line activated.
 
-    Those with bound parameters are built with the treatments of the first run, after it was seen that they can be built
-    with all. One that cannot be is left out, which is a finding; so is, without one, every such plugin where there is
-    no run table.
+    Those with bound parameters are built with the treatments of the first run, if they can be built with all. One that
+    cannot be is left out, with a finding; without a run table, all of them are left out.
     """
     findings: list[Finding] = []
     plugins = list(_listed(loaded, findings))
@@ -43,7 +42,7 @@ def gather_plugins(loaded: LoadedConfig, model: RunTableModel | None) -> tuple[t
 
 
 def unbuilt_names(loaded: LoadedConfig, built: Sequence[Plugin]) -> list[str]:
-    """Return the names of the plugins that a config lists and that could not be built."""
+    """Return the names of the plugins of a config that could not be built."""
     kept = set(map(id, built))
     return [given_name(each) for each in _listed(loaded, []) if id(each) not in kept]
 
@@ -71,7 +70,7 @@ def check_plugins(
     robots: Sequence[str] = (),
     unbuilt: Sequence[str] = (),
 ) -> list[Finding]:
-    """Return what each plugin finds missing; one with bound parameters is asked with each of their treatments.
+    """Return the findings of the plugins' checks, and on the plugins; bound ones are checked with each treatment.
 
     Args:
         plugins: those that could be built.
@@ -96,7 +95,7 @@ def check_plugins(
 def check_treatments(
     plugins: Sequence[Plugin], model: RunTableModel, robot: str | None, combinations: Iterable[Mapping[str, Any]]
 ) -> list[Finding]:
-    """Return what keeps plugins from treatments of a run table that was written by hand."""
+    """Return errors for plugins that cannot be built with treatments of a run table that was written by hand."""
     bound = [plugin for plugin in plugins if factors_of(plugin)]
     listed = list(combinations) if bound else []
     factors = {factor.name: factor.treatments for factor in model.factors}
@@ -108,7 +107,7 @@ def check_treatments(
 
 
 def with_each_treatment(plugin: Plugin, model: RunTableModel | None) -> Iterator[Plugin]:
-    """Yield a plugin as it is built with each of the treatments that its parameters are bound to, or as it is."""
+    """Yield a plugin built with each treatment to which its parameters are bound, or the plugin itself."""
     if model is None or not factors_of(plugin):
         yield plugin
         return
@@ -117,10 +116,10 @@ def with_each_treatment(plugin: Plugin, model: RunTableModel | None) -> Iterator
 
 
 def instances_of(kind: type[T], returned: Iterable[T]) -> list[T]:
-    """Return what a stranger's code has returned as a list.
+    """Return as a list what another package's code has returned.
 
     Raises:
-        TypeError: something among it is of another kind.
+        TypeError: an element is of another type.
     """
     found = list(returned)
     for each in found:
@@ -130,7 +129,7 @@ def instances_of(kind: type[T], returned: Iterable[T]) -> list[T]:
 
 
 def asked(where: str, check: Callable[[], Iterable[Finding]]) -> list[Finding]:
-    """Return what a stranger's check finds; what it raises is a finding like others."""
+    """Return the findings of another package's check; an exception becomes a finding."""
     try:
         return instances_of(Finding, check())
     except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code
@@ -138,7 +137,7 @@ def asked(where: str, check: Callable[[], Iterable[Finding]]) -> list[Finding]:
 
 
 def announced_findings(group: str, find: Callable[[EntryPoint], Iterable[Finding]]) -> list[Finding]:
-    """Return what installed packages find by what they announce in a group."""
+    """Return the findings of all entry points in a group."""
     return [finding for point in entry_points(group) for finding in asked(point.where, partial(find, point))]
 
 
@@ -150,13 +149,13 @@ def failed_check(where: str, error: BaseException, what: str = "the check") -> F
     return Finding.error(where, problem, "Tell the plugin's author; update or leave out the plugin.")
 
 
-# Methods that are nearly called like one of ours, and that nobody calls: a robot would not be made safe.
+# Methods with misspelt names of ours, which nothing calls: a robot would not be made safe.
 
 
 def misspelt_callbacks(plugin: Plugin) -> list[Finding]:
-    """Return a warning for each method that its author meant to be called, by its name, and that nothing calls.
+    """Return a warning for each method whose name is close to one of ours, and that nothing calls.
 
-    It is no error, as in a config: a plugin may be somebody else's, and be called from outside.
+    Unlike in a config it is no error: the plugin may be another author's, and called from outside.
     """
     kinds = type(plugin).__mro__[:-1]
     own = [each for each in kinds if each.__module__.partition(".")[0] != "robot_runner"]
@@ -221,14 +220,14 @@ def _equal_names(loaded: LoadedConfig, plugins: list[Plugin]) -> list[Finding]:
     ]
 
 
-# Plugins with bound parameters: built, and asked, with each of the treatments that they will have.
+# Plugins with bound parameters: built and checked with each of their treatments.
 
-#: More combinations of bound treatments than this are not tried; then each treatment is, in one combination at least.
+#: With more combinations of bound treatments, each treatment is tried in at least one combination only.
 _MOST_COMBINATIONS = 256
 
 
 def _is_built(plugin: Plugin, model: RunTableModel | None, findings: list[Finding]) -> bool:
-    """Build a plugin for the first run, where it has bound parameters; returns whether it can be used."""
+    """Build a plugin for the first run, where it has bound parameters; return whether it can be used."""
     factors = factors_of(plugin)
     if not factors:
         malformed = _malformed(plugin)
@@ -243,13 +242,13 @@ def _is_built(plugin: Plugin, model: RunTableModel | None, findings: list[Findin
     findings += refused or _varying(plugin, built)
     if not refused:
         bind(plugin, planned[0])
-        # So that the disk has room whatever the treatment; building the plugin for a run makes it the run's again.
+        # The largest over all treatments, for the check of disk space; building it for a run sets the run's again.
         vars(plugin)["bytes_per_run"] = max(each.bytes_per_run for each in built)
     return not refused
 
 
 def _misled(plugin: Plugin) -> Iterator[Finding]:
-    """Yield attributes that hold a treatment as if it were a value: the class makes its instances in its own way."""
+    """Yield an error for attributes with an unbound treatment: a `__new__` has hidden it from the binding."""
     for name, value in vars(plugin).items():
         if isinstance(value, Treatment):
             fix = f"Have __new__ of {type(plugin).__name__} call super().__new__(cls, ...) with all of its arguments."
@@ -282,7 +281,7 @@ def _key(combination: Mapping[str, Any], factors: Iterable[str]) -> tuple[tuple[
 
 
 def _distinct(combinations: Iterable[Mapping[str, Any]], factors: Iterable[str]) -> Iterator[Mapping[str, Any]]:
-    """Yield one combination for each of the treatments of these factors, within bounds."""
+    """Yield one run's combination for each combination of these factors, `_MOST_COMBINATIONS` at most."""
     names = sorted(set(factors))
     seen: set[Any] = set()
     tried: set[Any] = set()
@@ -300,7 +299,7 @@ def _with_each(
     combinations: Iterable[Mapping[str, Any]],
     look: Callable[[Mapping[str, Any]], Sequence[Finding]],
 ) -> list[Finding]:
-    """Return what is found under each combination; the treatments are named where it is not found under all."""
+    """Return the findings with each combination; one that is not found with all names the treatments."""
     factors = list(dict.fromkeys(factors_of(plugin).values()))
     found: defaultdict[Finding, list[str]] = defaultdict(list)
     count = 0
@@ -323,7 +322,7 @@ def _unbuilt_with_each(plugin: Plugin, combinations: Iterable[Mapping[str, Any]]
 
 
 def _unbuilt(plugin: Plugin, combination: Mapping[str, Any], built: list[Plugin]) -> list[Finding]:
-    """Return why a plugin cannot be built under a combination; what was built is added to `built`."""
+    """Return why a plugin cannot be built with a combination; a built one is added to `built`."""
     bound = ", ".join(f"{name}=treatment({factor!r})" for name, factor in factors_of(plugin).items())
     where = f"{type(plugin).__name__}({bound})"
     try:
@@ -337,7 +336,7 @@ def _unbuilt(plugin: Plugin, combination: Mapping[str, Any], built: list[Plugin]
 
 
 def _malformed(plugin: Plugin) -> list[Finding]:
-    """Return what a plugin says of itself in a way that nobody could read."""
+    """Return errors for attributes of a plugin that have the wrong type."""
     where = type(plugin).__name__
     if refused := refused_name(plugin):
         return [Finding.error(where, refused.problem, refused.fix)]
@@ -360,7 +359,7 @@ def _malformed(plugin: Plugin) -> list[Finding]:
 
 
 def _varying(plugin: Plugin, built: Sequence[Plugin]) -> Iterator[Finding]:
-    """Yield what is to be the same in all runs and differs with the treatments: the name, and the measures."""
+    """Yield an error if a plugin's name or measures differ between treatments: they must be the same in all runs."""
     factors = factors_of(plugin)
     where = f"plugin {built[0].name}, bound to {' and '.join(map(repr, dict.fromkeys(factors.values())))}"
     names = list(dict.fromkeys(each.name for each in built))
@@ -383,7 +382,7 @@ def _checked_with_each(
     def look(combination: Mapping[str, Any]) -> list[Finding]:
         try:
             built: Plugin = built_with(plugin, combination)
-            # It stands last: of two that clash the later one says so, and the others are not asked with each treatment.
+            # It comes last: of two plugins that clash, the later one reports it.
             others = tuple(built_with(each, combination) for each in plugins if each is not plugin)
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code, which could be built a moment ago
             return [failed_check(plugin.name, error)]

@@ -1,4 +1,4 @@
-"""From a config file to an experiment, or to everything that stands in its way; nothing is touched."""
+"""Preparing an experiment from a config file: loading and all checks, without touching robot or disk."""
 
 from __future__ import annotations
 
@@ -60,10 +60,10 @@ from robot_runner.core.words import enumerated
 
 
 def choose_robot(loaded: LoadedConfig) -> list[Finding]:
-    """Put what is found in the place of `robot = "auto"`, so that every run and the manifest name the same.
+    """Replace `robot = "auto"` by the robot that is found, so that every run and the manifest name the same.
 
     Returns:
-        what was chosen and why, or that nothing is there to choose.
+        which one was chosen and why, or that none was found.
     """
     robot = getattr(loaded.config, "robot", None)
     try:
@@ -78,7 +78,7 @@ def choose_robot(loaded: LoadedConfig) -> list[Finding]:
 
 
 def check_robot(loaded: LoadedConfig, parameters: Parameters, plugins: Sequence[Plugin] = ()) -> list[Finding]:
-    """Return what stands between the experiment and its robots, and what the checks of installed packages find."""
+    """Return the findings on the robots of the experiment, and of the checks of installed packages."""
     if looks_for_robot(parameters.robot):
         return []  # nothing was found, which is a finding already
 
@@ -90,7 +90,7 @@ def check_robot(loaded: LoadedConfig, parameters: Parameters, plugins: Sequence[
 
 
 def _link_findings(parameters: Parameters) -> Iterator[Finding]:
-    """Yield what keeps a robot from being reached, and whether robots that take turns differ in kind, or are one."""
+    """Yield why a robot cannot be reached, and whether robots that take turns differ in kind, or are the same."""
     if not parameters.robots:
         yield from link_findings(parameters.robot)
     for link in dict.fromkeys(parameters.robots.values()):
@@ -108,10 +108,10 @@ def _link_findings(parameters: Parameters) -> Iterator[Finding]:
 
 
 def _one_robot_twice(robots: Mapping[str, str]) -> Iterator[Finding]:
-    """Yield which of the robots that take turns are one, or may be: a whole graph, and a robot of that."""
+    """Yield which of the robots that take turns are the same, or may be: a whole graph, and a robot on it."""
     reached: dict[str, list[str]] = {}
     for name, link in robots.items():
-        with suppress(LinkError):  # that there is no such robot is told where it is looked for
+        with suppress(LinkError):  # reported by `_link_findings`
             if not (is_simulated(link) or looks_for_robot(link)):
                 reached.setdefault(robot_on_graph(link), []).append(name)
     for robot, names in reached.items():
@@ -125,7 +125,7 @@ def _one_robot_twice(robots: Mapping[str, str]) -> Iterator[Finding]:
             yield Finding.error("robot", f"{problem}, which two runs would drive at the same time", fix)
 
 
-#: From a config file and what is set from outside to a config object; raises ConfigError.
+#: Loads a config file with the static parameters that are set from outside; raises ConfigError.
 Loader = Callable[[Path, Mapping[str, str]], LoadedConfig]
 
 
@@ -135,7 +135,7 @@ class Preparation:
 
     Attributes:
         experiment: ready to be executed, or None where a finding refuses it.
-        findings: everything that was found, errors first.
+        findings: all of them, errors first.
     """
 
     experiment: Experiment | None
@@ -150,14 +150,14 @@ def prepare(
     is_for_here: bool = True,
     looks_at_graph: bool = True,
 ) -> Preparation:
-    """Load and validate a config file of any dialect; all findings at once, and nothing on disk is touched.
+    """Load and validate a config file of any dialect; nothing on disk is changed.
 
     Args:
         path: the config file.
         overrides: static parameters to set, by name.
-        load: how the file becomes a config object.
-        is_for_here: whether it is to be executed on this machine; if not, nobody asks what the machine has.
-        looks_at_graph: whether it is to be executed now, so that the robot's graph has what its plugins need.
+        load: loads the file.
+        is_for_here: whether it is to be executed on this machine, which is checked then.
+        looks_at_graph: whether it is to be executed now: then the robot's graph is checked.
     """
     try:
         loaded = load(path, overrides)
@@ -183,7 +183,7 @@ def prepare(
         findings += check_workers(loaded.where, parameters, plugins, events, model)
     if is_for_here:
         findings += _check_machine(loaded, parameters, plugins, complete, events if looks_at_graph else None)
-    # What a check has found that another one came upon is told once.
+    # Two checks may have the same finding.
     ordered = tuple(errors_first(dict.fromkeys(findings)))
     if any(finding.is_error for finding in ordered) or parameters is None or model is None:
         return Preparation(None, ordered)
@@ -210,7 +210,7 @@ def prepare(
 def _grown(
     loaded: LoadedConfig, parameters: Parameters | None, model: RunTableModel | None, findings: list[Finding]
 ) -> RunTableModel | None:
-    """Return the design with the batches that were added to it; none, with findings, where the config lacks a part."""
+    """Return the design with the batches that were added to it; None, with findings, where the config lacks a part."""
     if parameters is None or model is None:
         return model
     try:
@@ -218,7 +218,7 @@ def _grown(
     except (ConfigError, DesignError) as error:
         findings += error.findings
         return None
-    except StorageError as error:  # what was added cannot be read: the rest of the config is looked at all the same
+    except StorageError as error:  # the journal cannot be read: the rest of the config is checked all the same
         findings += error.findings
     except (OSError, RuntimeError):  # found by the check of the path
         pass
@@ -226,14 +226,14 @@ def _grown(
 
 
 def _with_all_factors(model: RunTableModel | None) -> RunTableModel | None:
-    """Return the design that plugins are looked at with: one with a factor that only the config has so far."""
+    """Return the design with which plugins are checked, which includes factors that only the config has so far."""
     own = as_configured(model) if model else None
     known = {factor.name for factor in model.factors} if model else set()
     return own if own and any(factor.name not in known for factor in own.factors) else model
 
 
 def _name_findings(loaded: LoadedConfig) -> list[Finding]:
-    """Return the names of a config that are misspelt, or that nothing uses."""
+    """Return findings on names of a config that are misspelt or unused."""
     refused = checks.check_names(loaded)
     places = {finding.where for finding in refused}
     dead = [finding for finding in check_dead_names(loaded) if finding.where not in places]
@@ -273,9 +273,9 @@ def _robot_first(
     model: RunTableModel | None,
     robot: Any,
 ) -> Iterator[Finding]:
-    """Yield the findings on the robot, then those of the plugins, which are asked about the robot that was meant.
+    """Yield the findings on the robot, then those of the plugins, which are checked with the robot that was meant.
 
-    Otherwise each of them would say in its own words that it does not know a robot whose name has a slip.
+    Otherwise each plugin would report a misspelt name of the robot, too.
     """
     if parameters is not None:
         yield from check_robot(loaded, parameters, plugins)
@@ -292,14 +292,14 @@ def _robot_first(
 
 
 def _cold_robots(count: int, warm_up: WarmUp | None) -> Iterator[Finding]:
-    """Yield that not each of several robots warms up, where there are fewer warm-up runs than robots."""
+    """Yield a warning if there are fewer warm-up runs than robots that take turns."""
     if warm_up is not None and warm_up.runs < count:
         problem = f"{count} robots take turns, and {warm_up}: the other robots measure without having warmed up"
         yield Finding.warning("warm_up", problem, f"Plan as many as there are robots, {count}: each robot has one.")
 
 
 def _of_each(robots: Mapping[str, str], look: Callable[[str], list[Finding]]) -> Iterator[Finding]:
-    """Yield what is found of each robot, with its name; what is found of all alike is told once."""
+    """Yield the findings on each robot, with its name; one that all have is yielded once."""
     found = {name: look(link) for name, link in robots.items()}
     alike = [each for each in next(iter(found.values())) if all(each in others for others in found.values())]
     yield from alike
@@ -308,7 +308,7 @@ def _of_each(robots: Mapping[str, str], look: Callable[[str], list[Finding]]) ->
 
 
 def _left_to_workers(finding: Finding) -> Finding:
-    """Return what was found on this machine as a warning: a cluster's workers look at their own as they join."""
+    """Return a finding on this machine as a warning: workers of a cluster check their own machine when they join."""
     if not finding.is_error:
         return finding
     problem = f"on this machine: {finding.problem}; each worker is looked at when it joins"
@@ -316,7 +316,7 @@ def _left_to_workers(finding: Finding) -> Finding:
 
 
 def _most_runs(model: RunTableModel, parameters: Parameters) -> int:
-    """Return how many runs there are at most: some may follow from results."""
+    """Return how many runs there are at most, including those that may follow from results."""
     runs = max(len(model.plan()), int(model.design_facts.get("most_runs", 0)))
     return max(runs, runs * most_repetitions(parameters.repeat_until) // model.repetitions)
 
@@ -327,7 +327,7 @@ def prepare_or_refuse(
     """Load and validate a config file, as `prepare` does.
 
     Raises:
-        ConfigError: it is refused; carries every finding.
+        ConfigError: it has errors; with all findings.
     """
     preparation = prepare(path, overrides, looks_at_graph=looks_at_graph)
     if preparation.experiment is None:
@@ -350,7 +350,7 @@ def measure_columns(
     parameters: Parameters | None,
     findings: list[Finding],
 ) -> MeasureColumns:
-    """Return the measures that runs may yield, with the columns of the run table; adds what is wrong to `findings`."""
+    """Return the measures that runs may yield, with the columns of the run table; problems are added to `findings`."""
     phases = parameters.phases if parameters is not None else ()
     measures = {plugin.name: with_phases(plugin.measures, phases) for plugin in plugins}
     steps = parameters.operator_steps if parameters is not None else ()

@@ -21,16 +21,16 @@ from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.storage.registration import Registration, differences, read_registration
 from robot_runner.core.words import listed
 
-#: What is put behind the stem of the config file.
+#: Appended to the stem of the config file.
 SUFFIX = ".registration.json"
-#: Where results are kept is nobody's plan, and names a person's folders.
+#: Static parameters that are not registered: the path of results is no part of the plan, and names private folders.
 _UNREGISTERED = frozenset({"results_output_path"})
 
 
 def registration_path(loaded: LoadedConfig) -> Path:
-    """Return where the registration of a config is, or would be: as `registration` says, or beside the config file.
+    """Return the path of the registration of a config: that of `registration`, or beside the config file.
 
-    A relative path begins where the config file is; of a config without one, where the program was started.
+    A relative path begins where the config file is; for a config without a file, where the program was started.
     """
     given = getattr(loaded.config, "registration", None)
     path = loaded.source.path
@@ -40,16 +40,16 @@ def registration_path(loaded: LoadedConfig) -> Path:
 
 
 def registered(loaded: LoadedConfig) -> Registration | None:
-    """Return the registration of a config; None where there is none, or none that can be used."""
+    """Return the registration of a config; None where there is none, or it cannot be used."""
     try:
         found = read_registration(registration_path(loaded))
-    except StorageError:  # told by `check_registration`
+    except StorageError:  # reported by `check_registration`
         return None
     return found if found.is_intact else None
 
 
 def take_registered_seed(loaded: LoadedConfig, model: RunTableModel) -> None:
-    """Have a design whose config gives no seed use the registered one, so that its order is the registered order."""
+    """Set the registered seed in a design without a seed, so that its order is the registered one."""
     if model.shuffle and not model.seed_is_given and (found := registered(loaded)) is not None:
         model.take_seed(found.seed, is_registered=True)
 
@@ -57,9 +57,9 @@ def take_registered_seed(loaded: LoadedConfig, model: RunTableModel) -> None:
 def registration_content(
     loaded: LoadedConfig, model: RunTableModel, parameters: Parameters, columns: MeasureColumns
 ) -> dict[str, Any]:
-    """Return what is registered of a study, but for the date and its power.
+    """Return the content of a registration, without date and power.
 
-    Of an experiment that was extended it is what the config planned.
+    For an experiment that was extended it is what the config plans.
 
     Raises:
         DesignError: the design is too large to be listed.
@@ -88,7 +88,7 @@ def registration_content(
 
 
 def _combinations(model: RunTableModel) -> dict[str, list[list[str]]]:
-    """Return what a full factorial leaves out; else the combinations, as other designs leave out nearly everything."""
+    """Return the excluded combinations of a full factorial; of other designs the chosen ones, which are fewer."""
     kept = [each.texts for each in model.combinations_of(model.factors)]
     if not model.is_full_factorial or any(factor.when for factor in model.factors):
         return {"combinations": list(map(list, kept))}
@@ -103,7 +103,7 @@ def _digest(path: Path) -> str:
 def check_registration(
     loaded: LoadedConfig, model: RunTableModel | None, parameters: Parameters, columns: MeasureColumns
 ) -> list[Finding]:
-    """Return what stands against the registration of a config: damaged, missing though it is named, or not followed."""
+    """Return findings on the registration of a config: damaged, missing though it is named, or not followed."""
     path = registration_path(loaded)
     is_named = getattr(loaded.config, "registration", None) is not None
     if not path.exists() and not is_named:

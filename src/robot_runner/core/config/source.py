@@ -1,4 +1,4 @@
-"""A config file as text: read, parsed, searched for its config class, and for the plugins that it imports.
+"""Reading and parsing a config file, finding its config class, and the plugins that its imports activate.
 
 The paper's `import plugins.profilers.Ina219` activates a plugin: such modules exist only while a config file is loaded,
 and a package named `plugins` beside the config file comes first.
@@ -41,7 +41,7 @@ class ConfigSource:
 
 
 def read_source(path: Path) -> ConfigSource:
-    """Read and parse a config file; nothing of it is executed.
+    """Read and parse a config file without executing it.
 
     Raises:
         ConfigError: there is no such file, it cannot be read or parsed, or it has no config class.
@@ -70,7 +70,7 @@ def read_tree(path: Path) -> tuple[str, ast.Module]:
 
 
 def parsed(code: str | bytes, name: str = "<unknown>") -> ast.Module:
-    """Return the syntax tree of Python code, as `ast.parse` and without its warnings: they come when it is executed.
+    """Return the syntax tree of Python code as `ast.parse`, without its warnings, which come when it is executed.
 
     Raises:
         SyntaxError: it is not Python.
@@ -82,7 +82,7 @@ def parsed(code: str | bytes, name: str = "<unknown>") -> ast.Module:
 
 
 def tree_of(path: Path) -> ast.Module:
-    """Return the syntax tree of a module that was imported; an empty one where it is no text, or no Python."""
+    """Return the syntax tree of an imported module; an empty one where it is no Python source."""
     try:
         return read_tree(path)[1]
     except ConfigError:
@@ -194,12 +194,12 @@ class _StandInLoader(Loader):
         self._name = name
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
-        """Leave the making of the module to Python."""
+        """Let Python make the module."""
         del spec
         return None
 
     def exec_module(self, module: ModuleType) -> None:
-        """Put the plugin's class into its module, and remember that it was asked for."""
+        """Put the plugin's class into its module, and activate it."""
         if not self._name:
             return
         plugin = find_plugin(self._kind, self._name)

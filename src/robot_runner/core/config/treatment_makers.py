@@ -1,6 +1,6 @@
-"""The makers of treatments that have to be made before the first run, such as revisions that are built.
+"""Treatments that have to be made before the first run, such as revisions that are built.
 
-Packages announce what makes treatments in the group `robot_runner.preparations`.
+Packages announce their makers in the group `robot_runner.preparations`.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 
-#: The journal's record of what was made.
+#: The kind of the journal's record of made treatments.
 PREPARED = "prepared"
 
 
 @dataclass(frozen=True, slots=True)
 class Workshop:
-    """What goes with the making of treatments.
+    """What a maker of treatments may use.
 
     Attributes:
-        logs: a folder for what is written meanwhile, and for copies of what treatments are made from; not made yet.
-        is_interrupted: whether the user wants to stop: then `KeyboardInterrupt` is to be raised.
-        tell: says on the screen what is being made.
+        logs: a folder, not made yet, for logs and for copies of what treatments are made from.
+        is_interrupted: returns whether the user wants to stop: then the maker raises `KeyboardInterrupt`.
+        tell: shows on the screen what is being made.
     """
 
     logs: Path
@@ -44,10 +44,10 @@ class TreatmentMaker(Protocol):
     """Makes treatments of some kind; `known` are the facts that it returned when the experiment first began."""
 
     def findings(self, factors: Sequence[Factor], known: Mapping[str, Any]) -> Iterable[Finding]:
-        """Yield what stands in the way, and what has changed since; nothing is touched."""
+        """Yield why treatments cannot be made, and what has changed since; nothing is touched."""
 
     def prepare(self, factors: Sequence[Factor], known: Mapping[str, Any], workshop: Workshop) -> Mapping[str, Any]:
-        """Make the treatments, and return plain facts to be kept; nothing where there are no such treatments.
+        """Make the treatments, and return plain facts to be kept; empty where there are no such treatments.
 
         Raises:
             RobotRunnerError: one cannot be made.
@@ -61,7 +61,7 @@ _OF_ORIGINAL: ContextVar[Mapping[str, Any]] = ContextVar("_OF_ORIGINAL", default
 
 @contextmanager
 def treatments_known(facts: Mapping[str, Any]) -> Iterator[None]:
-    """While this lasts, check an experiment that has not begun with the treatments made for its original."""
+    """Let an experiment that has not begun be checked with the treatments made for its original, for a while."""
     token = _OF_ORIGINAL.set(facts)
     try:
         yield
@@ -70,13 +70,13 @@ def treatments_known(facts: Mapping[str, Any]) -> Iterator[None]:
 
 
 def maker_findings(factors: Sequence[Factor], folder: ExperimentFolder) -> list[Finding]:
-    """Return what stands in the way of making the treatments of these factors."""
+    """Return the findings of all makers on the treatments of these factors."""
     known = known_treatments(folder) or _OF_ORIGINAL.get()
     return announced_findings("preparations", lambda each: each.load().findings(factors, known.get(each.name, {})))
 
 
 def made_treatments(factors: Sequence[Factor], known: Mapping[str, Any], workshop: Workshop) -> dict[str, Any]:
-    """Make what has to be made before the first run, and return the facts of each maker, by its name.
+    """Make the treatments that have to be made, and return the facts of each maker, by its name.
 
     Raises:
         RobotRunnerError: a treatment cannot be made.
@@ -90,9 +90,9 @@ def made_treatments(factors: Sequence[Factor], known: Mapping[str, Any], worksho
 
 
 def known_treatments(folder: ExperimentFolder) -> dict[str, Any]:
-    """Return what was made when the experiment first began, by the name of each maker: from the journal, the truth.
+    """Return the facts of the first execution from the journal, by the name of each maker.
 
-    Nothing for an experiment that is new; what is wrong with a damaged folder is said when it is read.
+    Empty for a new experiment, and for a damaged folder, which is reported elsewhere.
     """
     known: dict[str, Any] = {}
     try:

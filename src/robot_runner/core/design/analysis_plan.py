@@ -1,4 +1,4 @@
-"""What is fixed for the analysis before the experiment: measures, what is estimated, the tests, what is left out."""
+"""The analysis plan, fixed before the experiment: measures, estimand, tests, and what is left out."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ ORDER, ELAPSED = "order", "elapsed"
 
 _DEFAULT_ALPHA = 0.05
 _KEYS = ("measures", "secondary", "alpha", "correction", "family", "estimand", "statistic", "blocks", "hypotheses")
-#: Choices that are left out of plain data where nothing was chosen, so that plans of earlier versions stay the same.
+#: Choices that are left out of plain data when not made, so that plans of earlier versions compare as equal.
 _LATER_KEYS = ("outliers", "doubtful", "covariates")
 
 
 class Correction(Enum):
     """How p-values are adjusted where many comparisons are made.
 
-    HOLM bounds the chance of any false discovery (Holm 1979), BENJAMINI_HOCHBERG the share of false ones among all
-    discoveries (Benjamini and Hochberg 1995).
+    HOLM bounds the family-wise error rate (Holm 1979), BENJAMINI_HOCHBERG the false discovery rate (Benjamini and
+    Hochberg 1995).
     """
 
     HOLM = "holm"
@@ -35,8 +35,8 @@ class Correction(Enum):
 class Estimand(Enum):
     """What is estimated of each treatment, and compared.
 
-    MEAN is what sums up to a bill of energy; TRIMMED_MEAN leaves out the fifth at either end (Yuen 1974), of runs that
-    belong to no blocks; RANK asks how probably a run of one treatment has the larger value (Brunner, Dette and Munk
+    MEAN is what adds up, as for a bill of energy; TRIMMED_MEAN leaves out the fifth at either end (Yuen 1974), for runs
+    without blocks; RANK is the probability that a run of one treatment has the larger value (Brunner, Dette and Munk
     1997).
     """
 
@@ -46,11 +46,11 @@ class Estimand(Enum):
 
 
 class Statistic(Enum):
-    """What tests an effect of several degrees of freedom among runs of their own.
+    """The test statistic for an effect of several degrees of freedom among independent runs.
 
-    WELCH_JAMES weighs differences by how well they are known (Welch 1951, Johansen 1980); ANOVA_TYPE does not, and
-    finds more where few runs have equal spreads (Brunner, Dette and Munk 1997). COMBINED is a mean of both p-values,
-    and hardly finds less than the better one; of ranks it is ANOVA_TYPE.
+    WELCH_JAMES weights differences by their precision (Welch 1951, Johansen 1980); ANOVA_TYPE does not, and has more
+    power for few runs with equal spreads (Brunner, Dette and Munk 1997). COMBINED is a mean of both p-values, with
+    nearly the power of the better one; for ranks it is ANOVA_TYPE.
     """
 
     COMBINED = "combined"
@@ -70,7 +70,7 @@ class Family(Enum):
     HYPOTHESES = "hypotheses"
 
 
-#: The choices that are members of an enumeration; each has the name of its class, in small letters.
+#: The choices that are members of an enumeration; each has the name of its class, in lower case.
 _CHOICES: tuple[type[Enum], ...] = (Correction, Family, Estimand, Statistic, Doubtful)
 
 
@@ -93,11 +93,11 @@ class AnalysisPlan:
         hypotheses: what the experiment is to test.
         outliers: by which rule values are left out; None for none.
         doubtful: what becomes of values that are doubtful.
-        covariates: what else differs between runs, and is taken out of the comparison: measures, or `order` (the place
-            in the order of execution) and `elapsed` (seconds since the first run).
+        covariates: what else differs between runs, and is adjusted for: measures, or `order` (the place in the order of
+            execution) and `elapsed` (seconds since the first run).
 
     Raises:
-        DesignError: a choice cannot be; `findings` lists everything that was found.
+        DesignError: a choice is invalid; `findings` lists all problems.
 
     Example:
         >>> plan = AnalysisPlan(
@@ -170,14 +170,11 @@ class AnalysisPlan:
         object.__setattr__(self, "covariates", tuple(dict.fromkeys(names_of(covariates))))
 
     def findings(self, factors: Sequence[str], measures: Sequence[str]) -> Iterator[Finding]:
-        """Say which names of the plan a design does not have.
+        """Yield an error for each name of the plan that a design does not have.
 
         Args:
             factors: the factors of the design.
             measures: the measures that have a column in its run table.
-
-        Yields:
-            An error finding for each name.
         """
         for name in (*self.measures, *self.secondary):
             if name not in measures:
@@ -230,7 +227,7 @@ class AnalysisPlan:
         """Return the plan that `as_mapping` made plain.
 
         Raises:
-            DesignError: it is no such plan.
+            DesignError: it is no such plan, or of a later version.
         """
         keys = (*_KEYS, *_LATER_KEYS)
         unknown = [str(key) for key in plain if key not in keys]

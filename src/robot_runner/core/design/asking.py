@@ -1,8 +1,8 @@
-"""Ask and tell: which runs come next depends on what the runs so far have yielded.
+"""Ask and tell: designs whose next runs depend on the results so far.
 
-Whenever all runs are done that were planned, what decides is told of all of them and asked for the next ones. It is
-pure: the same history and the same seed give the same answer, so that an experiment that was killed before the answer
-was taken down asks the same question, and gets the same answer. An answer that was taken down is never asked for again.
+Whenever all planned runs are done, an `Asking` gets all of them and returns the next ones. It is pure: the same history
+and the same seed give the same answer, so that an experiment that was killed before the answer was recorded gets it
+again. A recorded answer is never asked for again.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ DECIDED = "decided"
 
 
 class Told(NamedTuple):
-    """A planned run, as the decision on the next runs is told of it; warm-up runs are left out.
+    """A planned run with its values, for the decision on the next runs; warm-up runs are left out.
 
     Attributes:
         run: its combination, repetition and batch.
-        values: of the measures that are asked for, by name; those that the run did not yield, as it failed, are not in
-            it, nor are doubtful ones where the analysis plan leaves them out.
-        is_excluded: whether the run, by somebody, or a doubtful value of it, by the analysis plan, is left out of the
-            analysis: what it lacks then tells of no failure.
-        is_doubtful: whether it is a doubtful value alone, and the run counts.
+        values: of the measures of `Asking.measures`, by name; without those of a run that failed, and without doubtful
+            ones where the analysis plan leaves them out.
+        is_excluded: whether the run was excluded, or a doubtful value of it is left out by the analysis plan: a missing
+            value is no failure then.
+        is_doubtful: whether only a doubtful value is left out, and the run counts.
     """
 
     run: PlannedRun
@@ -44,15 +44,15 @@ class Decision:
     """What follows: the next runs and why, or nothing more and why.
 
     Attributes:
-        name: of what is executed next, such as `repetition 4`; their order comes from it and the experiment's seed.
+        name: of the next runs, such as `repetition 4`; their order is drawn from it and the experiment's seed.
         in_words: what is known by now and what follows, for people.
         runs: the combination and the repetition of each, in the order as written; empty where nothing follows.
-        blocks: what its runs are kept together by, as in a run-table model; None for what the model says.
-        confirms: whether they are a batch of their own that confirms what was found; if not, they belong to the
+        blocks: as in a run-table model; None for those of the model.
+        confirms: whether they are a batch of their own that confirms what was found; otherwise they belong to the
             batch before them.
         kind: of the journal's record of it.
-        facts: what else the record keeps, as plain data.
-        findings: what is told at the end of the experiment, as problem and fix.
+        facts: further fields of the record, as plain data.
+        findings: shown at the end of the experiment, as problem and fix.
     """
 
     name: str
@@ -70,25 +70,25 @@ class Decision:
 
 
 class Asking(Protocol):
-    """Decides which runs are executed next, from what those so far have yielded; pure."""
+    """Decides which runs are executed next, from the results so far; pure."""
 
     @property
     def measures(self) -> Sequence[str]:
-        """The measures whose values it is told."""
+        """The measures whose values it needs."""
 
     def may_add(self, runs: Sequence[PlannedRun]) -> bool:
-        """Return whether more runs may follow when these are planned."""
+        """Return whether more runs may follow these planned ones."""
 
     def ask(self, told: Sequence[Told]) -> Decision:
-        """Return what is executed next, by all runs of the run table so far."""
+        """Return what is executed next; `told` has all runs of the run table so far."""
 
 
 @runtime_checkable
 class AdaptiveDesign(Protocol):
-    """A design that plans its first runs, and decides on the next ones from what these yield.
+    """A design that plans its first runs, and decides on the next ones from their results.
 
-    Its facts (see `DesignedRuns.facts`) have `decides`, which says in words what is decided, and `most_runs`, how many
-    runs there are at most. What it plans and decides on is exploratory, but for decisions that confirm.
+    Its facts (see `DesignedRuns.facts`) have `decides`, in words what is decided, and `most_runs`, how many runs there
+    are at most. Its runs are exploratory, except those of decisions that confirm.
     """
 
     @property
@@ -96,19 +96,19 @@ class AdaptiveDesign(Protocol):
         """The measures that it decides by."""
 
     def repetition_findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
-        """Say why it cannot be with so many repetitions of each combination."""
+        """Yield an error where the design cannot have so many repetitions of each combination."""
 
     def asking(self, factors: Sequence[Factor], is_allowed: IsAllowed, repetitions: int) -> Asking:
-        """Return what decides.
+        """Return the object that decides.
 
         Args:
-            factors: what is varied, as the config has it.
-            is_allowed: whether the exclusions leave a combination.
+            factors: of the config.
+            is_allowed: returns whether a combination is not excluded.
             repetitions: how often each combination is executed.
         """
 
 
 def decides_order(design: object) -> bool:
-    """Return whether a design decides on order and blocks, once and for all: neither the model nor results do."""
+    """Return whether a design fixes order and blocks itself, instead of the model or results."""
     # Designs that choose combinations may have an attribute `runs`, too: their number.
     return isinstance(design, Design) and not isinstance(design, CombinationDesign | AdaptiveDesign)

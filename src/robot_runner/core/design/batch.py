@@ -1,4 +1,4 @@
-"""A batch of runs: those that were planned first, or that were added to an experiment, as the journal keeps them."""
+"""Batches of runs, as the journal keeps them: those of the first plan, and those added to an experiment."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, Self
 from robot_runner.core.design.factor import texts_of
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder
 
-#: What the role of a batch is called that confirms what the runs before have found.
+#: The role of a batch that confirms what earlier runs have found.
 CONFIRMATION = "confirmation"
 
 _PLAIN = (bool, int, float, str, type(None))
@@ -22,7 +22,7 @@ class BatchRun:
     """A run of a batch, as the journal keeps it.
 
     Attributes:
-        treatments: of the factors that there were, as they are written in the run table, by the factor's name.
+        treatments: by factor, as text in the run table.
         repetition: from 1; 0 for a warm-up run.
     """
 
@@ -38,11 +38,11 @@ class BatchRun:
 
     @classmethod
     def of(cls, run: PlannedRun) -> Self:
-        """Return what is kept of a planned run."""
+        """Return the record of a planned run."""
         return cls(run.run_id, texts_of(run.combination), run.repetition, run.block)
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the run as plain data, without what is as in most runs."""
+        """Return the run as plain data, without defaults."""
         return {
             "run": self.run_id,
             "combination": dict(self.treatments),
@@ -62,12 +62,12 @@ class Batch:
 
     Attributes:
         number: from 1, which is the first plan.
-        order: how they were put in order among themselves, with the seed.
+        order: of its runs, with the seed.
         repetitions: how often each combination is executed from this batch on, all batches together.
-        factors: all factors with all treatments from this batch on, in order, as `plain_treatment` makes them plain.
+        factors: all factors with all treatments from this batch on, in order, by `plain_treatment`.
         chosen: the treatments among them that were added on the command line, so that a config need not have them.
-        defaults: the treatment that earlier runs count as having had, of each factor that this batch added, as text.
-        confirms: whether it confirms what the runs before have found, of a design that decides on its runs.
+        defaults: for each factor that this batch added, the treatment that is assumed for earlier runs, as text.
+        confirms: whether it confirms what earlier runs of an adaptive design have found.
         added: what was added to it while the experiment was executed, such as `repetition 4`, with the ids of its runs.
         runs: in the order of execution.
         at: when the batch was added (UTC); empty for the first plan.
@@ -135,6 +135,6 @@ class Batch:
 
 
 def plain_treatment(treatment: Any) -> Any:
-    """Return a treatment as JSON has it; of what JSON does not know, an object of a user's or `inf`, its text."""
+    """Return a treatment as a value of JSON; for an object of a user's, or infinity, its text."""
     is_plain = type(treatment) in _PLAIN and (type(treatment) is not float or isfinite(treatment))
     return treatment if is_plain else {"text": str(treatment)}

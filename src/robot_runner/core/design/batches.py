@@ -1,8 +1,8 @@
 """The plan of an extended experiment: the first plan, and each batch of runs that was added to it.
 
-Once an experiment has grown, its plan is what the journal lists, batch by batch, and the config no longer makes it:
-the runs that were executed keep their ids, whatever becomes of the config. It grows by batches, which somebody adds,
-and by repetitions, which are added while it is executed until it is precise: these belong to the batch before them.
+Once an experiment has grown, its plan is what the journal lists, batch by batch, and not what the config makes: so runs
+keep their ids when the config changes. It grows by batches, which a user adds, and by repetitions, which are added
+until it is precise: these belong to the batch before them.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from robot_runner.core.design.run_table_model import RunTable, RunTableModel
 from robot_runner.core.design.warm_up import WarmUp, with_warm_ups
 from robot_runner.core.errors import DesignError
 
-#: The kind of the journal's record of an extension: the batch that it added; the first one has the plan before it, too.
+#: The kind of the journal's record of an extension, which has the added batch; the first one has the first plan, too.
 EXTENDED = "extended"
-#: The kind of the record of a repetition more; the first one has the plan before it, where none was extended before.
+#: The kind of the record of a further repetition; the first one has the first plan, unless an extension has it.
 REPEATED = "repeated"
 
 
 def batches_of(records: Iterable[Mapping[str, Any]]) -> tuple[Batch, ...]:
-    """Return all batches of an experiment from the journal's records of its growth; nothing where there are none.
+    """Return all batches of an experiment from the journal's records of its growth; empty where there are none.
 
     Raises:
-        DesignError: a record is none of ours.
+        DesignError: a record is damaged.
     """
     batches: list[Batch] = []
     for record in records:
@@ -60,16 +60,16 @@ def _grown_by(batch: Batch, record: Mapping[str, Any]) -> Batch:
         batch,
         repetitions=repetitions,
         runs=[*batch.runs, *runs],
-        # Without runs, the plan was only written down.
+        # A record without runs only has the first plan.
         added=(*batch.added, (name, tuple(run.run_id for run in runs))) if runs else batch.added,
         factors=record.get("factors") or batch.factors,
     )
 
 
 def records_of(batches: Sequence[Batch]) -> Iterator[dict[str, Any]]:
-    """Yield the fields of the journal's records that `batches_of` makes these batches from: `extended` ones.
+    """Yield the fields of `extended` records from which `batches_of` makes these batches.
 
-    A plan that has grown by repetitions only is one batch: of it, a `repeated` record is made that adds no run.
+    A plan that has grown by repetitions only is one batch: for it, a `repeated` record without runs is made.
     """
     if len(batches) == 1:
         yield {"repetition": batches[0].repetitions, "runs": [], "base": batches[0].as_mapping()}
@@ -85,7 +85,7 @@ def grown_batch(batch: Batch, decision: Decision, planned: Batch, *, is_first: b
         batch: the last one, as it was before.
         decision: what was decided.
         planned: its runs, in the order of execution, and the factors with the treatments that these need.
-        is_first: whether the journal does not have the plan before it yet.
+        is_first: whether the journal does not have the first plan yet.
     """
     is_repetition = decision.kind == REPEATED
     record: dict[str, Any] = {"repetition": planned.repetitions} if is_repetition else {"name": decision.name}
@@ -102,7 +102,7 @@ class GrownRunTableModel(RunTableModel):
     """A design whose plan has grown by batches.
 
     Attributes:
-        as_configured: the design as the config has it now, which may plan less, or more, than there is.
+        as_configured: the design by the present config, which may plan fewer or more runs.
         chosen: the treatments that were added on the command line, as text, by factor.
 
     Example:
@@ -115,10 +115,10 @@ class GrownRunTableModel(RunTableModel):
     """
 
     def __init__(self, model: RunTableModel, batches: Sequence[Batch]) -> None:
-        """Put the plan together.
+        """Make the plan from its batches.
 
         Raises:
-            DesignError: the config lacks a treatment that cannot be made from its text, or no run can have an id.
+            DesignError: the config lacks a treatment that cannot be made from its text, or a run id is invalid.
         """
         DesignError.refuse(run_findings([run.run_id for batch in batches for run in batch.runs]))
         last = batches[-1]
@@ -150,7 +150,7 @@ class GrownRunTableModel(RunTableModel):
         ]
 
     def plan(self, seed: int | None = None) -> RunTable:
-        """Return the run table; it is as listed, whatever the seed."""
+        """Return the run table as listed, whatever the seed."""
         order = self._order if seed is None else replace(self._order, seed=seed)
         return RunTable(self, self._runs, order)
 
@@ -166,12 +166,12 @@ class GrownRunTableModel(RunTableModel):
 
 
 def as_configured(model: RunTableModel) -> RunTableModel:
-    """Return the design as the config has it, also where the plan has grown."""
+    """Return the design by the config, without later batches."""
     return model.as_configured if isinstance(model, GrownRunTableModel) else model
 
 
 def _factor(own: Factor | None, name: str, recorded: Sequence[Any]) -> Factor:
-    """Return a factor with the treatments that were recorded: the config's own objects, where it has them."""
+    """Return a factor with the recorded treatments: the config's own objects, where it has them."""
     treatments = [_own_treatment(own, name, each) for each in recorded]
     return own.with_treatments(treatments) if own else Factor(name, treatments)
 
@@ -183,7 +183,7 @@ def _own_treatment(own: Factor | None, name: str, recorded: Any) -> Any:
     if own is not None and place is not None:
         return own.treatments[place]
     if is_object:
-        with suppress(DesignError):  # a number that is no JSON is made as the config's treatments are
+        with suppress(DesignError):  # a number of a type that JSON does not have is made from its text
             if own is not None and plain_treatment(made := typed(own, text)) == recorded:
                 return made
         problem = f"the config has no treatment {text!r} any more, which runs of the experiment have"
@@ -199,11 +199,11 @@ def _treatment(factor: Factor, text: str) -> Any:
     return factor.treatments[place]
 
 
-# From what is to be there to the runs that are missing.
+# The runs that are missing for a design to be complete.
 
 
 def first_batch(begun: Begun, order: RunOrder) -> Batch:
-    """Return what was planned before the first extension."""
+    """Return the batch of the first plan."""
     return Batch(
         number=1,
         order=order,
@@ -223,17 +223,16 @@ def next_batch(
     at: str,
     wanted: Iterable[tuple[Combination, int]] | None = None,
 ) -> Batch:
-    """Return the batch of runs that are missing; it has none where nothing is.
+    """Return the batch of runs that are missing, perhaps none.
 
     Args:
-        begun: as the run table has it.
-        design: what is to be there.
+        begun: the present design, by the run table.
+        design: the design to be reached.
         warm_up: how the new runs warm up; None where they do not.
-        order: how the new runs are put in order among themselves.
+        order: of the new runs.
         number: of the batch.
         at: when it is added (UTC).
-        wanted: the combination and repetition of each run, in the order as written, where not all that is missing is
-            wanted.
+        wanted: the combination and repetition of each run, in the order as written; None for all that are missing.
     """
     missing = list(missing_runs(begun.counted_runs, design) if wanted is None else wanted)
     blocks = _block_of(missing, order.blocks)
@@ -308,9 +307,9 @@ def _plain(factors: Sequence[Factor]) -> dict[str, list[Any]]:
 
 
 def described_design(model: RunTableModel) -> dict[str, Any]:
-    """Return what the manifest says of a design: factors, repetitions, order, warm-up runs, batches.
+    """Return a design for the manifest: factors, repetitions, order, warm-up runs, batches.
 
-    `parameters` and `facts` are there where the design is another than the full factorial.
+    Designs other than the full factorial have `parameters` and `facts`, too.
     """
     design: dict[str, Any] = {
         "factors": {factor.name: list(factor.texts) for factor in model.factors},

@@ -1,4 +1,4 @@
-"""The names that the run table takes for itself, and what any other column may be called."""
+"""Reserved names of run-table columns, and what other columns may be called."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ class _Named(Protocol):
     def name(self) -> str: ...
 
 
-#: How a config names a column of its own: by the name, or by a measure that has it.
+#: How a config names a column of its own: by a name, or by a measure with a name.
 NamedColumn = str | _Named
 
 RUN_ID = "run_id"
-#: The ids that a run may have: its id names its folder.
+#: Valid run ids, which are names of folders.
 RUN_IDS = re.compile(r"\w[\w.-]{0,59}")
 STATUS = "status"
-#: Why a run is left out of the analysis; there once a run was ever excluded.
+#: Why a run is left out of the analysis; exists once a run was ever excluded.
 EXCLUDED = "excluded"
 REPETITION = "Repetition"
-#: In which batch of runs a run was planned: there once an experiment was extended.
+#: In which batch a run was planned; exists once an experiment was extended.
 BATCH = "batch"
-#: Whether a run only warms up: there where a design has such runs.
+#: Whether a run only warms up; exists where a design has such runs.
 WARM_UP = "warm_up"
 
 #: When each event of a run was emitted, in the order of the events (paper, Fig. 2 and 3).
@@ -42,48 +42,45 @@ STAMP_COLUMNS = (
     "continue_at",
 )
 
-#: Control characters, line and paragraph separators, and lone surrogates (which UTF-8 cannot hold).
+#: Unicode categories: control characters, line and paragraph separators, and lone surrogates (UTF-8 has none).
 _UNFIT_CATEGORIES = frozenset({"Cc", "Zl", "Zp", "Cs"})
 
 _TAKEN = (RUN_ID, STATUS, EXCLUDED, "attempt", *STAMP_COLUMNS)
 
 
 def column_name(column: object) -> object:
-    """Return the name of a column that a config named in either way; whatever else was given is returned as it is."""
+    """Return the name of a `NamedColumn`; any other object is returned unchanged."""
     return column if isinstance(column, str) else getattr(column, "name", column)
 
 
 def numbered_run_id(number: int) -> str:
-    """Return the id of the run in this place (from 1) of a planned run table, as in the paper's Fig. 3."""
+    """Return the id of a run by its number (from 1) in a planned run table, as in the paper's Fig. 3."""
     return f"r_{number}"
 
 
 def numbered_warm_up_id(number: int) -> str:
-    """Return the id of this warm-up run (from 1) of an experiment."""
+    """Return the id of a warm-up run by its number (from 1)."""
     return f"w_{number}"
 
 
 def reserved_names(repetitions: int, *, warms_up: bool = False) -> tuple[str, ...]:
-    """Return the column names that no factor and no measure may have, whatever the case of their letters."""
+    """Return the column names that no factor or measure may have, in any case of letters."""
     return (*_TAKEN, *([REPETITION] if repetitions > 1 else []), *([WARM_UP] if warms_up else []))
 
 
 def is_fit_for_heading(character: str) -> bool:
-    """Return whether a heading can hold a character: control characters and the like it cannot."""
+    """Return whether a character is allowed in a heading, see `_UNFIT_CATEGORIES`."""
     return unicodedata.category(character) not in _UNFIT_CATEGORIES
 
 
 def name_findings(name: object, *, kind: str, repetitions: int = 1, warms_up: bool = False) -> Iterator[Finding]:
-    """Say what keeps `name` from heading a column.
+    """Yield an error for each reason why `name` cannot be a heading.
 
     Args:
-        name: what was given as the name.
+        name: as given.
         kind: what it is the name of, as in `factor`.
-        repetitions: how often each combination is repeated; from two on, `Repetition` is taken.
-        warms_up: whether there are warm-up runs; then `warm_up` is taken.
-
-    Yields:
-        An error finding for each problem.
+        repetitions: how often each combination is repeated; from two on, `Repetition` is reserved.
+        warms_up: whether there are warm-up runs; then `warm_up` is reserved.
     """
     where = f"{kind} {name!r}"
     if not isinstance(name, str):

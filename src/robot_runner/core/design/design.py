@@ -1,4 +1,4 @@
-"""What a design is: it chooses the combinations of an experiment, and may decide on their order and blocks, too."""
+"""The protocols of designs, which choose the combinations of an experiment, and perhaps their order and blocks."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from robot_runner.core.design.factor import Combination, Factor, factor_places, 
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import DesignError, Finding
 
-#: Whether the exclusions leave a combination. The one that a run-table model gives is an `exclusions.Allowed`, which
-#: also says which treatments exclude each other, for designs that build combinations factor by factor.
+#: Returns whether a combination is not excluded. That of a run-table model is an `exclusions.Allowed`, which also says
+#: which treatments exclude each other, for designs that build combinations factor by factor.
 IsAllowed = Callable[[Combination], bool]
 
-#: What the default design is called wherever a design is kept.
+#: The `kind` of the default design in manifests and registrations.
 FULL_FACTORIAL: Final = "full_factorial"
 
 
@@ -26,8 +26,8 @@ class DesignedRuns:
 
     Attributes:
         runs: in the order of execution.
-        facts: what `plan`, the manifest and the report say of the design, as plain JSON data: its `kind`; where it has
-            them, `aliases`, `resolution`, `model`, and which columns are what (`whole_plot_factors`, `period`, ...).
+        facts: of the design, for `plan`, the manifest and the report, as plain JSON data: its `kind`; where it has
+            them, `aliases`, `resolution`, `model`, and the roles of columns (`whole_plot_factors`, `period`, ...).
     """
 
     runs: Sequence[PlannedRun]
@@ -35,7 +35,7 @@ class DesignedRuns:
 
     @classmethod
     def in_order(cls, runs: Iterable[tuple[Combination, int, int | None]], facts: Mapping[str, Any]) -> DesignedRuns:
-        """Return runs that are numbered as they come.
+        """Return runs numbered in this order.
 
         Args:
             runs: combination, repetition (from 1) and block (from 1, or None) of each, in the order of execution.
@@ -53,10 +53,10 @@ class ChosenCombinations:
     """The combinations that a design chooses.
 
     Attributes:
-        combinations: in the order as written; none twice but where the design says so, as centre points.
+        combinations: in the order as written; repeated only on purpose, as centre points are.
         facts: see `DesignedRuns.facts`.
-        factors: with the treatments that the design chose for them, as it does within a range; None for the same.
-        warnings: what the design has to say that does not refuse it.
+        factors: with the treatments that the design chose within ranges; None where it chose none.
+        warnings: findings that do not refuse the design.
     """
 
     combinations: list[Combination]
@@ -68,10 +68,10 @@ class ChosenCombinations:
 @runtime_checkable
 class _DescribedDesign(Protocol):
     def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
-        """Say why the design cannot be: all findings at once, before anything is made."""
+        """Yield all reasons why the design is impossible for these factors, before anything is made."""
 
     def as_mapping(self) -> Mapping[str, Any]:
-        """Return the design as plain JSON data, its `kind` first: what manifest, registration and package keep."""
+        """Return the design as plain JSON data, its `kind` first, for manifest, registration and package."""
 
 
 @runtime_checkable
@@ -88,13 +88,13 @@ class Design(_DescribedDesign, Protocol):
 
         Args:
             factors: what is varied; combinations hold the factors' own treatments.
-            is_allowed: whether the exclusions leave a combination.
+            is_allowed: returns whether a combination is not excluded.
             repetitions: how often each combination is executed.
-            seed: what a randomised order comes from.
+            seed: of a randomised order.
             shuffle: whether the order is randomised, as far as the design leaves it open.
 
         Raises:
-            DesignError: nothing is left, or it cannot be made for these factors.
+            DesignError: all combinations are excluded, or the design is impossible for these factors.
         """
 
 
@@ -102,21 +102,21 @@ class Design(_DescribedDesign, Protocol):
 class CombinationDesign(_DescribedDesign, Protocol):
     """Chooses combinations; repetitions, blocks and order are the run-table model's.
 
-    The choice belongs to the design: where it draws, it does so from a seed of its own, so that a study which is
-    executed again in another order measures the same combinations.
+    A random choice has a seed of its own, so that a study which is executed again in another order measures the same
+    combinations.
     """
 
     def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
         """Return the combinations to execute.
 
         Raises:
-            DesignError: nothing is left, or it cannot be made for these factors.
+            DesignError: all combinations are excluded, or the design is impossible for these factors.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class FullFactorial:
-    """Every combination of the factors' treatments: what a run-table model plans where it is given no design.
+    """Every combination of the factors' treatments, the default of a run-table model.
 
     Example:
         >>> factors = [Factor("Task", ["Video", "Network"]), Factor("Speed", [0.1, 0.2])]
@@ -125,7 +125,7 @@ class FullFactorial:
     """
 
     def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
-        """Say nothing: every combination of any factors can be."""
+        """Yield nothing: a full factorial is possible for any factors."""
         del factors
         yield from ()
 
@@ -147,10 +147,10 @@ def grown_choice(
 ) -> list[Combination]:
     """Return the combinations of a plan, each once, with those that its design adds where `factors` have grown.
 
-    A design grows where what it chose before is among what it chooses now, as of one factor at a time.
+    A design can grow if its earlier choice is part of the present one, as with one factor at a time.
 
     Raises:
-        DesignError: it would choose others, so that the runs that there are would not belong to the design.
+        DesignError: it cannot, so that existing runs would not belong to the design.
     """
     places = factor_places(factor.name for factor in factors)
     found = _by_texts(run.combination for run in planned)
@@ -184,7 +184,7 @@ def _does_not_grow(design: CombinationDesign | Design) -> DesignError:
     return DesignError(problem, where="design", fix=fix)
 
 
-#: The fact of a design that holds what is described here.
+#: The key of `HeldOrder` in the facts of a design.
 HELD_ORDER = "held_order"
 
 
@@ -212,12 +212,12 @@ class HeldOrder:
 
     @classmethod
     def of_facts(cls, facts: Mapping[str, Any]) -> Self:
-        """Return what a design says in its facts; nothing is held where it says nothing."""
+        """Read it from the facts of a design; without an entry, nothing is held."""
         return cls(**facts.get(HELD_ORDER, {}))
 
     @property
     def is_open(self) -> bool:
-        """Whether runs may overlap and change places as they like."""
+        """Whether runs may overlap and change places freely."""
         return not (self.one_by_one or self.one_after_another)
 
     def as_mapping(self) -> dict[str, Any]:
@@ -225,13 +225,13 @@ class HeldOrder:
         return {name: value for name in self.__slots__ if (value := getattr(self, name))}
 
     def waits_for(self, run: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-        """Return whether a run has to wait until another one is over, which comes before it in the plan."""
+        """Return whether a run has to wait until `other`, which comes before it in the plan, is over."""
         if self.one_by_one and _is_same(self.one_by_one, run, other):
             return True
         return bool(self.one_after_another) and not _is_same(self.one_after_another, run, other)
 
     def rests(self, runs: Iterable[PlannedRun]) -> dict[str, float]:
-        """Return how long the unit of each run rests before it, s, by the run's id, where it does."""
+        """Return how long the unit rests before each run, s, by the run's id; without runs that have no rest."""
         found: dict[str, float] = {}
         last: dict[str, Mapping[str, Any]] = {}
         for run in runs if self.rest_in_s else ():
@@ -243,5 +243,5 @@ class HeldOrder:
 
 
 def _is_same(factor: str, one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    # By their texts, as in the run table: of two objects of a user's, equality may say anything.
+    # By their texts, as in the run table: a user's objects may define any equality.
     return one[factor] is other[factor] or str(one[factor]) == str(other[factor])

@@ -1,4 +1,4 @@
-"""What keeps factors, repetitions, columns and order from making a design: each check lists all that it finds."""
+"""Checks of the arguments of a design: factors, repetitions, columns, order."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from robot_runner.core.design.numeric_range import is_whole
 from robot_runner.core.design.warm_up import warm_up_of
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
-#: Whether the runs of a design that is too large are listed in a table.
+#: Whether a run table lists the runs of a design that is too large.
 _ARE_LISTED: ContextVar[bool] = ContextVar("_ARE_LISTED", default=False)
 
 
 @contextmanager
 def listed_elsewhere() -> Iterator[None]:
-    """While this lasts, designs of too many runs are taken: a table lists those that are to be executed.
+    """Accept designs with too many runs for a while, as a table lists those to be executed (`RunTableModel.take_runs`).
 
-    See `RunTableModel.take_runs`. A config makes its model itself, so that nothing can be handed to it.
+    A context variable, as the config makes its model itself.
     """
     token = _ARE_LISTED.set(True)
     try:
@@ -33,9 +33,9 @@ def listed_elsewhere() -> Iterator[None]:
         _ARE_LISTED.reset(token)
 
 
-#: More runs than this are taken for a slip: at one second a run they would take four months.
+#: More runs are taken for a mistake: at one second a run they would take four months.
 MAX_RUNS = 10_000_000
-#: What is larger is told by its power of ten: Python refuses to write numbers of thousands of digits.
+#: Larger numbers are shown as a power of ten: Python refuses to write numbers of thousands of digits.
 _READABLE = 10**18
 
 
@@ -49,11 +49,7 @@ def design_findings(
     warm_up: object = None,
     design: object = None,
 ) -> Iterator[Finding]:
-    """Say everything that is wrong with a design, its exclusions left aside.
-
-    Yields:
-        An error finding for each problem.
-    """
+    """Yield an error for each problem of a design, exclusions aside."""
     known = tuple(factor for factor in factors if isinstance(factor, Factor)) if isinstance(factors, Sequence) else ()
     repeated = repetitions if isinstance(repetitions, int) else 1
     yield from _factor_findings(factors)
@@ -146,17 +142,17 @@ def _warm_up_findings(given: object, factors: Sequence[Factor], columns: object)
             yield from name_findings(name, kind="column", warms_up=True)
 
 
-#: A longer seed could not be read back from the journal.
+#: Longer seeds could not be read back from the journal.
 _SEED_BITS = 1024
 
 
 def is_seed(value: object) -> bool:
-    """Return whether an order can come from a value: Python takes -1 for 1, so that two seeds would give one order."""
+    """Return whether a value is a valid seed: not negative, as Python takes -1 for 1."""
     return is_whole(value) and 0 <= value < 1 << _SEED_BITS
 
 
 def order_findings(seed: object, blocks: object, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
-    """Say what is wrong with the seed and the blocks."""
+    """Yield an error for each problem of seed and blocks."""
     if seed is not None and not is_seed(seed):
         problem = f"{seed!r} is of type {type(seed).__name__}"
         if is_whole(seed):
@@ -174,7 +170,7 @@ def order_findings(seed: object, blocks: object, factors: Sequence[Factor], repe
 
 
 def size_findings(factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
-    """Say whether a design has too many runs."""
+    """Yield an error if a design has too many runs."""
     runs = prod(len(factor.treatments) for factor in factors) * repetitions
     if runs > MAX_RUNS:
         shown = f"{runs:,}" if runs < _READABLE else f"10^{log10(runs):.0f}"

@@ -1,4 +1,4 @@
-"""Which combinations an experiment leaves out: by named treatments, or by a predicate."""
+"""Excluded combinations: by named treatments, or by a predicate."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from robot_runner.core.design.factor import Combination, Factor
 from robot_runner.core.design.factor_conditions import identified, impossible_treatments
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
-#: `{"Task": ["Video", "Network"], "Speed": 0.2}` leaves out what matches in *all* named factors;
-#: a predicate leaves out the combinations for which it returns True.
+#: `{"Task": ["Video", "Network"], "Speed": 0.2}` excludes combinations that match in *all* named factors;
+#: a predicate excludes the combinations for which it returns True.
 Exclusion = Mapping[Any, Any] | Callable[[Combination], bool]
 
 _WHERE = "exclude_combinations"
 
-#: Whether an exclusion matches a combination; raises DesignError where a predicate raises.
+#: Returns whether an exclusion matches a combination; raises DesignError where a predicate raises.
 _Matches = Callable[[Combination], bool]
 
 
 @dataclass(frozen=True, slots=True)
 class Exclusions:
-    """What the exclusions of a design come to.
+    """The result of applying exclusions.
 
     Attributes:
         kept: the combinations that are executed, in order.
-        errors: exclusions that name what there is not, or that raised.
-        warnings: exclusions that remove nothing.
-        cause: what a predicate raised.
+        errors: for exclusions with unknown names, or that raised.
+        warnings: for exclusions that remove nothing.
+        cause: the exception of a predicate, or None.
     """
 
     kept: list[Combination]
@@ -39,12 +39,12 @@ class Exclusions:
 
 
 class Allowed:
-    """Whether the exclusions of a design leave a combination; nothing is enumerated.
+    """Decides whether a combination is not excluded, without enumerating combinations.
 
     Attributes:
         forbidden: treatments that exclude each other, by the conditions of the factors and by each exclusion that is a
-            mapping: the places of the treatments, by factor.
-        predicates: the exclusions that only a whole combination answers.
+            mapping: the indices of the treatments, by factor.
+        predicates: the exclusions that need a whole combination.
 
     Example:
         >>> factors = [Factor("Task", ["Video", "Network"]), Factor("Speed", [0.1, 0.2])]
@@ -57,7 +57,7 @@ class Allowed:
         """Check the exclusions.
 
         Raises:
-            DesignError: one names what there is not; `findings` lists everything that was found.
+            DesignError: one has an unknown name; `findings` lists all problems.
         """
         read, findings = _read(factors, exclusions)
         DesignError.refuse(findings)
@@ -77,7 +77,7 @@ class Allowed:
 
 
 def apply_exclusions(factors: Sequence[Factor], combinations: Sequence[Combination], exclusions: object) -> Exclusions:
-    """Find out which combinations are left out."""
+    """Return which combinations are kept, and the findings."""
     left_out = [False] * len(combinations)
     warnings: list[Finding] = []
     cause = None
@@ -98,12 +98,12 @@ def apply_exclusions(factors: Sequence[Factor], combinations: Sequence[Combinati
     return Exclusions(kept, tuple(errors), tuple(warnings), cause)
 
 
-#: An exclusion that was read, and where it stands: the places of the treatments that it names, or a predicate.
+#: A checked exclusion: its place for findings, and the indices of the treatments that it names, or a predicate.
 _Read = tuple[str, Mapping[str, frozenset[int]] | Callable[[Combination], object]]
 
 
 def _read(factors: Sequence[Factor], exclusions: object) -> tuple[list[_Read], list[Finding]]:
-    """Return the exclusions that can be, and what is wrong with the others."""
+    """Return the valid exclusions, and errors for the others."""
     if not isinstance(exclusions, Sequence) or isinstance(exclusions, str | bytes):
         problem = f"{exclusions!r} is of type {type(exclusions).__name__}"
         return [], [Finding.error(_WHERE, problem, "Give a list of exclusions.")]
@@ -125,7 +125,7 @@ def _read(factors: Sequence[Factor], exclusions: object) -> tuple[list[_Read], l
 
 
 def _naming(factors: Sequence[Factor], named: Mapping[str, frozenset[int]]) -> _Matches:
-    # By identity, as combinations hold the factor's own objects: True equals 1, and some objects have no equality.
+    # By identity, as combinations hold the factor's own objects: True equals 1, and objects need not be comparable.
     (chosen,) = identified(factors, [named])
 
     def matches(combination: Combination) -> bool:
@@ -150,7 +150,7 @@ def _predicating(where: str, predicate: Callable[[Combination], object]) -> _Mat
 def _named(
     where: str, factors: Sequence[Factor], exclusion: Mapping[Any, Any]
 ) -> tuple[dict[str, frozenset[int]], list[Finding]]:
-    """Return the places of the treatments that an exclusion names, by factor, and what is no factor or treatment."""
+    """Return the indices of the treatments that an exclusion names, by factor, and errors for unknown names."""
     if not exclusion:
         fix = "Name a factor and its treatments, or remove it."
         return {}, [Finding.error(where, "the exclusion names no factor", fix)]

@@ -1,4 +1,4 @@
-"""What is varied: factors with their treatments, and combinations with one treatment for each factor."""
+"""Factors with their treatments, and combinations with one treatment for each factor."""
 
 from __future__ import annotations
 
@@ -18,28 +18,24 @@ from robot_runner.core.design.revision import Revision, is_revision_name
 from robot_runner.core.errors import DesignError, Finding, nearest
 from robot_runner.core.words import INACTIVE
 
-# What keeps a value from being a treatment. In the run table each is written as its `str()`, which of a float is exact:
-# Python writes the shortest text that gives the same number back.
+# Checks of treatments. In the run table each is written as its `str()`, which is exact for a float: Python writes the
+# shortest text that is read back as the same number.
 
 _ADDRESS = re.compile(r" at 0x[0-9A-Fa-f]+")
 
 
 def treatments_are_equal(one: Any, other: Any) -> bool:
-    """Return whether two values are equal; a bool equals no number, as True is another treatment than 1."""
+    """Return whether two values are equal; unlike in Python, a bool equals no number: True is not the treatment 1."""
     if isinstance(one, bool) is not isinstance(other, bool):
         return False
     try:
         return bool(one == other)
-    except (TypeError, ValueError):  # an array compares element by element and has no truth value
+    except (TypeError, ValueError):  # the comparison of arrays has no truth value
         return False
 
 
 def treatment_findings(where: str, treatments: Sequence[Any]) -> Iterator[Finding]:
-    """Say which values cannot be treatments of one factor, alone or beside each other.
-
-    Yields:
-        An error finding for each value that could not be recognised in the run table.
-    """
+    """Yield an error for each value that could not be recognised in the run table, alone or beside the others."""
     by_text: dict[str, Any] = {}
     by_value: dict[tuple[type, Hashable], Any] = {}
     for treatment in treatments:
@@ -87,7 +83,7 @@ def _same_text(where: str, earlier: Any, later: Any, text: str) -> Finding:
 def _same_value(where: str, by_value: dict[tuple[type, Hashable], Any], treatment: Any) -> Iterator[Finding]:
     try:
         earlier = by_value.setdefault((type(treatment), treatment), treatment)
-    except TypeError:  # not hashable: its text has told it from the others
+    except TypeError:  # not hashable: it differs from the others by its text
         return
     if earlier is not treatment:
         yield _given_twice(where, treatment)
@@ -101,9 +97,9 @@ def _given_twice(where: str, treatment: Any) -> Finding:
     )
 
 
-# A factor: what is varied, and the treatments that it takes.
+# Factors.
 
-#: More than this is taken for an endless iterable.
+#: More treatments are taken for an endless iterable.
 MAX_TREATMENTS = 1_000_000
 
 _SHOWN = 10
@@ -116,15 +112,15 @@ class Factor:
 
     Attributes:
         name: the column of the run table.
-        treatments: the values, of any type; an object is written as its `str()` and comes back as the object. Of a
+        treatments: the values, of any type; an object is written as its `str()` and read back as the object. For a
             range the two ends, until a design chooses others. With `when`, the last one is `INACTIVE`.
         texts: how each treatment is written in the run table.
-        range: what a numeric factor may be set to; None where the treatments are listed.
+        range: the range of a numeric factor; None where the treatments are listed.
         unit: of the treatments; empty where they have none.
-        when: where the factor applies: for each other factor that decides it, the treatments under which it does.
+        when: under which treatments of other factors this one applies, by factor.
 
     Raises:
-        DesignError: the name or a treatment cannot be; `findings` lists everything that was found.
+        DesignError: the name or a treatment is invalid; `findings` lists all problems.
 
     Example:
         >>> Factor("Repetition", range(1, 4)).treatments
@@ -183,7 +179,7 @@ class Factor:
             build: a command for the shell, executed in each work tree, such as `make -j2`; empty for none.
 
         Raises:
-            DesignError: the name or a revision cannot be.
+            DesignError: the name or a revision is invalid.
 
         Example:
             >>> Factor.revisions("Version", "~/planner", ["v1.0", "main"], build="make").texts
@@ -200,9 +196,9 @@ class Factor:
         return hash(self.name)  # treatments need not be hashable
 
     def position_of(self, value: Any) -> int | None:
-        """Return the place of the treatment that `value` means, or None.
+        """Return the index of the treatment that `value` means, or None.
 
-        The same type and text come first, then equality, where exactly one treatment is equal. True is never 1.
+        That is the one with the same type and text, else the only one that is equal. True is never 1.
         """
         place = self.position_of_text(str(value))
         if place is not None and type(self.treatments[place]) is type(value):
@@ -213,7 +209,7 @@ class Factor:
         return candidates[0] if len(candidates) == 1 else None
 
     def named(self, wanted: Any) -> Sequence[Any]:
-        """Return what a condition or an exclusion names: one treatment, which may itself be a tuple, or several."""
+        """Return the treatments that a condition or an exclusion names: one, which may be a tuple, or several."""
         if self.position_of(wanted) is None:
             if isinstance(wanted, list | tuple | range):
                 return wanted
@@ -222,7 +218,7 @@ class Factor:
         return (wanted,)
 
     def position_of_text(self, text: str) -> int | None:
-        """Return the place of the treatment that is written exactly so, or None."""
+        """Return the index of the treatment with exactly this text, or None."""
         return self._positions.get(text)
 
     def suggestion(self, value: Any) -> str:
@@ -243,7 +239,7 @@ def _unit_findings(where: str, unit: object, span: Range | None) -> Iterator[Fin
 
 
 def _conditions(where: str, when: object) -> tuple[dict[str, tuple[Any, ...]], list[Finding]]:
-    """Return the treatments of other factors under which a factor applies, and what is wrong with them."""
+    """Return the treatments of other factors under which a factor applies, and errors."""
     if when is None:
         return {}, []
     fix = 'Give it as in when={"Sensor": "camera"}.'
@@ -254,7 +250,7 @@ def _conditions(where: str, when: object) -> tuple[dict[str, tuple[Any, ...]], l
         name = key.name if isinstance(key, Factor) else key
         if not isinstance(name, str):
             return {}, [Finding.error(where, f"when={when!r} names {key!r}, which is no factor", fix)]
-        if isinstance(wanted, set | frozenset):  # in an order that is the same in each process
+        if isinstance(wanted, set | frozenset):  # whose order differs between processes
             wanted = sorted(wanted, key=repr)  # noqa: PLW2901
         named[name] = tuple(wanted) if isinstance(wanted, list | tuple | range) else (wanted,)
         if not named[name]:
@@ -280,7 +276,7 @@ def _listed(where: str, treatments: object) -> tuple[tuple[Any, ...], list[Findi
 
 
 class UnknownFactorError(KeyError):
-    """A run's combination was asked for a factor that it does not have; says which is meant.
+    """A run's combination has no such factor; the text names the nearest one.
 
     Example:
         >>> str(UnknownFactorError("Sped", ["Speed", "Task"]))
@@ -297,7 +293,7 @@ class UnknownFactorError(KeyError):
         return f"the run has no factor {self.args[0]!r}: {meant}"
 
     def __reduce__(self) -> tuple[type[UnknownFactorError], tuple[object, tuple[str, ...]]]:
-        """Return how a copy is made, as another process gets it."""
+        """Return how to pickle it: `KeyError` would lose the known factors."""
         return type(self), (self.args[0], self.known)
 
 
@@ -336,12 +332,12 @@ class Combination(Mapping[str, Any]):
         return ", ".join(f"{name}={treatment!r}" for name, treatment in self.items())
 
     def of_one_run(self) -> Combination:
-        """Return the same for a single run: a list, say, that its callbacks change is as planned in all others."""
+        """Return a copy for a single run: if its callbacks change a list, say, other runs keep theirs."""
         return Combination(self._places, tuple(map(_of_one_run, self.treatments)))
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """The treatments as text, in the order of the factors: what tells it from the others of a design."""
+        """The treatments as text, in the order of the factors: unique among the combinations of a design."""
         return tuple(map(str, self.treatments))
 
 
@@ -360,12 +356,12 @@ def texts_of(combination: Mapping[str, Any]) -> dict[str, str]:
 
 
 def factor_name(given: Any) -> Any:
-    """Return the name of a factor that was given by it or itself; whatever else was given is returned as it is."""
+    """Return the name of a factor that was given by name or as an object; anything else is returned unchanged."""
     return given.name if isinstance(given, Factor) else given
 
 
 def factor_places(names: Iterable[str]) -> dict[str, int]:
-    """Return the place of each factor's treatment in a combination, counted from 0."""
+    """Return the index of each factor's treatment in a combination."""
     return {name: place for place, name in enumerate(names)}
 
 

@@ -1,4 +1,4 @@
-"""Conditional factors: the treatments of others under which a factor applies, and the combinations this excludes."""
+"""Conditional factors, which apply under some treatments of others only, and the combinations that this excludes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from robot_runner.core.words import INACTIVE
 
 
 class _Factor(Protocol):
-    """What a condition is made of; see `factor.Factor`, which is built on this module."""
+    """The part of `factor.Factor` that is needed here; that module imports this one."""
 
     @property
     def name(self) -> str: ...
@@ -29,7 +29,7 @@ class _Factor(Protocol):
 
 
 def condition_findings(factors: Sequence[_Factor]) -> Iterator[Finding]:
-    """Say which conditions of factors name what there is not, or go in a circle."""
+    """Yield an error for conditions with unknown names, or that depend on each other in a circle."""
     by_name = {factor.name: factor for factor in factors}
     for factor in factors:
         where = f"factors: {factor.name!r} applies when"
@@ -53,7 +53,7 @@ def condition_findings(factors: Sequence[_Factor]) -> Iterator[Finding]:
 
 
 def impossible_treatments(factors: Sequence[_Factor]) -> Iterator[dict[str, frozenset[int]]]:
-    """Yield what the conditions of factors exclude: places of treatments that are never together, by factor."""
+    """Yield what the conditions of factors exclude: indices of treatments that are never together, by factor."""
     by_name = {factor.name: factor for factor in factors}
     for factor in factors:
         if not factor.when:
@@ -74,7 +74,7 @@ def impossible_treatments(factors: Sequence[_Factor]) -> Iterator[dict[str, froz
 def identified(
     factors: Sequence[_Factor], excluded: Iterable[Mapping[str, frozenset[int]]]
 ) -> list[list[tuple[str, set[int]]]]:
-    """Return exclusions with the identities of treatments for their places: combinations hold the factors' own."""
+    """Return exclusions with the `id` of each treatment for its index: combinations hold the factors' objects."""
     by_name = {factor.name: factor for factor in factors}
     return [
         [(name, {id(by_name[name].treatments[place]) for place in places}) for name, places in each.items()]

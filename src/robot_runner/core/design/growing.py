@@ -1,4 +1,4 @@
-"""What an experiment that has begun is to have more of: repetitions, treatments, factors."""
+"""Extending an experiment that has begun: by repetitions, treatments and factors."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class NewFactor:
     """A factor that an experiment gets after it has begun.
 
     Attributes:
-        default: the treatment that the runs before count as having had, as text.
-        treatments: its other treatments, as text; those that the config has come by themselves.
+        default: the treatment that is assumed for earlier runs, as text.
+        treatments: its other treatments, as text; those of the config need not be listed.
     """
 
     default: str
@@ -41,12 +41,12 @@ class NewFactor:
 
 @dataclass(frozen=True, slots=True)
 class Additions:
-    """What is asked for on the command line; what the config has beyond the run table is added in any case.
+    """What the command line asks for; what the config has beyond the run table is added in any case.
 
     Attributes:
         repetitions: how often each combination is to be executed, all batches together; None for as often as now.
-        treatments: further treatments of factors that there are, as text, by factor.
-        factors: factors that there were not, by name.
+        treatments: further treatments of existing factors, as text, by factor.
+        factors: new factors, by name.
     """
 
     repetitions: int | None = None
@@ -56,10 +56,10 @@ class Additions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Begun:
-    """The design of an experiment as its run table has it.
+    """The present design of an experiment, by its run table.
 
     Attributes:
-        factors: with the treatments that there are so far.
+        factors: with the treatments so far.
         runs: all that are planned so far, in the order of the table.
         chosen: the treatments that were added on the command line, as text, by factor.
         has_repetition: whether the table counts repetitions; if not, runs of one combination are counted here.
@@ -93,13 +93,13 @@ class Begun:
 
 @dataclass(frozen=True, slots=True)
 class GrownDesign:
-    """What an experiment is to have in the end.
+    """The design that an extended experiment is to reach.
 
     Attributes:
         factors: all of them with all treatments, new ones last.
-        combinations: those of which further runs are planned.
+        combinations: those that get further runs.
         repetitions: how often each of these is executed, all batches together.
-        defaults: the treatment that earlier runs count as having had, of each new factor.
+        defaults: for each new factor, the treatment that is assumed for earlier runs.
         chosen: the treatments that were added on the command line, as text, by factor.
     """
 
@@ -115,7 +115,7 @@ class GrownDesign:
         return tuple(str(treatments[factor.name]) for factor in self.factors)
 
     def repetitions_of(self, runs: Iterable[PlannedRun]) -> defaultdict[tuple[str, ...], set[int]]:
-        """Return which repetitions of each combination are among runs, by its `texts_of`; what warms up is none."""
+        """Return the repetitions of each combination among these runs, by its `texts_of`, without warm-up runs."""
         found: defaultdict[tuple[str, ...], set[int]] = defaultdict(set)
         for run in runs:
             if not run.is_warm_up:
@@ -124,12 +124,12 @@ class GrownDesign:
 
 
 def grown_design(begun: Begun, config: RunTableModel, added: Additions) -> GrownDesign:
-    """Return the design that an experiment grows to: its own, with what the config adds and what is asked for.
+    """Return the extended design: the present one, with what the config and the command line add.
 
-    Treatments that the config has no longer get no further runs; those that were added on the command line do.
+    Treatments that the config does not have any more get no further runs; those of the command line do.
 
     Raises:
-        DesignError: something cannot be added; `findings` lists everything that was found.
+        DesignError: something cannot be added; `findings` lists all problems.
     """
     growing = _Growing(begun, config, added)
     DesignError.refuse(growing.findings())
@@ -157,7 +157,7 @@ class _Growing:
                 yield Finding.error(f"factor {name!r}", problem, "Put it back into the config.")
 
     def grown(self) -> GrownDesign:
-        """Return the design; there are no findings."""
+        """Return the extended design; call it only if there are no findings."""
         chosen = {name: self._written(name, texts) for name, texts in self._added.treatments.items()}
         for name, new in self._added.factors.items():
             if name not in self._own:
@@ -188,7 +188,7 @@ class _Growing:
         return self._config.repetitions
 
     def _written(self, name: str, texts: Sequence[str]) -> tuple[str, ...]:
-        """Return how treatments that were asked for are written in the run table: `1` as 1.0 among floats."""
+        """Return the texts of treatments of the command line as in the run table: `1` as 1.0 among floats."""
         like = self._own.get(name) or self._there[name]
         return tuple(dict.fromkeys(str(typed(like, text)) for text in texts))
 
@@ -207,7 +207,7 @@ class _Growing:
     def _combinations(self, factors: tuple[Factor, ...], chosen: Mapping[str, Sequence[str]]) -> Sequence[Combination]:
         if self._begun.is_by_hand:
             return _distinct(run.combination for run in self._begun.runs)
-        if self._is_listed or decides_order(self._config.design):  # the latter plans its runs by itself
+        if self._is_listed or decides_order(self._config.design):  # such a design plans its runs itself
             return _distinct(run.combination for run in self._config.plan())
         planned = [_only(factor, self._own.get(factor.name), chosen.get(factor.name, ())) for factor in factors]
         return self._config.combinations_of(planned)
@@ -287,10 +287,10 @@ _WORDS = MappingProxyType({"True": True, "False": False})
 
 
 def typed(factor: Factor, text: str) -> Any:
-    """Return the treatment that a text means: of the type that the factor's treatments have.
+    """Return the treatment that a text means, of the type of the factor's treatments.
 
     Raises:
-        DesignError: it cannot be one of that type, or they are objects, which no text makes.
+        DesignError: it cannot be converted to that type, or they are objects, which cannot be made from a text.
 
     Example:
         >>> typed(Factor("Speed", [0.1, 0.2]), "0.3")
@@ -307,7 +307,7 @@ def typed(factor: Factor, text: str) -> Any:
             made: Any = _WORDS[text] if kind is bool else kind(text)
             if kind is str or abs(made) < math.inf:
                 return made
-            what = "finite number"  # a config may have others; of a slip, no robot is to be told
+            what = "finite number"  # a config may have others, but on the command line they would be a mistake
         problem = f"{text!r} is no {what}, as the treatments of the factor are"
         raise DesignError(problem, where=f"factor {factor.name!r}", fix="Give one of that type.")
     problem = f"{text!r} is a text, and the treatments of the factor are objects of several types or of the config's"
@@ -316,7 +316,7 @@ def typed(factor: Factor, text: str) -> Any:
 
 
 def _by_looks(texts: Sequence[str]) -> list[Any]:
-    """Return treatments of the first type that all texts are: whole numbers, numbers, truth values, else texts."""
+    """Return treatments of the first type that fits all texts: integers, numbers, booleans, else texts."""
     for like in (Factor("_", [0]), Factor("_", [0.5]), Factor("_", [True])):
         try:
             found = [typed(like, text) for text in texts]

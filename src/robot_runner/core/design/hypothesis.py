@@ -1,4 +1,4 @@
-"""A statement that an experiment is to test: an effect, a contrast of means, or their equivalence."""
+"""Hypotheses: an effect, a contrast of means, or their equivalence."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import DesignError, Finding
 
-#: Weights of a contrast that sum up to less are a sum of zero but for rounding.
+#: Weights of a contrast whose sum is smaller count as summing up to zero (rounding).
 _ROUNDING = 1e-9
 
 
@@ -28,7 +28,7 @@ class Hypothesis:
         within: the bound of equivalence, in the measure's unit; without a contrast the factor has two treatments.
 
     Raises:
-        DesignError: one of them is empty or of a wrong type.
+        DesignError: an attribute is empty or of a wrong type.
 
     Example:
         >>> Hypothesis("The task affects the energy of a mission.", measure="Energy", factors="Task").factors
@@ -84,14 +84,14 @@ class Hypothesis:
 
 
 def names_of(given: object) -> tuple[Any, ...]:
-    """Return one name or several as a tuple; what is no name is left for `names_findings`."""
+    """Return one name or several as a tuple; elements are checked by `names_findings`."""
     if isinstance(given, str):
         return (given,)
     return tuple(given) if isinstance(given, Sequence) else (given,)
 
 
 def names_findings(where: str, what: str, names: tuple[Any, ...]) -> Iterator[Finding]:
-    """Say which of some names are no text."""
+    """Yield an error for each name that is no text."""
     for name in names:
         if not isinstance(name, str):
             problem = f"{what} has {name!r}, of type {type(name).__name__}"

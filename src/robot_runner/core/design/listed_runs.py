@@ -1,4 +1,4 @@
-"""A design whose runs are listed one by one, with their ids: what no factorial of factors and exclusions describes."""
+"""A design whose runs are listed one by one, with their ids, as no factorial with exclusions describes them."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ListedRun:
 
 
 class ListedRunTableModel(RunTableModel):
-    """A design that was made elsewhere: its runs stand in the order in which they are listed.
+    """A design that was made elsewhere, with its runs in the listed order.
 
     Example:
         >>> from robot_runner.core.design.factor import Factor
@@ -55,24 +55,24 @@ class ListedRunTableModel(RunTableModel):
         """Check the whole design.
 
         Args:
-            factors: what is varied; there may be none, where the same thing is repeated.
+            factors: what is varied; perhaps none, where the same thing is repeated.
             runs: the runs, in the order of execution.
-            data_columns: the measures that the run table has columns for.
-            order: how the runs were put in the order in which they are listed.
+            data_columns: the measures with columns in the run table.
+            order: how the listed order was made.
 
         Raises:
-            DesignError: it cannot be; `findings` lists everything that was found.
+            DesignError: it is invalid; `findings` lists all problems.
         """
         findings = [*run_findings([run.run_id for run in runs]), *_column_findings(factors, data_columns)]
         DesignError.refuse(findings)
-        # Not by the factorial's own way of making them, which lists every combination there could be.
+        # Without `RunTableModel.__init__`, which enumerates all combinations.
         vars(self).update(factors=tuple(factors), repetitions=1, data_columns=tuple(data_columns), warnings=())
         self.runs: Final = tuple(runs)
         self._order = order or RunOrder()
         self._listed = RunTable(self, _planned(self.factors, runs), self._order)
 
     def plan(self, seed: int | None = None) -> RunTable:
-        """Return the run table; the order is as listed, whatever the seed."""
+        """Return the run table as listed, whatever the seed."""
         del seed
         return self._listed
 
@@ -87,11 +87,7 @@ def _planned(factors: Sequence[Factor], runs: Sequence[ListedRun]) -> Iterator[P
 
 
 def run_findings(run_ids: Sequence[str]) -> Iterator[Finding]:
-    """Say which ids cannot be those of the runs of one experiment.
-
-    Yields:
-        An error finding for each problem.
-    """
+    """Yield an error for each invalid or repeated run id, or if there are none."""
     if not run_ids:
         yield Finding.error("run table", "the run table has no runs", "List at least one, or exclude fewer.")
     for run_id, count in Counter(run_id.casefold() for run_id in run_ids).items():

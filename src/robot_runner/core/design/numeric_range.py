@@ -1,4 +1,4 @@
-"""What a numeric factor may be set to: everything from a lower to an upper end, in steps, with a unit."""
+"""The range of a numeric factor: from a lower to an upper end, in steps, with a unit."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from typing import TypeGuard
 
 from robot_runner.core.errors import DesignError, Finding
 
-#: Without a step of its own a range has about a thousand: finer than a robot can be set, and short in the table.
+#: By default a range has about so many steps: finer than a robot can be set, and short texts in the table.
 _STEPS = 1000
-#: A thousandth of less is hardly a number.
+#: The smallest width: a thousandth of it is still a float.
 _NARROWEST = 1e-300
 
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """What a numeric factor may be set to; a design chooses the values, and without one they are the two ends.
+    """The values that a numeric factor may have; a design chooses among them, and without one they are the two ends.
 
-    No design ever goes beyond the ends: what a robot must not do is outside.
+    No design ever goes beyond the ends, which keep a robot safe.
 
     Attributes:
-        lower: the least value.
-        upper: the greatest value; with a step, the last one that can be set up to the end that was given.
+        lower: the smallest value.
+        upper: the largest value; with a step, rounded down to a multiple of the step above `lower`.
         unit: of the values, such as `m/s`.
-        step: what it can be set to: the lower end and multiples of the step above it. None for a thousandth of the
-            width, or less; 1 where both ends are whole numbers.
+        step: values are `lower` plus a multiple of it. None for a thousandth of the width, or less; 1 where both ends
+            are integers.
 
     Raises:
-        DesignError: the ends or the step cannot be.
+        DesignError: the ends or the step are invalid.
 
     Example:
         >>> Range(0.05, 0.22, unit="m/s").at(0.5), Range(0.05, 0.22, step=0.05).upper
@@ -47,7 +47,7 @@ class Range:
         DesignError.refuse(self._findings())
         for name in ("lower", "upper", "step"):
             if isinstance(value := getattr(self, name), float):
-                object.__setattr__(self, name, float(value))  # one of numpy's is written in another way
+                object.__setattr__(self, name, float(value))  # NumPy's numbers have another `repr`
         if self.step is not None and not (steps := round((self.upper - self.lower) / self.step, 6)).is_integer():
             last = round(self.lower + math.floor(steps) * self.step, max(_digits(self.lower), _digits(self.step)))
             object.__setattr__(self, "upper", type(self.upper)(last) if self.is_whole else float(last))
@@ -58,7 +58,7 @@ class Range:
         return all(isinstance(each, int) for each in (self.lower, self.upper, 1 if self.step is None else self.step))
 
     def at(self, share: float) -> float:
-        """Return the settable value nearest to a share (0 to 1) of the way from the lower end to the upper one."""
+        """Return the valid value nearest to `share` (0 to 1) of the way from the lower end to the upper one."""
         if self.step is None and share in {0, 1}:
             return self.upper if share else self.lower
         step = self._step
@@ -70,12 +70,12 @@ class Range:
         return round(value, max(_digits(self.lower), _digits(self.upper), _digits(step)))
 
     def share_of(self, value: float) -> float:
-        """Return where a value is between the lower end, 0, and the upper one, 1."""
+        """Return the position of a value between the lower end, 0, and the upper one, 1."""
         return (value - self.lower) / (self.upper - self.lower)
 
     @property
     def step_count(self) -> int:
-        """How many steps there are from the lower end to the upper one; without one given, the last may be shorter."""
+        """How many steps there are from end to end; with the default step, the last one may be shorter."""
         return max(1, math.ceil(round((self.upper - self.lower) / self._step, 6)))
 
     @property
@@ -108,7 +108,7 @@ class Range:
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Return whether a value is a finite number, and no boolean; whole numbers beyond all floats are none."""
+    """Return whether a value is a finite number, no boolean, and not beyond the largest float."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
@@ -118,6 +118,6 @@ def is_whole(value: object) -> TypeGuard[int]:
 
 
 def _digits(value: float) -> int:
-    """Return how many digits a number has behind the point, as Python writes it."""
+    """Return how many decimals a number has, as Python writes it."""
     exponent = Decimal(repr(value)).normalize().as_tuple().exponent
     return max(0, -exponent) if isinstance(exponent, int) else 0

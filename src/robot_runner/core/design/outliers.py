@@ -1,4 +1,4 @@
-"""Which values a plan of analysis leaves out, fixed before they are seen: outliers, and values that are doubtful."""
+"""Rules of an analysis plan on which values are left out: outliers, and doubtful values."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _WHERE = "analysis, outliers"
 
 
 class Doubtful(Enum):
-    """What becomes of values that a plugin or a limit made doubtful.
+    """What is done with doubtful values.
 
     KEEP analyses them with all others, LEAVE_OUT does not; both results are shown either way. REFUSE draws no
     conclusion on a measure that has any.
@@ -29,20 +29,20 @@ class Doubtful(Enum):
 
 @dataclass(frozen=True, slots=True, init=False)
 class Outliers:
-    """The rule by which values are left out as outliers, of each measure by itself.
+    """The rule by which values are left out as outliers, for each measure separately.
 
     Nothing is deleted, and the result with all runs is shown beside the planned one.
 
     Attributes:
-        interquartile_ranges: so many beyond the quartiles of its combination a value is an outlier (Tukey, Exploratory
-            Data Analysis, 1977: 1.5, or 3 where it is far out).
-        median_deviations: so many median absolute deviations, scaled to be standard deviations of normal values, from
-            the median of its combination (Leys et al., Detecting outliers: do not use standard deviation around the
-            mean, 2013: 2.5, or 3 to be careful).
+        interquartile_ranges: a value is an outlier if it is so many interquartile ranges beyond the quartiles of its
+            combination (Tukey, Exploratory Data Analysis, 1977: 1.5, or 3 for far out).
+        median_deviations: a value is an outlier if it is so many median absolute deviations, scaled to be standard
+            deviations of normal values, from the median of its combination (Leys et al., Detecting outliers: do not use
+            standard deviation around the mean, 2013: 2.5, or 3 to be conservative).
         bounds: the lowest and the highest plausible value, in the measure's unit, by measure; None for no bound.
 
     Raises:
-        DesignError: it is no rule, or several.
+        DesignError: there is no rule, or both rules of spread.
 
     Example:
         >>> Outliers(median_deviations=3, bounds={"Energy": (0, None)}).in_words("Energy", "J")
@@ -71,7 +71,7 @@ class Outliers:
         object.__setattr__(self, "bounds", pairs)
 
     def in_words(self, measure: str, unit: str = "") -> str:
-        """Return which values of a measure the rule leaves out; empty where it says nothing of it."""
+        """Return in words which values of a measure the rule leaves out; empty where it has no rule for it."""
         parts = []
         if self.interquartile_ranges is not None:
             of = "interquartile ranges beyond the quartiles of its combination"
@@ -84,7 +84,7 @@ class Outliers:
         return ", or ".join([*parts, *(f"{word} {exact(end)} {unit}".rstrip() for word, end in ends)])
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the rule as plain data; what it does not have is left out."""
+        """Return the rule as plain data, without what is None."""
         plain: dict[str, Any] = {
             "interquartile_ranges": self.interquartile_ranges,
             "median_deviations": self.median_deviations,

@@ -14,17 +14,17 @@ from typing import Any, NamedTuple
 from robot_runner.core.design.columns import numbered_run_id
 from robot_runner.core.design.factor import Combination
 
-# The order of the runs: as written, randomised, or randomised within complete blocks. Always from a known seed.
+# The order of the runs: as written, randomised, or randomised within complete blocks, always from a recorded seed.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunOrder:
-    """How runs are put in order.
+    """The order of runs.
 
     Attributes:
-        shuffle: whether the order is randomised (within the blocks, where there are any).
+        shuffle: whether the order is randomised (within the blocks, if there are any).
         blocks: `Repetition` or the name of a factor: runs that share its value are kept together.
-        seed: what the randomised order comes from.
+        seed: of the randomised order.
         seed_is_given: whether the seed was chosen by the user, and not drawn.
 
     Example:
@@ -79,7 +79,7 @@ def shuffle_in_place(places: list[Any], draw: Callable[[], float]) -> None:
 class PlannedRun(NamedTuple):
     """One row of the run table, before it is executed.
 
-    A named tuple, as it cannot be changed and is made in half the time of a frozen dataclass: there may be millions.
+    A named tuple, which is made in half the time of a frozen dataclass: there may be millions.
 
     Attributes:
         run_id: names the run in the table and its folder.
@@ -87,7 +87,7 @@ class PlannedRun(NamedTuple):
         combination: the treatment of each factor, by the factor's name.
         repetition: which repetition of the combination it is, from 1; 0 for a warm-up run.
         block: which block it belongs to, from 1; None where the design has no blocks.
-        batch: in which batch it was planned, from 1: an experiment that is extended gets further ones.
+        batch: in which batch it was planned, from 1; each extension of an experiment adds one.
 
     Example:
         >>> from robot_runner.core.design.factor import Combination
@@ -138,10 +138,9 @@ def planned_runs(
 
 @contextmanager
 def garbage_collection_paused() -> Iterator[None]:
-    """Keep the cyclic garbage collector from running while many rows are made.
+    """Pause the cyclic garbage collector while many rows are made.
 
-    It looks at all objects whenever their number has grown by a quarter: two thirds of the time that a million rows
-    take. Rows refer to nothing that refers back to them, so nothing is missed.
+    Its full collections would take two thirds of the time of a million rows, and rows are in no cycles.
     """
     was_enabled = gc.isenabled()
     gc.disable()
@@ -150,7 +149,7 @@ def garbage_collection_paused() -> Iterator[None]:
     finally:
         if was_enabled:
             if gc.get_freeze_count() == 0:
-                # Counts all that was made as old, at no cost; as new objects, they would all be looked at right away.
+                # Moves all new objects to the oldest generation; otherwise they would all be scanned right away.
                 gc.freeze()
                 gc.unfreeze()
             gc.enable()

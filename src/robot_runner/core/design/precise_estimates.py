@@ -1,4 +1,4 @@
-"""How precisely a measure is known after the repetitions that there are, and whether another one is needed."""
+"""How precisely a measure is known after the repetitions so far, and whether another one is needed (`repeat_until`)."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from robot_runner.core.design.precision import PreciseOf, Precision, most_repeti
 from robot_runner.core.design.repeated_intervals import half_width_of, level_at_each_look
 from robot_runner.core.words import combination_label, counted
 
-#: At so many looks, one after another, everything has to be precise: an interval may be narrow by chance, and tests at
-#: the first such look err in up to 9 % at 5 %, after three repetitions more in 5 to 6.5 % (`python -m benchmarks
-#: statistics`). That a few more suffice: Simons, On the cost of not knowing the variance when making a fixed-width
-#: confidence interval for the mean, Annals of Mathematical Statistics 39, 1968.
+#: At how many looks in a row everything has to be precise, as an interval may be narrow by chance: tests at 5 % err in
+#: up to 9 % at the first such look, and in 5 to 6.5 % after three more repetitions (`python -m benchmarks statistics`).
+#: That a few more suffice: Simons, On the cost of not knowing the variance when making a fixed-width confidence
+#: interval for the mean, Annals of Mathematical Statistics 39, 1968.
 LOOKS_IN_A_ROW = 4
 
-#: One run of a combination, as its treatments, by the name of the factor, and as text.
+#: The treatments of a combination: pairs of factor and text.
 Treatments = tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Observed:
-    """What one run yielded; runs that are excluded or only warm up are none.
+    """The value of one run that counts: not excluded, and no warm-up run.
 
     Attributes:
         treatments: of the run, by factor, as text.
         repetition: of its combination, from 1.
-        value: of the measure; None where the run failed or yielded none.
+        value: of the measure; None where the run failed or has none.
         batch: in which it was planned, from 1.
     """
 
@@ -53,13 +53,13 @@ class Known:
     """How precisely one mean, or one difference of means, is known.
 
     Attributes:
-        of: whose mean it is, such as `Video / 0.2`, or `Video - Network` for a difference.
-        n: how many values it comes from; differences come from repetitions.
+        of: its name, such as `Video / 0.2`, or `Video - Network` for a difference.
+        n: the number of values; for a difference that of repetitions.
         mean: in the measure's unit; None where there is no value.
-        half_width: half the width of its interval, in the unit; None where fewer than two values leave it unknown.
-        wanted: the half width that is wanted, in the unit; None where that cannot be said.
-        problem: why nothing can be said of it, however often it is repeated; empty where it can be.
-        oddity: what looks odd about it, and ends nothing.
+        half_width: half the width of its interval, in the unit; None for fewer than two values.
+        wanted: the wanted half width, in the unit; None where that is not known.
+        problem: why it cannot be known, however often it is repeated; empty where it can.
+        oddity: a warning about it, or empty.
     """
 
     of: str
@@ -72,20 +72,20 @@ class Known:
 
     @property
     def is_precise(self) -> bool:
-        """Whether it is known as precisely as is wanted."""
+        """Whether it is known as precisely as wanted."""
         return self.half_width is not None and self.wanted is not None and self.half_width <= self.wanted
 
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What is known of everything that one rule is about.
+    """All means or differences of one rule, at one look.
 
     Attributes:
         rule: what was asked for.
         level: the confidence of each interval at this look.
         repetitions: how often each combination was planned until now.
         known: each mean, or difference.
-        in_a_row: at how many looks, up to this one, everything was as precise as is wanted.
+        in_a_row: at how many looks in a row, up to this one, everything was as precise as wanted.
     """
 
     rule: Precision
@@ -119,12 +119,12 @@ class Judgement:
 
     @property
     def widest(self) -> Known | None:
-        """What is known least precisely, by what is wanted of it; None where nothing can be said."""
+        """The least precise one, relative to what is wanted; None where no half width is known."""
         told = [each for each in self.known if each.half_width is not None and each.wanted]
         return max(told, key=lambda each: each.half_width / each.wanted, default=None)  # type: ignore[operator]
 
     def in_words(self) -> str:
-        """Return how precisely it is known by now."""
+        """Return the judgement in words."""
         measure, worst = self.rule.measure, self.widest
         if worst is None:
             return f"{measure}: {'; '.join(self.problems) or 'too few values'}"
@@ -140,12 +140,11 @@ class Judgement:
 
 
 def judge(rule: Precision, looks: tuple[int, int], repetitions: int, runs: Iterable[Observed]) -> Judgement:
-    """Return how precisely everything is known that a rule is about, and since how many looks it is as precise.
+    """Judge how precisely a rule is fulfilled, and at how many looks in a row.
 
     Args:
         rule: what is asked for.
-        looks: how many repetitions there are at the first look, and at the last: that of all rules, as values are
-            looked at until the last of them gives up.
+        looks: the numbers of repetitions at the first look and at the last possible one of all rules.
         repetitions: how many there are now.
         runs: all runs that count, those without a value included.
     """
@@ -185,8 +184,8 @@ def _means(rule: Precision, level: float, observed: Sequence[Observed]) -> Itera
 def _differences(rule: Precision, level: float, observed: Sequence[Observed]) -> Iterator[Known]:
     """Yield the difference between any two treatments of a factor.
 
-    Each repetition yields one difference, of the means over all combinations that differ in this factor alone. So what
-    changes from one repetition to the next falls out, and spreads need not be equal (Scheffe, On solutions of the
+    Each repetition yields one difference, of the means over all combinations that differ in this factor alone. So
+    changes from one repetition to the next cancel, and spreads need not be equal (Scheffe, On solutions of the
     Behrens-Fisher problem, Annals of Mathematical Statistics 14, 1943). Runs of different batches are not compared.
     """
     factors = list(observed[0].treatments) if observed else []
@@ -225,7 +224,7 @@ def _within_repetitions(
 
 
 def _known(rule: Precision, level: float, of: str, values: Sequence[float], whole: Sequence[float]) -> Known:
-    """Return what is known of the mean of some values; a share is one of the mean of `whole`."""
+    """Return the mean of `values` and its interval; a wanted percentage is of the mean of `whole`."""
     if not values:
         return Known(of=of, n=0, problem=f"no run has a value of {rule.measure}")
     mean = math.fsum(values) / len(values)
@@ -241,15 +240,15 @@ def _known(rule: Precision, level: float, of: str, values: Sequence[float], whol
     return Known(of=of, n=len(values), mean=mean, half_width=half_width, wanted=wanted, oddity=oddity)
 
 
-# What follows from it: another repetition, or the end.
+# The decision: another repetition, or the end.
 
 
 class UntilPrecise:
-    """Asks for one repetition after another until all rules are content, or give up.
+    """Asks for one repetition after another until all rules are fulfilled, or give up.
 
     Args:
         rules: one or more.
-        factors: of the design, with all treatments that there are by now.
+        factors: of the design, with all treatments.
         least: how many repetitions there are at the first look.
     """
 
@@ -260,7 +259,7 @@ class UntilPrecise:
         self.measures = tuple(dict.fromkeys(rule.measure for rule in rules))
 
     def may_add(self, runs: Sequence[PlannedRun]) -> bool:
-        """Return whether there may be a repetition more."""
+        """Return whether there may be another repetition."""
         return _repetitions(runs) < self._looks[1]
 
     def ask(self, told: Sequence[Told]) -> Decision:
@@ -276,7 +275,7 @@ class UntilPrecise:
             in_words=f"after {counted(now, 'repetition')}, {known}: {follows}",
             runs=wanted,
             kind=REPEATED,
-            # A record that adds runs has the repetition that they are.
+            # A record that adds runs has the number of their repetition.
             facts={**({} if wanted else {"repetition": now}), "precision": list(map(_facts, judged))},
             findings=() if wanted else tuple(chain.from_iterable(map(_ending_findings, judged))),
         )
@@ -292,7 +291,7 @@ def _repetitions(runs: Sequence[PlannedRun]) -> int:
 
 
 def _observed(told: Sequence[Told], measure: str) -> Iterator[Observed]:
-    """Yield what each run yielded; those that were excluded are left out."""
+    """Yield the value of each run that is not excluded."""
     for each in told:
         if not each.is_excluded or each.is_doubtful:
             treatments = texts_of(each.run.combination)
@@ -312,7 +311,7 @@ def _facts(judgement: Judgement) -> dict[str, Any]:
 
 
 def _ending_findings(judgement: Judgement) -> Iterator[tuple[str, str]]:
-    """Yield what is to be told at the end of an experiment that is repeated no further, as problem and fix."""
+    """Yield problem and fix of each warning at the end, once no repetition follows."""
     measure = judgement.rule.measure
     for problem in judgement.problems:
         yield f"{measure}: {problem}", _SEE_WHY

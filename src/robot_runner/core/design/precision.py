@@ -1,4 +1,4 @@
-"""How precisely a measure is to be known: what an experiment repeats its combinations for."""
+"""The rules of `repeat_until`: how precisely a measure is to be known."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from robot_runner.core.design.numeric_range import is_whole
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 from robot_runner.core.words import counted, exact, has_true_zero
 
-#: Two values have a spread, and nobody would trust it.
+#: The fewest repetitions at the first look: the spread of two values is too uncertain.
 LEAST_REPETITIONS = 3
-#: With fewer, the first interval is so wide that the next repetitions are hardly ever saved.
+#: With fewer, the first interval is so wide that further repetitions are nearly always needed.
 _ENOUGH_REPETITIONS = 5
-#: For more looks than these, their level is hardly another one, and takes seconds to compute.
+#: For more looks the level hardly changes any more, and takes seconds to compute.
 _MOST_REPETITIONS = 200
 
 _TEXT = re.compile(r"\s*([0-9]*\.?[0-9]+(?:[eE][+-]?[0-9]+)?)\s*(\S.*?)?\s*")
@@ -27,7 +27,7 @@ _PERCENT = "%"
 class PreciseOf(Enum):
     """What is to be known precisely.
 
-    MEANS are those of each combination; DIFFERENCES are those between any two treatments of a factor, compared within
+    MEANS are those of each combination; DIFFERENCES are those between any two treatments of a factor, within
     repetitions.
     """
 
@@ -41,15 +41,14 @@ class Precision:
 
     Attributes:
         measure: a numeric measure of the run table.
-        half_width: half the width of the 95 % interval that is wanted, in the measure's unit, or in percent.
-        is_relative: whether `half_width` is in percent: of a mean; of the mean of both treatments, where differences
-            are to be known.
-        unit: of `half_width` as it was given; empty where it is the measure's, whatever that is.
+        half_width: half the width of the wanted 95 % interval, in the measure's unit, or in percent.
+        is_relative: whether `half_width` is in percent of the mean; for differences, of the mean of both treatments.
+        unit: of `half_width` as it was given; empty for the measure's.
         at_most: how often each combination is executed at most, all its runs together.
         of: what is to be known.
 
     Raises:
-        DesignError: one of them cannot be; `findings` lists everything that was found.
+        DesignError: an attribute is invalid; `findings` lists all problems.
 
     Example:
         >>> rule = Precision("Energy", half_width="2 %", at_most=30)
@@ -77,7 +76,7 @@ class Precision:
             object.__setattr__(self, name, value)
 
     def __str__(self) -> str:
-        """Say what is wanted."""
+        """Return in words what is wanted."""
         what = (
             f"the mean of {self.measure} in each combination"
             if self.of is PreciseOf.MEANS
@@ -87,7 +86,7 @@ class Precision:
 
     @property
     def wanted_in_words(self) -> str:
-        """Half the width that is wanted, with its unit."""
+        """The wanted half width with its unit."""
         unit = _PERCENT if self.is_relative else self.unit
         return f"{exact(self.half_width)} {unit}".strip()
 
@@ -102,17 +101,17 @@ class Precision:
 
     @classmethod
     def of_mapping(cls, plain: Mapping[str, Any]) -> Self:
-        """Return the rule that `as_mapping` made plain; what is no such rule raises in any way."""
+        """Return the rule that `as_mapping` made plain; other data raises any exception."""
         return cls(plain["measure"], half_width=plain["half_width"], at_most=plain["at_most"], of=plain["of"])
 
 
 def most_repetitions(rules: Sequence[Precision]) -> int:
-    """Return how often each combination is executed at most, until all rules are content or have given up."""
+    """Return how often each combination is executed at most, until all rules are fulfilled or have given up."""
     return max((rule.at_most for rule in rules), default=0)
 
 
 def rule_in_words(rules: Sequence[Precision], least: int) -> str:
-    """Return until when an experiment is repeated, and how often at least and at most; empty without rules."""
+    """Return in words until when combinations are repeated, and how often at least and at most; empty without rules."""
     if not rules:
         return ""
     until = " and ".join(dict.fromkeys(map(str, rules)))
@@ -128,7 +127,7 @@ def rules_of_mapping(plain: object) -> tuple[tuple[Precision, ...], int]:
     """Return what `rules_as_mapping` made plain: the rules, and how often combinations are executed at least.
 
     Raises:
-        DesignError: it is no such thing.
+        DesignError: the data is damaged.
     """
     if plain is None:
         return (), 0
@@ -143,7 +142,7 @@ def rules_of_mapping(plain: object) -> tuple[tuple[Precision, ...], int]:
 def precision_findings(
     where: str, rules: Sequence[Precision], repetitions: int, units: Mapping[str, str]
 ) -> Iterator[Finding]:
-    """Say where rules do not fit a design of so many repetitions, at least, and of measures in these units."""
+    """Yield findings on rules that do not fit the least number of repetitions, or the units of the measures."""
     if rules and repetitions < LEAST_REPETITIONS:
         problem = f"{counted(repetitions, 'repetition')} cannot show the spread, on which precision depends"
         yield Finding.error(where, problem, f"Plan repetitions={_ENOUGH_REPETITIONS} or more: that many are the least.")
@@ -166,7 +165,7 @@ def precision_findings(
 
 
 def _number_and_unit(half_width: object) -> tuple[float, str]:
-    """Return what a half width says; not a number where it says none."""
+    """Return number and unit of a half width; NaN where it has no number."""
     if isinstance(half_width, int | float) and not isinstance(half_width, bool):
         return float(half_width), ""
     found = _TEXT.fullmatch(half_width) if isinstance(half_width, str) else None

@@ -1,12 +1,12 @@
-"""Confidence intervals that may be looked at after each repetition, and that hold wherever one stops.
+"""Confidence intervals that may be looked at after each repetition, and keep their coverage wherever one stops.
 
-Of Student's intervals, looked at after each repetition until they are narrow, too few hold their value: 92 % of those
-that claim 95 %. Repeated confidence intervals (Jennison and Turnbull, Interim analyses: the repeated confidence
-interval approach, Journal of the Royal Statistical Society B 51, 1989) have a level of their own at each look, so that
-*all* looks together hold at 95 %, whatever one stops for. It is the same at each look (Pocock, Biometrika 64, 1977),
-and computed for Student's t and these looks, not for large samples: with 5 to 30 repetitions it is 99.23 %.
+Student's intervals, looked at after each repetition until they are narrow, cover in 92 % of cases instead of 95 %.
+Repeated confidence intervals (Jennison and Turnbull, Interim analyses: the repeated confidence interval approach,
+Journal of the Royal Statistical Society B 51, 1989) have a higher level at each look, so that *all* looks together
+cover at 95 %, whatever the reason to stop. It is the same at each look (Pocock, Biometrika 64, 1977), and computed for
+Student's t and these looks, not for large samples: with 5 to 30 repetitions it is 99.23 %.
 
-It needs no library, so that the smallest computer can tell after a run whether another repetition is needed.
+It needs no library, so that the smallest computer can decide after a run whether another repetition is needed.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import pairwise
 
-#: How often all intervals that are looked at hold their value.
+#: The joint coverage of the intervals of all looks.
 CONFIDENCE = 0.95
-#: What such an interval is called beside it.
+#: The name of the method in reports.
 METHOD = "repeated interval (Jennison and Turnbull 1989)"
 
-#: Points at which a chance is known, between them it is interpolated; and steps of each integral (Simpson's rule).
-#: With them the chance of all looks is right to 0.0005.
+#: Points between which a probability is interpolated, and steps of each integral (Simpson's rule): with these the joint
+#: coverage is right to 0.0005.
 _POINTS, _STEPS = 32, 32
-#: Turns of which the density is lower than this share of its peak do not come.
+#: Turns whose density is lower than this share of its peak are neglected.
 _RARE = 1e-8
 _SECANTS = 3
 
@@ -40,7 +40,7 @@ def half_width_of(values: Sequence[float], level: float) -> float:
         >>> round(half_width_of([9.0, 10.0, 11.0], 0.95), 3)
         2.484
     """
-    # Beside the largest, so that the squares of very large values, and of very small ones, are numbers as well.
+    # Scaled by the largest value, so that squares neither overflow nor underflow.
     largest = max(map(abs, values)) or 1.0
     shares = [value / largest for value in values]
     mean = math.fsum(shares) / len(values)
@@ -50,7 +50,7 @@ def half_width_of(values: Sequence[float], level: float) -> float:
 
 @cache
 def t_quantile(probability: float, freedom: int) -> float:
-    """Return the value that Student's t stays below with a probability of 0.5 and more.
+    """Return the quantile of Student's t.
 
     Args:
         probability: 0.5 to below 1.
@@ -65,7 +65,7 @@ def t_quantile(probability: float, freedom: int) -> float:
 
 
 def t_probability(value: float, freedom: int) -> float:
-    """Return how probably Student's t stays below a value.
+    """Return the cumulative distribution function of Student's t.
 
     Example:
         >>> round(t_probability(2.7764, 4), 4)
@@ -76,7 +76,7 @@ def t_probability(value: float, freedom: int) -> float:
 
 
 def _within(angle: float, freedom: int) -> float:
-    """Return how probably |t| is below sqrt(freedom) * tan(angle).
+    """Return the probability that |t| is below sqrt(freedom) * tan(angle).
 
     Abramowitz and Stegun, Handbook of Mathematical Functions (1964), 26.7.3 and 26.7.4.
     """
@@ -92,12 +92,12 @@ def _within(angle: float, freedom: int) -> float:
 
 @cache
 def level_at_each_look(first: int, last: int, confidence: float = CONFIDENCE) -> float:
-    """Return the level of the interval at each look, with which all looks together hold at 95 %, or as asked for.
+    """Return the level of the interval at each look with which all looks together have a coverage of `confidence`.
 
     Args:
         first: how many values there are at the first look, 2 and more.
         last: how many there are at the last; there is a look at each number between.
-        confidence: of all looks together, 0.5 to 0.999.
+        confidence: the joint coverage, 0.5 to 0.999.
 
     Example:
         >>> level_at_each_look(7, 7)
@@ -108,7 +108,7 @@ def level_at_each_look(first: int, last: int, confidence: float = CONFIDENCE) ->
     if first == last:
         return confidence
     wanted = 1 - confidence
-    # Errors of single looks add up to nearly a power of theirs: in logarithms, the secant method needs few steps.
+    # The joint error is nearly a power of that of single looks: in logarithms, the secant method needs few steps.
     before, now = math.log(wanted), math.log(wanted / math.sqrt(last - first + 1))
     missed = _log_beyond(first, last, before)
     for _ in range(_SECANTS):
@@ -120,17 +120,17 @@ def level_at_each_look(first: int, last: int, confidence: float = CONFIDENCE) ->
 
 
 def _log_beyond(first: int, last: int, error: float) -> float:
-    """Return the logarithm of how probably any look fails, of that of how probably each does."""
+    """Return the logarithm of the probability that any look fails, from that of each look."""
     return math.log(1 - _all_within(first, last, 1 - math.exp(error)))
 
 
 def _all_within(first: int, last: int, level: float) -> float:
-    """Return how probably the intervals of all looks hold their value, which is 0, of normal values.
+    """Return the probability that the intervals of all looks cover the mean, 0, of normal values.
 
-    The sum of n values by the root of their sum of squares, u, says how far t is: it is sqrt(n - 1) * tan(angle) where
-    u is sqrt(n) * sin(angle). The next value by that root, tan(turn), is independent of all that was: sqrt(n) times it
-    is Student's t with n degrees of freedom. So u is a Markov chain, u' = u * cos(turn) + sin(turn), whose chance to
-    stay within all bounds is integrated from the last look back to the first value, where u is 1 or -1.
+    Let u be the sum of n values divided by the root of their sum of squares: t is sqrt(n - 1) * tan(angle) where u is
+    sqrt(n) * sin(angle). The next value divided by that root, tan(turn), is independent of all before: sqrt(n) times it
+    is Student's t with n degrees of freedom. So u is a Markov chain, u' = u * cos(turn) + sin(turn), whose probability
+    to stay within all bounds is integrated from the last look back to the first value, where u is 1 or -1.
     """
     angles = {
         count: math.atan(t_quantile(0.5 + level / 2, count - 1) / math.sqrt(count - 1))
@@ -147,13 +147,13 @@ def _all_within(first: int, last: int, level: float) -> float:
 
 
 def _next_within(u: float, count: int, angle: float, chances: Sequence[float]) -> float:
-    """Return how probably the next angle is below this one, and all later ones below theirs.
+    """Return the probability that the next angle is within `angle`, and all later ones within their bounds.
 
     Args:
-        u: of the `count` values that there are.
-        count: how many there are.
-        angle: the bound of the next.
-        chances: that all later ones are within their bounds, where the next is at equal parts of its own.
+        u: of the first `count` values.
+        count: the number of values so far.
+        angle: the bound of the next one.
+        chances: the probabilities that all later ones are within their bounds, at equidistant points of the next one.
     """
     scale = math.exp(math.lgamma((count + 1) / 2) - math.lgamma(count / 2)) / math.sqrt(math.pi)
     root = math.sqrt(count + 1)
@@ -163,7 +163,7 @@ def _next_within(u: float, count: int, angle: float, chances: Sequence[float]) -
         reached = math.asin(min(1.0, abs(u * cosine + math.sin(turn)) / root)) * _POINTS / angle
         place = min(max(1, round(reached)), _POINTS - 1)
         before, at, after = chances[place - 1 : place + 2]
-        beyond = reached - place  # a parabola through three points
+        beyond = reached - place  # interpolated by a parabola through three points
         chance = at + beyond * (after - before) / 2 + beyond * beyond * (after - 2 * at + before) / 2
         return float(scale * cosine ** (count - 1) * chance)
 
@@ -173,7 +173,7 @@ def _next_within(u: float, count: int, angle: float, chances: Sequence[float]) -
 
 
 def _turns_within(u: float, upper: float, far: float) -> list[tuple[float, float]]:
-    """Return the stretches of the turn on which the next `u` is within its bound."""
+    """Return the intervals of the turn in which the next `u` is within its bound."""
     length, shift = math.hypot(1.0, u), math.atan(u)
     edges = {-far, far}
     if upper < length:
@@ -190,8 +190,8 @@ def _integral(density: Callable[[float], float], low: float, high: float) -> flo
 
 
 def _root(rising: Callable[[float], float], low: float, high: float) -> float:
-    """Return where a function that rises is 0, by halving."""
-    for _ in range(60):  # as many as a float has bits, and some
+    """Return the root of an increasing function, by bisection."""
+    for _ in range(60):  # more than the 53 bits of a float
         middle = (low + high) / 2
         low, high = (middle, high) if rising(middle) < 0 else (low, middle)
     return (low + high) / 2

@@ -1,4 +1,4 @@
-"""A revision of a git repository as a treatment: its name here, its work tree once the experiment has begun."""
+"""A revision of a git repository as a treatment, with its work tree once the experiment has begun."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import re
 
 from robot_runner.core.errors import DesignError
 
-#: What git's rules for names of references (git-check-ref-format) forbid, and what would pass for an option. `~` and
-#: `^` count from a reference, and `@{...}` asks the reflog of one clone, which no other has.
+#: What git forbids in names of references (git-check-ref-format), and a leading `-`, which would be an option. `~` and
+#: `^` are allowed, `@{...}` is not, as it depends on the reflog of one clone.
 _FORBIDDEN = re.compile(r"^-|\.\.|@\{|[\s\x00-\x1f\x7f:?*\[\\]")
 
 
 def is_revision_name(value: object) -> bool:
-    """Whether this can name a commit.
+    """Return whether a value can be the name of a commit.
 
     Example:
         >>> [is_revision_name(each) for each in ("v1.0", "main~2", "--all", "v1..v2", 1.0)]
@@ -22,15 +22,15 @@ def is_revision_name(value: object) -> bool:
 
 
 class Revision:
-    """One revision of a repository; it is written in the run table by its name.
+    """One revision of a repository; its text in the run table is its name.
 
-    Which commit the name means is found out when the experiment begins, and kept from then on. Where a path is wanted,
-    the object itself may stand for that of its work tree (`subprocess.run(..., cwd=revision)`, `Path(revision)`).
+    The name is resolved to a commit when the experiment begins, once and for all. The object can be used as the path of
+    its work tree (`subprocess.run(..., cwd=revision)`, `Path(revision)`).
 
     Attributes:
         repository: the path or the URL of the repository.
-        name: what git takes for a commit: a tag, a branch, the beginning of a hash.
-        build: a command for the shell that builds it in its work tree; empty where nothing is to be built.
+        name: a tag, a branch, or the beginning of a hash.
+        build: a command for the shell that builds it in its work tree; empty for none.
 
     Example:
         >>> version = Revision("~/planner", "v1.0", build="make")
@@ -70,7 +70,7 @@ class Revision:
         return self._known(self._path)
 
     def prepare(self, *, commit: str, path: str) -> None:
-        """Say which commit it is, and where its work tree is."""
+        """Set its commit and the path of its work tree."""
         self._commit, self._path = commit, path
 
     def _known(self, value: str) -> str:

@@ -1,4 +1,4 @@
-"""The run-table model (what an experiment varies, how often, and in which order), and the run table made from it."""
+"""The run-table model (factors, repetitions, order), and the run table that is made from it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class RunTable(Sequence[PlannedRun]):
 
     Attributes:
         model: the model that it was made from.
-        order: how its runs were put in order, with the seed.
+        order: of its runs, with the seed.
 
     Example:
         >>> table = RunTableModel([Factor("Task", ["Video", "Network"])], repetitions=2).plan()
@@ -64,29 +64,29 @@ class RunTable(Sequence[PlannedRun]):
 
     @property
     def seed(self) -> int:
-        """What its order comes from."""
+        """The seed of its order."""
         return self.order.seed
 
 
 class RunTableModel:
     """The plan of all runs: the combinations that a design chooses, each of them repeated, in some order.
 
-    Without a `design` it is the full factorial less the exclusions. Runs are in the order as written (the first factor
-    changes slowest; all combinations once, then all again), or randomised with `shuffle`. `blocks` keeps runs
+    Without a `design` it is the full factorial without the exclusions. Runs are in the order as written (the first
+    factor changes slowest; all combinations once, then all again), or randomised with `shuffle`. `blocks` keeps runs
     together: `"Repetition"` makes a block of each repetition of all combinations, the name of a factor makes one of
     each of its treatments. Blocks stay in the order as written; `shuffle` randomises within them.
 
     Attributes:
         factors: what is varied.
-        design: what chooses the combinations, or the runs with their blocks and order.
-        design_facts: what the design says of its runs; see `DesignedRuns.facts`.
+        design: chooses the combinations, or the runs with their blocks and order.
+        design_facts: see `DesignedRuns.facts`.
         repetitions: how often each combination is executed; from two on the table has a column `Repetition`.
-        data_columns: the measures that the run table has columns for, by name, or as a `Measure` where it is the
-            config's own; None stands for all measures of all plugins.
+        data_columns: the measures with columns in the run table, by name, or as a `Measure` for the config's own; None
+            for all measures of all plugins.
         warm_up: how the experiment warms up; None where it does not.
         seed_is_registered: whether the seed is that of the study's registration.
-        batches: how the runs of an experiment that was extended were planned, batch by batch; empty for all others.
-        defaults: which treatment runs count as having had that were planned before their factor was added, by factor.
+        batches: of an experiment that was extended; empty for others.
+        defaults: for each factor that was added later, the treatment that is assumed for earlier runs.
         warnings: findings that do not refuse the design, as on exclusions that remove nothing.
 
     Example:
@@ -125,7 +125,7 @@ class RunTableModel:
         """Check the whole design.
 
         Raises:
-            DesignError: it cannot be; `findings` lists everything that was found.
+            DesignError: it is invalid; `findings` lists all problems.
         """
         listed = _as_tuple(factors)
         is_full = design is None or isinstance(design, FullFactorial)
@@ -159,7 +159,7 @@ class RunTableModel:
 
     @property
     def seed(self) -> int:
-        """What a randomised order comes from: given, or drawn when the model was made."""
+        """The seed of a randomised order: given, or drawn when the model was made."""
         return self._order.seed
 
     @property
@@ -169,11 +169,11 @@ class RunTableModel:
 
     @property
     def blocks(self) -> str | None:
-        """What runs are kept together by: `Repetition`, the name of a factor, or None."""
+        """The name of what makes blocks: `Repetition`, a factor, or None."""
         return self._order.blocks
 
     def _choose(self) -> None:
-        """Have the design choose at once, as it may choose treatments, too, and find out what cannot be."""
+        """Let the design choose now, as it may also choose treatments, or find errors."""
         if isinstance(self.design, CombinationDesign):
             self.factors = tuple(self._chosen.factors or self.factors)
             self.warnings = self._chosen.warnings
@@ -183,17 +183,16 @@ class RunTableModel:
 
     @property
     def is_full_factorial(self) -> bool:
-        """Whether every combination that is not excluded is executed, in an order of the model's own."""
+        """Whether every combination that is not excluded is executed, in the model's order."""
         return isinstance(self.design, FullFactorial)
 
     def combinations_of(self, factors: Sequence[Factor]) -> list[Combination]:
-        """Return the combinations of other factors that the design's exclusions leave, in order.
+        """Return the combinations of other factors that are not excluded, in order.
 
-        A design other than the full factorial chose its combinations from the factors of the model, and gives these,
-        with those that it chooses besides where it can grow.
+        A design other than the full factorial returns its earlier choice, and what it adds if it can grow.
 
         Raises:
-            DesignError: an exclusion does not fit these factors, or the design did not choose from them.
+            DesignError: an exclusion does not fit these factors, or the design cannot grow.
         """
         if not self.is_full_factorial:
             return grown_choice(self.design, self.plan(), self.factors, factors, self.allowed_of)
@@ -205,10 +204,10 @@ class RunTableModel:
         return exclusions.kept
 
     def repeated(self, repetitions: int) -> RunTableModel:
-        """Return the same plan with another number of repetitions, as a study is planned that has not begun.
+        """Return the same plan with another number of repetitions, for planning a study.
 
         Raises:
-            DesignError: the design cannot have so many.
+            DesignError: the design does not allow so many.
         """
         return self.designed(self.design, repetitions=repetitions)
 
@@ -220,16 +219,16 @@ class RunTableModel:
         more: Sequence[Factor] = (),
         blocks: str | None = None,
     ) -> RunTableModel:
-        """Return what another design makes of the same factors and exclusions.
+        """Return a model with another design for the same factors and exclusions.
 
         Args:
             design: chooses the combinations, or the runs.
             repetitions: how often each combination is executed; None for as often as here.
-            more: factors that the design takes besides, such as whole plots; they come first.
-            blocks: what runs are kept together by; None for what it is here, where the design leaves that open.
+            more: further factors of the design, such as whole plots; they come first.
+            blocks: what makes blocks; None for the present ones, where the design leaves that open.
 
         Raises:
-            DesignError: the design cannot be.
+            DesignError: the design is impossible.
         """
         chosen = blocks or (self.blocks if isinstance(design, CombinationDesign) else None)
         count = self.repetitions if repetitions is None else repetitions
@@ -252,7 +251,7 @@ class RunTableModel:
         """Randomise the order of the runs, within `blocks` where given, from `seed` or from one that is drawn.
 
         Raises:
-            DesignError: the seed or the blocks cannot be.
+            DesignError: the seed or the blocks are invalid.
         """
         DesignError.refuse(order_findings(seed, blocks, self.factors, self.repetitions))
         self._order = _ordered(replace(self._order, shuffle=True), seed, blocks)
@@ -265,24 +264,24 @@ class RunTableModel:
 
     @property
     def is_too_large(self) -> bool:
-        """Whether the design has so many runs that none but those of a table can be planned."""
+        """Whether the design has so many runs that only those of an existing table can be planned."""
         return self._too_large is not None
 
     def take_runs(self, runs: Iterable[PlannedRun]) -> None:
-        """Take the runs of a table as the plan, in place of the full factorial, of which there may be too much."""
+        """Take the runs of a table as the plan, in place of a full factorial that is too large."""
         self._listed_runs = tuple(runs)
         self._planned = None
 
     def take_order(self, order: RunOrder) -> None:
-        """Take the order of a table that was planned from this model, as where a config returns `plan(seed=42)`."""
+        """Take the order of a table that was planned from this model, as when a config returns `plan(seed=42)`."""
         self._order = order
 
     def take_seed(self, seed: int, *, is_registered: bool = False) -> None:
-        """Take the seed of an experiment that is executed again, in place of the one that is given or was drawn.
+        """Take the seed of a registration, or of an experiment that is executed again.
 
         Args:
-            seed: what a randomised order comes from.
-            is_registered: whether it was registered before the first run, for an order that comes again each time.
+            seed: of the randomised order.
+            is_registered: whether it is that of the registration.
         """
         self._order = replace(self._order, seed=seed)
         self.seed_is_registered = is_registered
@@ -292,8 +291,8 @@ class RunTableModel:
         """Return the run table; the model does not change.
 
         Args:
-            seed: takes the place of a seed that was drawn, so that an experiment goes on in its recorded order. A
-                seed that the user gave stays.
+            seed: replaces a seed that was drawn, so that an experiment goes on in its recorded order; not one that the
+                user gave.
 
         Raises:
             DesignError: the design is too large, and no table lists its runs.
@@ -320,7 +319,7 @@ class RunTableModel:
 
     @cached_property
     def _chosen(self) -> ChosenCombinations:
-        """What the design chooses; made when it is first asked for, as a table on disk needs none."""
+        """The design's choice; made at first use, as a table on disk needs none."""
         if not isinstance(self.design, CombinationDesign) or isinstance(self.design, FullFactorial):
             kept = full_factorial(self.factors) if self._kept is None else self._kept
             return ChosenCombinations(kept, self.design_facts)
@@ -332,11 +331,11 @@ class RunTableModel:
 
     @property
     def allowed(self) -> Allowed:
-        """Whether the exclusions leave a combination."""
+        """Decides whether a combination is not excluded."""
         return self.allowed_of(self.factors)
 
     def allowed_of(self, factors: Sequence[Factor]) -> Allowed:
-        """Return whether the exclusions leave a combination of other factors.
+        """Return the same as `allowed` for other factors.
 
         Raises:
             DesignError: an exclusion does not fit these factors.
@@ -350,14 +349,14 @@ class RunTableModel:
         if blocks == REPETITION and self.repetitions > 1:
             return [number for number in range(self.repetitions) for _ in self._combinations]
         factor = next(factor for factor in self.factors if factor.name == blocks)
-        present = {id(combination[blocks]) for combination in self._combinations}  # they hold the factor's own objects
+        present = {id(combination[blocks]) for combination in self._combinations}  # the factor's own objects
         left = [id(treatment) for treatment in factor.treatments if id(treatment) in present]
         number_of = {treatment: number for number, treatment in enumerate(left)}
         return [number_of[id(combination[blocks])] for combination in self._combinations] * self.repetitions
 
 
 def _as_tuple(factors: Any) -> Any:
-    """Return the factors as a tuple, or what was given where the checks are to refuse it."""
+    """Return the factors as a tuple; anything else unchanged, for the checks to refuse it."""
     return tuple(factors) if isinstance(factors, Iterable) and not isinstance(factors, str | bytes) else factors
 
 
@@ -370,7 +369,7 @@ def _applied(factors: Sequence[Factor], exclusions: Any) -> Exclusions | None:
 
 
 def _refused(factors: Sequence[Factor], exclusions: Any) -> tuple[Finding, ...]:
-    """Return what is wrong with what is to be excluded, without a look at any combination."""
+    """Return errors of exclusions that can be found without any combination."""
     try:
         Allowed(factors, exclusions)
     except DesignError as error:

@@ -1,4 +1,4 @@
-"""Runs chosen by their ids or by their treatments: `r_1,r_2`, `Task=Video`, `Task=Video,Speed=0.2`."""
+"""Choosing runs by their ids or treatments: `r_1,r_2`, `Task=Video`, `Task=Video,Speed=0.2`."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ _MOST_KNOWN = 1000  # ids that are compared with a misspelt one
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """The runs that some expressions choose.
+    """The chosen runs.
 
     Attributes:
-        places: their places in the run table, in the order in which they were named; treatments in the table's order.
-        named: those that were named by their ids.
+        places: their indices in the run table, in the order of the expressions; for treatments in the table's order.
+        named: the indices of those that were named by their ids.
     """
 
     places: tuple[int, ...]
@@ -28,8 +28,8 @@ class Chosen:
 class RunChooser:
     """Chooses runs of one run table.
 
-    Between commas stand ids and treatments. Treatments of one factor are alternatives, those of several factors have
-    all to hold; a run that is named by its id is chosen besides. What several expressions choose is chosen together.
+    An expression has ids and treatments, separated by commas. Treatments of one factor are alternatives, those of
+    several factors must all match; a run that is named by its id is chosen, too. Several expressions are united.
 
     Args:
         runs: the run table, in the order of execution.
@@ -51,7 +51,7 @@ class RunChooser:
         self.findings: list[Finding] = []
 
     def choose(self, option: str, expressions: Sequence[str]) -> Chosen:
-        """Return the runs that these expressions choose; what is wrong with them is kept until `refuse` is called."""
+        """Return the runs that these expressions choose; errors are kept until `refuse` is called."""
         places: dict[int, None] = {}
         named: set[int] = set()
         for expression in expressions:
@@ -66,15 +66,15 @@ class RunChooser:
         return Chosen(tuple(places), frozenset(named))
 
     def refuse(self) -> None:
-        """Refuse what was wrong with all the expressions so far.
+        """Raise an error with all errors of the expressions so far, if there are any.
 
         Raises:
-            ExecutionError: there is something; carries every finding.
+            ExecutionError: there are some.
         """
         ExecutionError.refuse(self.findings)
 
     def _read(self, option: str, expression: str) -> tuple[list[int], dict[str, set[int]]]:
-        """Return the places that are named by ids, and those that have one of the treatments of each factor."""
+        """Return the indices of runs named by ids, and for each factor those with one of its treatments."""
         ids: list[int] = []
         treatments: dict[str, set[int]] = {}
         parts = [part for part in expression.split(",") if part.strip()]
@@ -95,7 +95,7 @@ class RunChooser:
         return ids, treatments
 
     def _with_treatment(self, where: str, name: str, parts: Sequence[str]) -> tuple[int, set[int]]:
-        """Return how many parts one treatment takes (its text may hold commas), and the places that have it."""
+        """Return how many parts one treatment takes (its text may contain commas), and the indices of its runs."""
         factors = self._by_factor()
         if name not in factors:
             self._note(where, f"there is no factor {name!r}", did_you_mean(name, factors))
@@ -134,7 +134,7 @@ class RunChooser:
 
 
 def _meant(text: str, known: Iterable[str]) -> str | None:
-    """Return the known text that is meant: the same, or the only one that differs in the case of letters alone."""
+    """Return the known text that is meant: the same, or the only one that differs only in case."""
     if text in known:
         return text
     alike = [each for each in known if each.casefold() == text.casefold()]

@@ -12,9 +12,9 @@ from robot_runner.core.design.numeric_range import is_whole
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
-#: What `WarmUp.per` is where each combination is warmed up for.
+#: The value of `WarmUp.per` for a warm-up of each combination.
 COMBINATION = "combination"
-#: More warm-up runs are a slip, and would be planned for minutes.
+#: More warm-up runs are a mistake, and planning them would take minutes.
 _MOST_RUNS = 10_000
 _READABLE = 10**15
 
@@ -28,11 +28,11 @@ class WarmUp:
         per: None for the start, with the treatments of the first runs; the name of a factor for each of its treatments,
             or `combination` for each combination: then directly before the first run that has it, with the treatments
             of that run.
-        each_session: whether an experiment that is resumed warms up again for what is left to do; if not, a warm-up
-            run that is done is not executed again.
+        each_session: whether a resumed experiment warms up again for what is left to do; otherwise a warm-up run that
+            is done is not executed again.
 
     Raises:
-        DesignError: one of them is of a wrong type, or there is less than one run.
+        DesignError: an attribute is of a wrong type, or there is less than one run.
 
     Example:
         >>> WarmUp(2, per="Task").per
@@ -63,16 +63,16 @@ class WarmUp:
             yield Finding.error("warm_up", problem, did_you_mean(self.per, known))
 
     def key(self, run: PlannedRun) -> tuple[int, ...]:
-        """Return what tells apart the runs that have a warm-up of their own, within one batch."""
+        """Return the key by which runs of one batch share a warm-up."""
         if self.per is None:
             return ()
         if self.per in run.combination:
-            return (id(run.combination[self.per]),)  # combinations hold the factor's own objects
+            return (id(run.combination[self.per]),)  # the factor's own object
         return tuple(map(id, run.combination.treatments))
 
 
 def warm_up_of(given: object) -> WarmUp | None:
-    """Return the warm-up that a design was given: as it is, or as the number of runs at the start.
+    """Return the warm-up of a design, given as such, or as the number of runs at the start.
 
     Raises:
         DesignError: it is neither.
@@ -114,7 +114,7 @@ def with_warm_ups(runs: Sequence[PlannedRun], warm_up: WarmUp | None, *, first: 
 def with_warm_ups_again(
     runs: Sequence[PlannedRun], selected: Sequence[int], done: Iterable[int], warm_up: WarmUp
 ) -> list[int]:
-    """Return the places of runs to execute, with those of warm-up runs that are done and are executed again."""
+    """Return the indices of runs to execute, with those of warm-up runs that are done and are executed again."""
     again: dict[tuple[int, ...], list[int]] = {}
     for place in set(done).difference(selected):
         if runs[place].is_warm_up:

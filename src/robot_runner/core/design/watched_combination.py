@@ -1,4 +1,4 @@
-"""Which treatments of a run somebody looked at: a factor that nobody reads was never applied."""
+"""Noticing which treatments of a run are read: a factor that is never read was never applied."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from robot_runner.core.errors import Finding
 
 
 class WatchedCombination(Mapping[str, Any]):
-    """A run's combination that tells of each treatment when it is read for the first time. Read-only.
+    """A run's combination that calls `tell` when a treatment is read for the first time. Read-only.
 
     Example:
         >>> watched = WatchedCombination({"Task": "Video", "Speed": 0.2}, print)
@@ -56,12 +56,12 @@ class WatchedCombination(Mapping[str, Any]):
         return str(self._combination)
 
     def __reduce__(self) -> tuple[type[dict[str, Any]], tuple[dict[str, Any]]]:
-        """Have a copy, as another process gets it, be a plain mapping: reads in that process are not recorded."""
+        """Pickle it as a plain mapping: reads in another process are not noticed."""
         return dict, (dict(self),)
 
     @property
     def unwatched(self) -> Mapping[str, Any]:
-        """The combination itself, of which no read is told."""
+        """The combination itself, whose reads are not noticed."""
         return self._combination
 
     @property
@@ -77,7 +77,7 @@ class WatchedCombination(Mapping[str, Any]):
 
 
 def unread(run_id: str, factor: str) -> Finding:
-    """Return the finding that nobody looked at the treatment that a factor had in a run."""
+    """Return the finding on a factor whose treatment nothing has read in a run."""
     return Finding.warning(
         f"{run_id}, factor {factor!r}",
         f"no callback and no plugin looked at {factor}: its treatments may never have been applied",

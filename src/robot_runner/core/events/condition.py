@@ -1,4 +1,4 @@
-"""A condition: something that is awaited, or watched, with what was seen last in words."""
+"""Conditions: what a callback or a gate can await, and a guard can watch."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import ConditionError, ConditionTimeout, Finding
 from robot_runner.core.events.context import Clock, RobotRunnerContext, SystemClock
 
-#: What is left of a wait is not slept, s: on a clock whose steps are longer than that it would never be over.
+#: A wait ends this early, s: on a simulated clock with longer steps, sleeping for the rest would never end.
 _RESOLUTION = 1e-6
-#: How often a screen is told of what was seen, s of real time.
+#: How often a wait reports what was seen, s of real time.
 _TOLD_EVERY = 0.5
 
 
@@ -26,10 +26,9 @@ class Look:
 
     Attributes:
         holds: whether the condition holds now.
-        seen: what was seen, in words with figures, such as `52.3 °C`; empty where there is nothing to tell.
+        seen: what was seen, in words with figures, such as `52.3 °C`, or empty.
         value: the same as a plain value, where it is one.
-        is_known: whether it is known that the condition holds or does not: a battery of which nobody tells is neither
-            full nor empty.
+        is_known: whether it is known if the condition holds: a battery without a message is neither full nor empty.
     """
 
     holds: bool
@@ -38,7 +37,7 @@ class Look:
     is_known: bool = True
 
     def __post_init__(self) -> None:
-        # Of numpy, or with a number to see, the journal's records of it could not be read back.
+        # A bool of NumPy, or a number as `seen`, could not be read back from the journal.
         object.__setattr__(self, "holds", bool(self.holds))
         object.__setattr__(self, "seen", "" if self.seen is None else str(self.seen))
 
@@ -71,7 +70,7 @@ class Condition(ABC):
         'all is well'
     """
 
-    #: Often enough for a mission that it ends, and seldom enough that a wait costs nothing.
+    #: Short enough to end a mission in time, and long enough to cost next to nothing.
     every_s: float = 0.05
     is_outside: bool = False
 
@@ -81,27 +80,27 @@ class Condition(ABC):
 
     @abstractmethod
     def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
-        """Begin to watch, and return what looks: soon done, whatever it finds.
+        """Begin to watch, and return a function that looks at the condition without waiting for long.
 
         What cannot be reached does not hold, and `seen` says why; a look raises only where waiting is in vain.
 
         Args:
-            context: of the run that it is watched in, or before.
-            opened: takes what is to be closed when the watching ends. Links and devices that a run shares are opened
-                through `context.resources`, and close with it.
+            context: of the run during which, or before which, it is watched.
+            opened: closes what is entered into it when the watching ends. Links and devices that a run shares are
+                opened through `context.resources`, which closes them.
         """
 
     def check(self, robot: str | None) -> Iterable[Finding]:
-        """Return what keeps this condition from ever holding, as far as that is known before anything is executed.
+        """Return findings on why this condition can never hold, as far as that is known before anything is executed.
 
         Args:
-            robot: how the robot is to be reached, such as `"simulated"`, or None.
+            robot: how the robot is reached, such as `"simulated"`, or None.
         """
         del robot
         return ()
 
     def parts(self) -> Iterable[Condition]:
-        """Return the conditions that it is made of."""
+        """Return the conditions of which this one is made."""
         return ()
 
     def clock(self, context: RobotRunnerContext) -> Clock:
@@ -112,7 +111,7 @@ class Condition(ABC):
         return SystemClock() if self.is_outside else context.clock
 
     def held_for(self, seconds: float) -> Condition:
-        """Return the condition that this one has held for so long at each look, s of its clock.
+        """Return the condition that this one has held at each look for this long, s of its clock.
 
         Raises:
             ConditionError: the time is not positive.
@@ -123,17 +122,17 @@ class Condition(ABC):
         return HeldFor(self, seconds)
 
     def wait(self, context: RobotRunnerContext, *, timeout_s: float) -> Look:
-        """Wait until it holds, on its clock; what was awaited, how long, and what was seen is recorded.
+        """Wait until the condition holds, and record how long that took and what was seen.
 
         Args:
-            context: of the run; its clock is slept on, unless the condition is about what goes on outside of it.
+            context: of the run; the wait sleeps on its clock, unless the condition `is_outside`.
             timeout_s: how long to wait at most, s of that clock.
 
         Returns:
             the look that found it to hold.
 
         Raises:
-            ConditionTimeout: it did not hold in time; what was seen last is told.
+            ConditionTimeout: it did not hold in time; the problem says what was seen last.
             ConditionError: the time is no number.
         """
         if isinstance(timeout_s, bool) or not isinstance(timeout_s, int | float) or math.isnan(timeout_s):
@@ -193,7 +192,7 @@ class HeldFor(Condition):
         return self.condition.clock(context)
 
     def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
-        """Watch the other condition, and take down since when it holds."""
+        """Watch the other condition, and since when it holds."""
         look_again, clock = self.condition.watch(context, opened), self.clock(context)
         since: float | None = None
 

@@ -1,4 +1,4 @@
-"""What a callback is told: the experiment, the run, and the way to hand something back."""
+"""The contexts that callbacks get: the experiment, the run, and methods to publish, warn, share and stop."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.outliving import program_name, spare
 from robot_runner.core.storage.record_shapes import ClockFacts
 
-# The clock that a run lives by: the machine's own, or that of a simulated robot.
+# The clock of a run: the machine's own, or that of a simulated robot.
 
 
 @runtime_checkable
@@ -109,13 +109,13 @@ class ExperimentEnd:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExperimentContext:
-    """What the callbacks of `before_experiment` and `after_experiment` are told.
+    """The context of `before_experiment` and `after_experiment`.
 
     Attributes:
         experiment_name: as in the config.
         experiment_folder: where everything of this experiment is kept.
         robot: how the robot is reached (`"simulated"`, ...), or None where the config names none.
-        seed: the seed of the experiment, from which the runs' order and the runs' own seeds come.
+        seed: the seed of the experiment, from which the runs' order and the runs' own seeds are derived.
         ended: how the experiment ended, in `after_experiment`; None before.
     """
 
@@ -126,7 +126,7 @@ class ExperimentContext:
     ended: ExperimentEnd | None = None
 
 
-#: What earlier tools, and people, call attributes of the context, where no name of ours is near it.
+#: Attributes of the context under names of earlier tools, or as people guess them, which are not similar to ours.
 OTHER_NAMES = {
     **dict.fromkeys(("execute_run", "factors", "levels", "run_variation", "treatments", "variation"), "combination"),
     **dict.fromkeys(("run_nr", "current_run"), "run_number"),
@@ -138,7 +138,7 @@ OTHER_NAMES = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotRunnerContext(ExperimentContext):
-    """What the callbacks of a run's events are told, and their way to hand something back.
+    """The context of a run's events.
 
     Attributes:
         run_id: the run's id in the run table, such as `r_1`.
@@ -151,13 +151,14 @@ class RobotRunnerContext(ExperimentContext):
         run_seed: a seed for this run alone, the same each time that it is executed.
         clock: the clock to sleep on; on a simulated robot it is the simulation's.
         resources: links and devices that the run's plugins share.
-        owner: who this context was made for: a plugin's name, or `config`.
+        owner: for whom this context was made: a plugin's name, or `config`.
         times: when the mission and its phases began and ended.
-        ending: what ends the run or its mission; ask for it through `fail` and `stop_mission`.
-        hosts: what opens the hosts of the config; ask for one through `host`.
-        run_path: where the run's folder is once something is kept in it; ask for `run_folder` to keep something.
-        usual_origin: where the owner's values come from, unless it says something else.
-        next_run: in `continue_experiment`, the run that comes next; all else there is about the run that is over.
+        broker: takes what is published; use `publish`, `share`, `warn` and `doubt`.
+        ending: ends the run or its mission; use `fail` and `stop_mission`.
+        hosts: opens the hosts of the config; use `host`.
+        run_path: the run's folder, which may not exist yet; use `run_folder` to keep something there.
+        usual_origin: the origin of the owner's values, unless it gives another one.
+        next_run: in `continue_experiment`, the run that comes next; all else is about the run that is over.
     """
 
     run_id: str
@@ -255,7 +256,7 @@ class RobotRunnerContext(ExperimentContext):
         Args:
             name: the measure.
             value: a number, a text, a boolean or None.
-            origin: where the value comes from; left out, measured, and simulated where the config or a system publishes
+            origin: where the value comes from; by default measured, or simulated where the config or a system publishes
                 it on a simulated robot.
 
         Raises:
@@ -267,7 +268,7 @@ class RobotRunnerContext(ExperimentContext):
     def host(self, name: str) -> HostAccess:
         """Return a host of the config's `hosts`, to execute commands there, copy to it and fetch from it.
 
-        Its one connection is kept until the run ends; in `before_run`, until that has been heard by all.
+        Its one connection is kept until the run ends; in `before_run`, until all callbacks have returned.
 
         Raises:
             LinkError: the config names no such host; the nearest is named.
@@ -315,7 +316,7 @@ class RobotRunnerContext(ExperimentContext):
             PluginError: the mission has not begun.
         """
         if self.times.stop():
-            self.ending.stop_mission(self.owner, str(reason))  # what else it is could not be read back
+            self.ending.stop_mission(self.owner, str(reason))  # the journal takes a text
 
     def outlives(self, process: StartedProgram | int) -> None:
         """Let a program that this run started go on when the run has ended, with all that it starts itself.
@@ -338,12 +339,12 @@ class RobotRunnerContext(ExperimentContext):
         self.broker.note(self.owner, "outlives", {"pid": pid, "program": name})
 
     def note_clock(self, facts: Mapping[str, object]) -> None:
-        """Say how another computer's clock stood to the run's, as `ClockRecord.facts` tells it.
+        """Record the offset of another computer's clock from the run's, as `ClockRecord.facts` returns it.
 
-        It is kept in the journal, run by run, and summed up for each computer in the manifest.
+        It is kept in the journal, run by run, and summarised for each computer in the manifest.
 
         Raises:
-            PluginError: they are not as `ClockRecord.facts` tells them, and could not be read back.
+            PluginError: the facts have another form, and could not be read back.
         """
         if faults := faults_of(parsed_json(json.dumps(dict(facts), default=str)), ClockFacts):
             fix = "Pass on what ClockRecord.facts() returns."

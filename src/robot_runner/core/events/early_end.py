@@ -1,4 +1,4 @@
-"""What ends a run or its mission early: a callback that asks for it, and an exception that a thread hands over."""
+"""Ending a run or its mission early: by a callback, or by an exception in a thread."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ class Ending(Protocol):
 
     @property
     def has_failed(self) -> bool:
-        """Whether the run has failed: what is left is the closing, which is not to take long."""
+        """Whether the run has failed, so that closing must not take long."""
 
     def fail(self, owner: str, reason: str) -> None:
         """Fail the run and end what it is doing."""
 
     def stop_mission(self, owner: str, reason: str) -> None:
-        """End the mission, which is going on and was not stopped before."""
+        """End the mission. It must be going on, and not have been stopped before."""
 
 
 class EndingInPlace:
-    """Ends the callback that asks for it and nothing else: for a context without a run's process around it.
+    """Ends the callback that asks for it and nothing else: for contexts outside a run's process.
 
     Example:
         >>> EndingInPlace().fail("Guard", "too warm")
@@ -70,13 +70,13 @@ class EndingInPlace:
 #: Takes an exception, and where it was raised, such as `the callback of /scan`.
 HandOver = Callable[[BaseException, str], None]
 
-# A process executes one run at a time; the links and samplers of that run need not be told which one.
+# Global, as a process executes one run at a time: links and samplers need no reference to it.
 _run: tuple[int, HandOver] | None = None
 
 
 @contextmanager
 def fails_run(hand_over: HandOver) -> Iterator[None]:
-    """While this lasts, `hand_over` takes what is raised in the threads of this process where nobody awaits it."""
+    """Let `hand_over` take the exceptions of threads of this process that nothing else handles, for a while."""
     global _run  # noqa: PLW0603 - as `threading.excepthook`, whose place it takes where a thread has to go on
     earlier, _run = _run, (os.getpid(), hand_over)
     try:
@@ -86,17 +86,17 @@ def fails_run(hand_over: HandOver) -> Iterator[None]:
 
 
 def raised_in_thread(error: BaseException, where: str) -> bool:
-    """Fail the run of this process for an exception that a thread caught, and that nobody awaits.
+    """Fail the run of this process for an exception that a thread has caught.
 
-    A thread that ends with the exception need not call this: `threading.excepthook` does. It is for a thread that
-    goes on, as one that calls back does.
+    A thread that ends with the exception need not call this: `threading.excepthook` does. It is for a thread that goes
+    on, such as one that calls callbacks.
 
     Args:
         error: what was raised.
         where: what raised it, as the subject of "... raised ValueError": `the callback of /scan`.
 
     Returns:
-        whether there is a run that was told; else it is for the caller to keep the exception or to log it.
+        whether there is a run; else the caller has to keep the exception or to log it.
     """
     if _run is None or _run[0] != os.getpid():  # a process that the run forked is not the run
         return False

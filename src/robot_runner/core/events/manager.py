@@ -25,7 +25,7 @@ from robot_runner.core.vain_parameters import parameters_guarded
 class RobotRunnerEvents(Enum):
     """The key moments of an experiment, in the order in which they come.
 
-    A method of a config or a plugin that is named like an event hears it (`callback_name`).
+    A method of a config or a plugin that is named like an event is its callback (`callback_name`).
     """
 
     BEFORE_EXPERIMENT = "before_experiment"
@@ -39,12 +39,12 @@ class RobotRunnerEvents(Enum):
     CONTINUE = "continue"
     AFTER_EXPERIMENT = "after_experiment"
 
-    #: Each member is there once; the enumeration's own would hash its name, in Python, at each look into a dictionary.
+    #: By identity, which is faster: that of `Enum` hashes the name, in Python.
     __hash__ = object.__hash__
 
     @property
     def callback_name(self) -> str:
-        """The method that hears this event; `continue` is a word of Python, so its method is `continue_experiment`."""
+        """The name of its method; `continue` is a keyword of Python, so that its method is `continue_experiment`."""
         return "continue_experiment" if self is RobotRunnerEvents.CONTINUE else self.value
 
     @property
@@ -54,11 +54,11 @@ class RobotRunnerEvents(Enum):
 
     @property
     def belongs_to_run(self) -> bool:
-        """Whether there is a run that it is about (and a time-stamp column in the run table)."""
+        """Whether it is emitted for each run (and has a time-stamp column in the run table)."""
         return self not in {RobotRunnerEvents.BEFORE_EXPERIMENT, RobotRunnerEvents.AFTER_EXPERIMENT}
 
 
-#: Heard in the run's own process, in this order.
+#: Emitted in the run's own process, in this order.
 RUN_EVENTS = (
     RobotRunnerEvents.START_RUN,
     RobotRunnerEvents.START_MEASUREMENT,
@@ -68,7 +68,7 @@ RUN_EVENTS = (
     RobotRunnerEvents.POPULATE_RUN_DATA,
 )
 
-#: Heard in the orchestrating process.
+#: Emitted in the orchestrating process.
 ORCHESTRATED_EVENTS = (
     RobotRunnerEvents.BEFORE_EXPERIMENT,
     RobotRunnerEvents.BEFORE_RUN,
@@ -76,7 +76,7 @@ ORCHESTRATED_EVENTS = (
     RobotRunnerEvents.AFTER_EXPERIMENT,
 )
 
-#: What an opening event starts, the event beside it stops, whatever fails in between.
+#: Opening events, each with the event that closes it, whatever fails in between.
 CLOSED_BY = {
     RobotRunnerEvents.START_RUN: RobotRunnerEvents.STOP_RUN,
     RobotRunnerEvents.START_MEASUREMENT: RobotRunnerEvents.STOP_MEASUREMENT,
@@ -84,7 +84,7 @@ CLOSED_BY = {
 
 _CLOSING = frozenset(CLOSED_BY.values())
 
-#: Which event a method hears, by the method's name.
+#: Events by the name of their method.
 EVENTS_BY_CALLBACK = {event.callback_name: event for event in RobotRunnerEvents}
 
 
@@ -103,7 +103,7 @@ class OwnerKind(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Subscriber:
-    """One callback that hears one event.
+    """One callback of one event.
 
     Attributes:
         owner: the plugin's name, or `config`.
@@ -120,7 +120,7 @@ class Subscriber:
         """Call the callback, with the context if it takes one; a config may not set parameters of plugins meanwhile.
 
         Raises:
-            ConfigError: calling it has executed nothing, which a decorator may hide from `checked_subscriber`.
+            ConfigError: the call has executed nothing, see `check_executed`.
         """
         is_config = self.kind is OwnerKind.CONFIG
         with parameters_guarded(getattr(context, "combination", ())) if is_config else nullcontext():
@@ -131,7 +131,7 @@ class Subscriber:
 
 @dataclass(frozen=True, slots=True)
 class RequestedSubscription:
-    """A subscription as a config asked for it through the `EventSubscriptionController`."""
+    """A subscription that a config has made through the `EventSubscriptionController`."""
 
     event: RobotRunnerEvents
     callback: Callback
@@ -154,13 +154,13 @@ def recorded_subscriptions() -> Iterator[list[RequestedSubscription]]:
 class EventSubscriptionController:
     """The paper's way to subscribe (Listing 1), from a config's `__init__`.
 
-    A method that is named like an event hears it without being subscribed; subscribing it as well changes
-    nothing. Several callbacks may hear one event: they are called in the order in which they subscribed.
+    A method that is named like an event is subscribed already; subscribing it as well changes nothing. An event may
+    have several callbacks: they are called in the order in which they subscribed.
     """
 
     @staticmethod
     def subscribe_to_single_event(event: RobotRunnerEvents, callback: Callback) -> None:
-        """Have `callback` called at `event`.
+        """Subscribe `callback` to `event`.
 
         Raises:
             ConfigError: `event` is no event, `callback` cannot be called with a context, or no config is being loaded.
@@ -193,11 +193,11 @@ class EventSubscriptionController:
 
 
 def checked_subscriber(event: object, callback: object, *, owner: str, kind: OwnerKind) -> Subscriber:
-    """Return the subscriber after a look at the event and at the callback's signature.
+    """Return a subscriber after checking event and callback.
 
     Raises:
-        ConfigError: there is no such event, or the callback takes neither nothing nor a context, or calling it would
-            execute nothing.
+        ConfigError: there is no such event, or the callback takes neither no argument nor a context, or calling it
+            would execute nothing.
     """
     if not isinstance(event, RobotRunnerEvents):
         raise ConfigError(
@@ -216,12 +216,12 @@ def checked_subscriber(event: object, callback: object, *, owner: str, kind: Own
 
 
 def _is_async(callback: Callback) -> bool:
-    """Whether calling it only makes something that is to be awaited."""
+    """Return whether calling it only makes a coroutine or an asynchronous generator."""
     return inspect.iscoroutinefunction(callback) or inspect.isasyncgenfunction(callback)
 
 
 def takes_a_context(name: str, callback: Callback, owner: str) -> bool:
-    """Return whether a callback of this name takes a context, and not nothing.
+    """Return whether a callback takes a context; False if it takes no argument.
 
     Raises:
         ConfigError: it takes neither, or calling it would execute nothing.
@@ -240,7 +240,7 @@ def takes_a_context(name: str, callback: Callback, owner: str) -> bool:
         raise ConfigError(problem, where=f"{owner}, {place_of(callback)}", fix=f"Write def {name}(self, context).")
     try:
         signature = signature_of(callback)
-    except (TypeError, ValueError):  # written in C, without a signature: the context is what an event gives
+    except (TypeError, ValueError):  # written in C, without a signature
         return True
     for arguments in ((object(),), ()):
         try:
@@ -252,20 +252,20 @@ def takes_a_context(name: str, callback: Callback, owner: str) -> bool:
 
 
 def check_executed(returned: object, name: str, callback: Callback, owner: str) -> None:
-    """See that calling a callback has executed it, which a decorator may hide from `takes_a_context`.
+    """Check that calling a callback has executed it: a decorator may have hidden from `takes_a_context` that it cannot.
 
     Raises:
         ConfigError: it is async, or a generator.
     """
     if isinstance(returned, CoroutineType | GeneratorType | AsyncGeneratorType):
-        getattr(returned, "close", lambda: None)()  # nobody awaits it, of which Python would warn
+        getattr(returned, "close", lambda: None)()  # or Python would warn that it was never awaited
         problem = f"{name} returned a {type(returned).__name__}: its body was never executed"
         fix = "Write a plain def: have what is async executed by asyncio.run(...), and leave yield out."
         raise ConfigError(problem, where=f"{owner}, {place_of(callback)}", fix=fix)
 
 
 def no_context(name: str, callback: Callback, owner: str) -> ConfigError:
-    """Return the error that a callback cannot be called with a context."""
+    """Return the error for a callback that cannot be called with a context."""
     problem = f"{name}{signature_of(callback)} cannot be called with a context"
     return ConfigError(problem, where=f"{owner}, {place_of(callback)}", fix=f"Write def {name}(self, context).")
 
@@ -277,7 +277,7 @@ def place_of(callback: Callback) -> str:
 
 
 def methods_of(subject: object) -> Iterator[tuple[RobotRunnerEvents, Callback]]:
-    """Yield what `subject` has under the name of an event, in the order of the events; None is no callback."""
+    """Yield each event and the method of `subject` named like it, in the order of the events; None counts as none."""
     for name, event in EVENTS_BY_CALLBACK.items():
         method = getattr(subject, name, None)
         if method is not None:
@@ -326,7 +326,7 @@ class EventManager:
         self._subscribers: defaultdict[RobotRunnerEvents, list[Subscriber]] = defaultdict(list)
 
     def subscribe(self, event: RobotRunnerEvents, callback: Callback, *, owner: str, kind: OwnerKind) -> None:
-        """Have `callback` called at `event`; the same callback twice is heard once.
+        """Subscribe `callback` to `event`; subscribing it twice changes nothing.
 
         Raises:
             ConfigError: the callback's signature does not fit.
@@ -384,14 +384,14 @@ class EventManager:
 
 
 def _leave_forked(failures: Sequence[CallbackFailure]) -> NoReturn:
-    """Leave a process that a callback has forked and that came back from it: it must not execute the experiment, too.
+    """Exit from a process that a callback has forked and that has returned: it must not go on as a second run.
 
-    So it does where `os.execvp` finds no program after an `os.fork`.
+    That happens where `os.execvp` finds no program after an `os.fork`.
     """
     try:
         for failure in failures:
             traceback.print_exception(failure.error)
         sys.stdout.flush()
         sys.stderr.flush()
-    finally:  # also where the disk is full, or a stream is closed or was taken away
+    finally:  # also where the disk is full, or a stream is closed or None
         os._exit(1 if failures else 0)

@@ -17,7 +17,7 @@ from robot_runner.core.words import exact
 #: What a cell of the run table can hold. None is a missing value: an empty cell.
 MeasureValue = int | float | bool | str | None
 
-#: A larger number is a slip, and readers of the table would take it for an infinite one.
+#: A larger integer is a mistake, and readers of the table would take it for infinity.
 _LARGEST = sys.float_info.max
 
 
@@ -31,7 +31,7 @@ class Origin(Enum):
 
 
 class Over(Enum):
-    """How the values of several windows make one, for a phase that a mission has several times."""
+    """How the values of several windows are combined into one, for a phase that a mission has several times."""
 
     SUM = "sum"
     MEAN = "mean"
@@ -47,13 +47,13 @@ class Measure:
         name: the column of the run table, such as `Energy`.
         unit: SI symbol, `%` for percentages (0..100), `1` for counts and ratios, empty where there is none.
         description: one sentence: what it is and how it is aggregated from the raw samples.
-        over: how the values of several windows make one (a mean is weighted by their durations); None for a measure
-            that has no value for a part of the mission.
+        over: how the values of several windows are combined into one (a mean is weighted by their durations); None for
+            a measure that has no value for a part of the mission.
         low: the least plausible value; one below it is kept, and doubtful.
         high: the largest plausible value; one above it is kept, and doubtful.
 
     Raises:
-        MeasureError: one of them cannot be; `findings` lists everything that was found.
+        MeasureError: an attribute is invalid; `findings` lists all problems.
 
     Example:
         >>> Measure("Energy", "J", "Energy drawn from the battery over the measured window.")
@@ -91,7 +91,7 @@ class Measure:
             yield Finding.error(where, problem, "Give low the smaller number.")
 
     def implausible(self, value: MeasureValue) -> str:
-        """Return why a value is not plausible; nothing where it is, or is no number.
+        """Return why a value is not plausible; empty where it is, or is no number.
 
         Example:
             >>> Measure("MeanPower", "W", "Mean power.", low=0.5, high=25.0).implausible(31.0)
@@ -106,7 +106,7 @@ class Measure:
         return ""
 
     def _told(self, value: float) -> str:
-        return f"{exact(value)} {self.unit}".rstrip()  # not rounded to what would be plausible
+        return f"{exact(value)} {self.unit}".rstrip()  # exact: rounded, it might look plausible
 
     def in_phase(self, phase: str) -> Measure:
         """Return the same measure for one phase of the mission.
@@ -119,7 +119,7 @@ class Measure:
 
 
 def with_phases(measures: Sequence[Measure], phases: Sequence[str]) -> tuple[Measure, ...]:
-    """Return the measures, and behind them those that have a value per phase, for each of the phases."""
+    """Return the measures, followed by those of each phase, for measures that can have a value per phase."""
     return (*measures, *(each.in_phase(phase) for each in measures if each.over is not None for phase in phases))
 
 
@@ -128,7 +128,7 @@ class PublishedMeasure:
     """A measure's value in one run, with its publisher, its origin, and its doubts.
 
     Attributes:
-        doubts: the reasons for which the value is doubtful, or missing; none for a good one.
+        doubts: why the value is doubtful, or missing; empty for a good one.
     """
 
     name: str
@@ -159,12 +159,12 @@ def quality_of_value(value: MeasureValue, doubts: Sequence[str]) -> Quality:
     return Quality.DOUBTFUL if doubts else Quality.GOOD
 
 
-#: Behind the name of a measure: the column that tells the quality of its values, where the config asks for it.
+#: Appended to the name of a measure, the name of the column with the quality of its values, if the config wants it.
 QUALITY_SUFFIX = ".quality"
 
 
 def quality_text(value: MeasureValue, doubts: Sequence[str]) -> str:
-    """Return what a column of qualities holds: the quality, and its reasons.
+    """Return the text of a cell in a quality column: the quality, and its reasons.
 
     Example:
         >>> quality_text(7.5, ["the sensor is at its limit"])
@@ -185,13 +185,13 @@ def as_measure_value(name: str, value: object, *, where: str) -> MeasureValue:
     plain = value
     item = getattr(value, "item", None)  # a numpy scalar, without importing numpy
     if callable(item) and getattr(value, "shape", None) == ():
-        is_time = getattr(getattr(value, "dtype", None), "kind", "") in {"m", "M"}  # some would be counts of ns
-        is_masked = getattr(value, "mask", False)  # there is no value, and 0.0 or what was masked would be told
+        is_time = getattr(getattr(value, "dtype", None), "kind", "") in {"m", "M"}  # `item` may return ns as an integer
+        is_masked = getattr(value, "mask", False)  # `item` would return the masked number
         plain = ... if is_time or is_masked else item()
     if plain is None or isinstance(plain, bool):
         return plain
     if isinstance(plain, str):
-        text = str.__str__(plain)  # a text of a class of its own may call itself otherwise
+        text = str.__str__(plain)  # a subclass may have another `__str__`
         try:
             text.encode()
         except UnicodeEncodeError as error:
@@ -218,24 +218,24 @@ def as_measure_value(name: str, value: object, *, where: str) -> MeasureValue:
 def _as_float(number: Real) -> float:
     try:
         return float(number)
-    except OverflowError:  # a fraction that no float is as large as
+    except OverflowError:  # a fraction beyond the largest float
         return math.inf
 
 
 def shown(value: object) -> str:
-    """Return a value that is refused as Python writes it, or its type where it has no text."""
+    """Return the `repr` of a refused value, or its type where that raises."""
     try:
         return repr(value)
     except Exception:  # noqa: BLE001 - a user's __repr__ may raise anything, and a number may have too many digits
         return f"a {type(value).__name__}"
 
 
-# Which measures the run table has a column for, and who may publish what.
+# Which measures have a column in the run table, and who may publish what.
 
 CONFIG_OWNER = "config"
 #: Owns the answers of the person who takes part.
 OPERATOR_OWNER = "operator"
-#: Whose measure it is which robot executed a run, where several take turns, and what it is called.
+#: Owner and name of the measure that says which robot executed a run, where several take turns.
 ROBOTS_OWNER, ROBOT = "robots", "Robot"
 
 
@@ -247,7 +247,7 @@ class MeasureColumn:
         name: the column: the measure's name, or `<plugin>.<measure>` where names clash.
         owner: the plugin that yields it, or `config`.
         is_in_table: whether the run table has a column for it; published values are in the journal in any case.
-        tells_of: the column whose quality it tells; empty for a measure of a plugin or the config.
+        tells_of: the name of the measure column whose quality this one has; empty for a measure.
     """
 
     name: str
@@ -267,7 +267,7 @@ class MeasureColumns:
     @cached_property
     def _by_owner(self) -> Mapping[str, Mapping[str, MeasureColumn]]:
         by_owner: dict[str, dict[str, MeasureColumn]] = {}
-        # How good a value is, nobody publishes: it follows from the value and its doubts.
+        # Quality columns are not published: they follow from values and doubts.
         published = [column for column in (*self.declared, *self.in_table) if not column.tells_of]
         for column in published:
             names = by_owner.setdefault(column.owner, {})
@@ -283,7 +283,7 @@ class MeasureColumns:
         return tuple(column.name for column in self.in_table)
 
     def with_quality(self) -> MeasureColumns:
-        """Return the same columns, and behind each of the run table's one that tells the quality of its values."""
+        """Return the same columns, with a quality column behind each measure of the run table."""
         described = "Whether the value of {} is good, doubtful or missing, and why."
         in_table = [
             each
@@ -301,14 +301,14 @@ class MeasureColumns:
         return MeasureColumns(tuple(in_table), (*self.declared, *(each for each in in_table if each.tells_of)))
 
     def with_all_of(self, owner: str) -> MeasureColumns:
-        """Return the same columns, with one in the run table for each measure of this owner."""
+        """Return the same columns, with all measures of this owner in the run table."""
         declared = tuple(replace(each, is_in_table=True) if each.owner == owner else each for each in self.declared)
         there = set(self.names)
         added = (each for each in declared if each.owner == owner and each.name not in there)
         return MeasureColumns((*self.in_table, *added), declared)
 
     def column_for(self, owner: str, name: object) -> MeasureColumn:
-        """Return the column that `owner` means by `name`.
+        """Return the column of a measure, by its name or its column's; `config` may name those of all owners.
 
         Raises:
             MeasureError: the owner declared no such measure.
@@ -328,8 +328,8 @@ def resolve_columns(
     """Match the config's `data_columns` with the measures that plugins declare.
 
     Args:
-        data_columns: the measure columns that the run table is to have, in order; None asks for all measures of
-            all plugins. A name that no plugin declares is the config's own, and may come as a `Measure` with its unit.
+        data_columns: the measure columns of the run table, in order; None for all measures of all plugins. A name that
+            no plugin declares is the config's own, and may be given as a `Measure` with its unit.
         measures_by_plugin: what each plugin declares, by the plugin's name.
 
     Returns:
@@ -365,13 +365,13 @@ def _declared_columns(measures_by_plugin: Mapping[str, Sequence[Measure]]) -> li
 
 
 def _misnamed(name: str, declared: Sequence[MeasureColumn]) -> list[Finding]:
-    """Return what is wrong with a name that seems to be meant for a plugin's measure."""
+    """Return an error for a name that no measure has but that seems to mean a plugin's."""
     measure, _, phase = name.rpartition(".")
     if phase and any(column.name == measure and column.measure.over is not None for column in declared):
         problem = f"{name!r} would be {measure!r} in a phase that the config does not ask for"
         return [Finding.error("data_columns", problem, f"Add {phase!r} to the config's `phases`.")]
     for column in declared:
-        if name == f"{column.owner}.{column.measure.name}":  # as it would be called where another plugin had it, too
+        if name == f"{column.owner}.{column.measure.name}":  # its name if two plugins had the measure
             problem = f"{name!r} is called {column.name!r}, as no other plugin has a measure of that name"
             return [Finding.error("data_columns", problem, f"Write {column.name!r}.")]
     full_names = [column.name for column in declared if column.measure.name == name]

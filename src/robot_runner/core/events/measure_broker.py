@@ -1,4 +1,4 @@
-"""The one gate for measures, and the notice board of one run."""
+"""The one gate for measures, findings and shared values of a run."""
 
 from __future__ import annotations
 
@@ -10,18 +10,22 @@ from robot_runner.core.errors import Finding, MeasureError, did_you_mean
 from robot_runner.core.events import measure
 from robot_runner.core.secret_names import without_environment_secrets
 
-#: Takes what happens in a run as it happens: a kind and its plain fields.
+#: Takes a record of a run: its kind and its plain fields.
 ReportRecord = Callable[[str, dict[str, Any]], None]
 
-#: So much of a text that is refused is told.
+#: How many characters of a refused text a message shows.
 _LONGEST_TOLD = 40
 
 
 class MeasureBroker:
-    """Takes what is published in one run, refuses what was not declared, and reports the rest at once.
+    """Checks what is published in one run against what was declared, and reports it at once. Threads may use it.
 
-    Plugins may publish from threads of their own. What was published and shared before (`told`: the fields of each
-    measure's record, by column; `shared`, by plugin) is there from the beginning. Both are filled with what comes.
+    Args:
+        run_id: of the run.
+        columns: the declared measures.
+        report: takes the records.
+        told: what was published before: the fields of each measure's record, by column; filled in place.
+        shared: what was shared before, by plugin; filled in place.
     """
 
     def __init__(
@@ -63,9 +67,8 @@ class MeasureBroker:
         """Take one measure; a later value of the same measure replaces the earlier.
 
         Raises:
-            MeasureError: the name was not declared, the type is wrong, the number is not finite, or a text is to be
-                the value of a measure with a unit. What was refused is reported all the same, so that it is kept with
-                the run.
+            MeasureError: the name was not declared, the type is wrong, the number is not finite, or it is a text and
+                the measure has a unit. What was refused is reported, too, so that it is kept with the run.
         """
         if not isinstance(origin, measure.Origin):
             fix = did_you_mean(str(origin), map(str, measure.Origin))
@@ -101,7 +104,7 @@ class MeasureBroker:
         Raises:
             MeasureError: the owner declared no such measure.
         """
-        named = (measures,) if isinstance(measures, str) else measures  # not its letters
+        named = (measures,) if isinstance(measures, str) else measures
         columns = [self._columns.column_for(owner, name).name for name in named]
         doubted = columns or [column.name for column in self._columns.declared if column.owner == owner]
         self._record_finding(owner, problem, fix, {"measures": doubted})
@@ -123,10 +126,10 @@ class MeasureBroker:
 
 
 def _refuse_text_with_unit(column: measure.MeasureColumn, value: measure.MeasureValue, *, where: str) -> None:
-    """Refuse a text for what has a unit: statistics and plausible limits would pass over it without a word.
+    """Refuse a text for a measure with a unit: statistics and plausible limits would ignore it silently.
 
     Raises:
-        MeasureError: it is one, such as the "12.5" of an API that writes its numbers as texts.
+        MeasureError: the value is such a text, as the "12.5" of an API that writes numbers as texts.
     """
     if isinstance(value, str) and column.measure.unit:
         said = value if len(value) <= _LONGEST_TOLD else value[:_LONGEST_TOLD] + "…"

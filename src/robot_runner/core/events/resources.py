@@ -1,4 +1,4 @@
-"""What several plugins of one run share, opened once and closed when it ends; and what they can do on a host."""
+"""Links and devices that the plugins of one run share, and the protocol of a host."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ class Closable(Protocol):
     """Anything that is closed once it is no longer needed."""
 
     def close(self) -> None:
-        """Let go of what is held."""
+        """Release what is held."""
 
 
 @runtime_checkable
 class Halting(Protocol):
-    """What may have set something in motion: all of these are halted before any of what was opened is closed."""
+    """A link that may have set something in motion: all of these are halted before anything is closed."""
 
     def halt(self) -> None:
-        """Command a standstill, ask for the end of goals, and wait for neither; what fails is told as it is closed."""
+        """Command a standstill and cancel goals without waiting; a failure is raised by `close`."""
 
 
 R = TypeVar("R", bound=Closable)
@@ -45,7 +45,7 @@ class Resources:
     def __init__(self) -> None:
         self._opened: dict[str, Closable] = {}
         self._closing = ExitStack()
-        self._lock = threading.RLock()  # systems that go on together open what they need at the same time
+        self._lock = threading.RLock()  # missions that go on together may open something at the same time
 
     def open(self, key: str, opener: Callable[[], R]) -> R:
         """Return what was opened under `key`, opening it first if it was not; it is closed with the run."""
@@ -57,7 +57,7 @@ class Resources:
             return cast("R", self._opened[key])
 
     def close(self) -> None:
-        """Halt what may move, then close everything in reverse order; faults are raised once all of it is closed."""
+        """Halt what may move, then close everything in reverse order; errors are raised once all of it is closed."""
         for each in self._opened.values():
             if isinstance(each, Halting):
                 self._closing.callback(each.halt)
@@ -71,10 +71,10 @@ class CommandResult:
 
     Attributes:
         command: as it was given to the host's shell.
-        exit_status: 0 where it says that all went well.
+        exit_status: 0 for success.
         output: what it wrote to its standard output.
         errors: what it wrote to its standard error.
-        seconds: how long it took, s of real time, the way to the host included.
+        seconds: how long it took, s of real time, the network included.
     """
 
     command: str
@@ -100,21 +100,21 @@ class HostAccess(Protocol):
         """Execute a command to its end; what it writes is kept in the run's folder, in `<host>/commands.log`.
 
         Args:
-            command: a text for the shell, or a list of words that are taken as they are.
+            command: a text for the shell, or a list of words that are quoted for it.
             timeout_s: how long it may take, s; then it is ended, with what it started.
             check: whether an exit status other than 0 is an error.
 
         Raises:
-            CommandError: it took too long, or failed and `check` is true; its last lines are told.
+            CommandError: it took too long, or failed and `check` is true; the problem has its last lines.
             LinkError: the host cannot be reached, or has gone away.
         """
 
     def copy_to(self, source: Path | str, destination: str, *, timeout_s: float = 60.0) -> None:
-        """Copy a file, or a folder with all that is in it, to the host, and replace what stands there.
+        """Copy a file, or a folder with all that is in it, to the host, and replace what is there.
 
         Args:
-            source: on this machine; links are not followed out of a folder, but copied as links.
-            destination: the path that it is to have there; the folders above it are made.
+            source: on this machine; links inside a folder are copied as links.
+            destination: its path there; the folders above it are made.
             timeout_s: how long it may take, s.
 
         Raises:

@@ -1,4 +1,4 @@
-"""The one window that all measures of a run are about: its mission, and the phases of the mission."""
+"""The measured window of a run, which is its mission, and the phases of the mission."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from robot_runner.core.errors import PluginError
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """A span of time that a measure is about.
+    """The span of time of a measure.
 
     Attributes:
         start: its beginning, s on the run's clock.
@@ -61,7 +61,7 @@ class Phase:
 
 
 class TimeSource(Protocol):
-    """A clock, as far as it is read here; contexts, which hold these times, have the whole `Clock`."""
+    """The part of `Clock` that is needed here; `context.py`, which has the whole, imports this module."""
 
     def now(self) -> float:
         """Return the seconds since some fixed moment; never goes back."""
@@ -74,7 +74,7 @@ class _Moment(NamedTuple):
     machine: float
 
 
-#: As a part of a column's name, behind a dot.
+#: A phase's name is a part of a column's name, behind a dot.
 _PHASE_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
@@ -87,8 +87,8 @@ class MissionTimes:
     """When the mission of a run, and each phase of it, began and ended.
 
     The measured window is the mission: from the emission of `launch_mission` until all its callbacks have returned.
-    Each moment is taken on the run's clock and on this machine's, as profilers of this machine live by the latter
-    while the robot is simulated.
+    Each moment is taken on the run's clock and on this machine's: while the robot is simulated, profilers of this
+    machine need the latter.
 
     Args:
         clock: the run's.
@@ -122,13 +122,13 @@ class MissionTimes:
         self._open: dict[str, list[_Moment]] = {}
         self._at_edges: list[Callable[[], None]] = []
         self._is_stopped = False
-        # Any thread may stop the mission or have a phase, and so may the handler of a signal that comes meanwhile.
+        # Any thread may stop the mission or have a phase; re-entrant, as a signal handler may do so, too.
         self._lock = threading.RLock()
 
     def at_edges(self, look: Callable[[], None]) -> None:
-        """Have `look` called just before the mission begins, and just after it has ended.
+        """Call `look` just before the mission begins, and just after it has ended; it must not raise.
 
-        What counts from one reading to the next is known at the edges then, however slow its rate. It must not raise.
+        A meter that counts is then read at the edges of the window, however low its rate.
         """
         self._at_edges.append(look)
 
@@ -143,7 +143,7 @@ class MissionTimes:
         """End the mission, and with it the window; a second call does nothing.
 
         Args:
-            has_failed: no readings are taken at the end then: meters that hang must not hold up the robot's stop.
+            has_failed: then no readings are taken at the end: a meter that hangs must not delay the robot's stop.
         """
         if self._begun is None or self._ended is not None:
             return
@@ -156,7 +156,7 @@ class MissionTimes:
             self._report("window", {"start": window.start, "end": window.end})
 
     def stop(self) -> bool:
-        """End the window now, unless it has ended; return whether the mission is to be stopped by this call.
+        """End the window now, unless it has ended; return whether this call is the first to stop the mission.
 
         Raises:
             PluginError: the mission has not begun.
@@ -188,7 +188,7 @@ class MissionTimes:
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
-        """Take the block for a phase of the mission, also when it raises; what overlaps is one phase.
+        """Take the `with` block for a phase of the mission, also when it raises; overlapping blocks are one phase.
 
         Raises:
             PluginError: no phase can have this name, or no mission is going on.
@@ -217,7 +217,7 @@ class MissionTimes:
         """Return the measured window; None while the mission has not ended.
 
         Args:
-            clock: None or the run's clock for times on that; another one stands for this machine's.
+            clock: None or the run's clock for times on that; any other for times on this machine's monotonic clock.
         """
         if self._begun is None or self._ended is None:
             return None

@@ -1,8 +1,8 @@
-"""What is done beside the runs and might open links or start threads: in a process of its own, under a keeper.
+"""Work beside the runs that may open links or start threads (probes, gates, reboots), in a process under a keeper.
 
-The orchestrator forks runs and opens nothing itself. A probe, a gate, or a host that starts anew is therefore executed
-as a run is, in a scratch folder: what it opens, breaks or leaves behind is gone with its process. That folder is in
-the experiment's, as long as this process executes that, so that the next one finds what a kill has left alive.
+The orchestrator forks runs, and must do neither itself. Such work is therefore executed as a run is, in a temporary
+folder. That lies in the experiment folder while this process holds its lock: the next execution then finds the
+processes that a kill has left alive.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ def executed_aside(
     events: Collection[RobotRunnerEvents] = (),
     **changed: Any,
 ) -> Steps[RunOutcome]:
-    """Execute `mission` beside the runs, step by step, and return how that went; what is written there is not kept.
+    """Execute `mission` as the mission of a run without a row, step by step, and return how it went; no file is kept.
 
     Args:
         experiment: whose robot and parameters it sees.
         task: the run whose treatments it sees.
-        mission: what is done; it may take the context of a run.
+        mission: may take the context of a run, as any callback.
         watch: takes its records, and the user's interruption.
         deadline_s: how long it may take, s of real time; None for no limit.
-        profilers: the only plugins that are there.
+        profilers: the only plugins that take part.
         events: the events at which their callbacks are called.
         changed: static parameters that differ from the experiment's.
     """
@@ -80,7 +80,7 @@ def executed_aside(
 
 
 def _scratch_folder(folder: ExperimentFolder) -> TemporaryDirectory[str]:
-    """Make the folder in which something is executed aside, which is removed on leaving.
+    """Make a temporary folder, which is removed on leaving.
 
     Raises:
         StorageError: it cannot be made.

@@ -93,14 +93,14 @@ class Attempts:
         return outcome
 
     def ask_about_earlier(self) -> Steps[None]:
-        """Have the steps done that are due after runs of earlier sessions, which ended before they were."""
+        """Ask for the operator's steps after runs of earlier sessions that ended before these steps were done."""
         return self._operator.ask_about_earlier()
 
     def _keep(self, task: RunTask, outcome: RunOutcome, to_ask: Sequence[str]) -> bool:
-        """Keep how an attempt went, and what is asked after one that is done; return whether it was the last one."""
+        """Record how an attempt went and what is asked after it; return whether no other follows at this place."""
         is_last = outcome.status is not AttemptStatus.FAILED or bool(self._ongoing.stopped_by)
         if outcome.is_lost and not is_last:
-            # Beyond what the config grants to attempts that were lost, such a one is one of `attempts`.
+            # Once `attempts_if_lost` is used up, a lost attempt counts as one of `attempts`.
             self._lost[task.run_id] += 1
             left = task.attempts_left - (self._lost[task.run_id] > self._parameters.attempts_if_lost)
             if left >= 0:
@@ -124,7 +124,7 @@ class Attempts:
         return run.run_id in self._left
 
     def tell_of_place(self, problem: str) -> None:
-        """Keep and show what a person should know of a place that has come, or is gone."""
+        """Record and show that a place was added, or is gone."""
         self._progress.note("place", problem=problem)
         self._ongoing.find(Finding.warning("places", problem))
 
@@ -163,7 +163,7 @@ class Attempts:
 
         self._operator.hand_over(task, report_own)
         if place.experiment.parameters.robots:
-            # Of no sensor: which robot it was is known, also where the robots are simulated.
+            # Measured, not simulated: which robot it was is known also of simulated robots.
             robot = {"name": ROBOT, "value": place.name, "owner": ROBOTS_OWNER, "origin": Origin.MEASURED.value}
             task.measures[ROBOT] = robot
             report_own("measure", robot)
@@ -202,7 +202,7 @@ class Attempts:
 
 
 def _told_too_late(task: RunTask, kind: str, fields: Mapping[str, Any]) -> PluginError:
-    """Return the error that a thread of this process tells something of a run that is over."""
+    """Return the error for a thread of this process that publishes after its run has ended."""
     what = f"measure {fields['name']!r}" if kind == "measure" else fields.get("problem") or f"what is told ({kind})"
     problem = f"{task.run_id} has ended, and this is lost: {what}"
     fix = "Publish in populate_run_data at the latest, and end the thread in stop_run, or in after_experiment."

@@ -1,4 +1,4 @@
-"""What an experiment needs before its first run: folder, manifest, treatments that are made or were put in by hand."""
+"""What an experiment needs before its first run: its folder, its manifest, and treatments that can be used."""
 
 from __future__ import annotations
 
@@ -82,10 +82,10 @@ def refuse_unfit_treatments(
     *,
     accept_changes: bool,
 ) -> None:
-    """See that plugins can be built with the treatments of a table that was written or changed by hand.
+    """Check that plugins can be built with the treatments of a table that was written or changed by hand.
 
     Raises:
-        ExecutionError: one of them cannot be.
+        ExecutionError: one cannot be built.
     """
     by_hand = manifest["design"]["source"] != "config" or accept_changes
     if not by_hand or (not recovered.is_on_disk and not experiment.folder.run_table.exists()):
@@ -98,16 +98,16 @@ def refuse_unfit_treatments(
 def prepared_treatments(
     experiment: Experiment, known: Mapping[str, Any], interruption: Interruption, tell: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Make the treatments of an experiment, and return plain facts of them.
+    """Make the treatments that have to be made (revisions are built), and return plain facts about them.
 
     Args:
-        experiment: whose they are; its treatments are changed in place.
+        experiment: its treatments are changed in place.
         known: the facts that this returned when the experiment first began; a replication begins with the original's.
         interruption: the user's; it ends the making.
-        tell: says on the screen what is being made.
+        tell: shows on the screen what is being made.
 
     Raises:
-        RobotRunnerError: one cannot be made, or a plugin cannot do with what was made.
+        RobotRunnerError: one cannot be made, or a plugin cannot use what was made.
         KeyboardInterrupt: the user has interrupted it.
     """
     known = known or (experiment.replication or {}).get("treatments", {})
@@ -119,7 +119,7 @@ def prepared_treatments(
 
 
 def _refuse_unfit(experiment: Experiment) -> None:
-    """Ask plugins again that are bound to what was made: only now can they look into it."""
+    """Check plugins again that are bound to what was made: only now does it exist."""
     names = {
         each.name for each in experiment.model.factors if any(isinstance(one, Revision) for one in each.treatments)
     }
@@ -142,9 +142,10 @@ def refuse_unplanned(experiment: Experiment, manifest: Mapping[str, Any]) -> tup
 
 
 def _lost_treatments(config: Path, model: RunTableModel, manifest: Mapping[str, Any]) -> Iterator[Finding]:
-    """Yield a warning for each factor of a grown plan, which is the journal's, whose treatments the config has lost.
+    """Yield a warning for each factor of an extended experiment that has lost treatments in the config.
 
-    They may come from outside, where no changed line tells; one that has not grown differs from its run table.
+    Where treatments come from outside the config file, no changed line shows that. A plan that was not extended needs
+    no warning: it differs from its run table.
     """
     for own, lost in _lost(model, manifest["design"]) if model.batches else ():
         if own.range is None:
@@ -155,7 +156,7 @@ def _lost_treatments(config: Path, model: RunTableModel, manifest: Mapping[str, 
 
 
 def _lost(model: RunTableModel, design: Mapping[str, Any]) -> Iterator[tuple[Factor, set[str]]]:
-    """Yield each factor of the config of which the experiment was planned with more treatments, and these."""
+    """Yield each factor of the config that has lost treatments since the experiment was planned, and their texts."""
     chosen = model.chosen if isinstance(model, GrownRunTableModel) else {}
     for own in as_configured(model).factors:
         if lost := set(design["factors"].get(own.name, ())).difference(own.texts, chosen.get(own.name, ())):
@@ -165,10 +166,10 @@ def _lost(model: RunTableModel, design: Mapping[str, Any]) -> Iterator[tuple[Fac
 def unplanned_additions(
     config: Path, model: RunTableModel, manifest: Mapping[str, Any], *, has_other_changes: bool = False
 ) -> tuple[Finding, ...]:
-    """Return a finding where the config plans what the experiment was not planned with: an extension adds it.
+    """Return a finding where the config plans more than the experiment was planned with, which an extension would add.
 
     It is an error where the config only has more than before, and a warning where it also has less: then somebody
-    changed the design, and said that the run table counts.
+    changed the design, and accepted that the run table counts.
 
     Args:
         config: the config file.

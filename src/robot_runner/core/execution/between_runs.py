@@ -1,4 +1,4 @@
-"""Between two runs: the robot rests, a pause is awaited, the user swaps the battery and says to go on, hosts reboot."""
+"""Between two runs: pauses, the operator's steps, the robot's rest, and the reboots of hosts."""
 
 from __future__ import annotations
 
@@ -27,21 +27,20 @@ from robot_runner.core.storage.lock import forget_requests, is_requested
 
 _log = logging.getLogger(__name__)
 
-#: How often a second terminal is listened to, and a run looks whether a pause is over that was told of before another
-#: one, s.
+#: How often it is checked whether a pause is over, s.
 _LISTEN = 0.2
 
-# Of hosts that are started anew (`Host.reboot`).
+# Reboots of hosts (`Host.reboot`).
 
-#: The id of the run that starting a host anew is, in its contexts.
+#: The run id in the context of a reboot.
 _RUN = "reboot"
-#: How often it is tried whether a host answers again, s.
+#: How often a host is asked whether it answers again, s.
 _EVERY = 0.5
 #: How long one question may take, s.
 _ASKED = 15.0
 #: Beyond the time for the host and for its condition, s: to begin and end the process that waits.
 _PATIENCE = 30.0
-#: What is another one each time that Linux starts.
+#: Prints an id that Linux makes at each boot.
 _BOOT = "cat /proc/sys/kernel/random/boot_id"
 
 
@@ -65,14 +64,13 @@ class BetweenRuns:
     def prepare(
         self, run: PendingRun, finished: PendingRun | None, place: Place, name: str, *, is_cleared: bool = False
     ) -> Steps[None]:
-        """Do what comes before a run, after the one that has finished at its place, if any did in this session.
+        """Do what comes before a run: pause, operator's steps, the question of SEMI mode, rest, reboots.
 
-        The operator's steps are done, the user says that the run may start where the config says SEMI, then the robot
-        rests, and hosts are started anew that are to be. Who has just done a step before the run has said so already.
+        In SEMI mode the user is not asked where a callback or a step of the operator has just asked.
 
         Args:
-            run: what comes.
-            finished: what is over, or None.
+            run: the run that comes.
+            finished: the run before it at this place in this session, or None.
             place: where both are executed.
             name: of that place; empty where there is no other.
             is_cleared: whether a callback has asked the user already whether the first run may start.
@@ -90,7 +88,7 @@ class BetweenRuns:
         if self._is_semi and not (is_cleared or has_asked or self._ongoing.is_interrupted):
             yield from self._operator.ask_to_start(run, name)
         rest = self._parameters.time_between_runs_in_ms / 1000 if finished is not None else 0.0
-        # What one treatment left is to be gone: it is not known when the unit's last run ended, of another session too.
+        # The washout between treatments is kept in full: the unit's last run may have been in another session.
         rest = max(rest, self._rests.get(run.run_id, 0.0))
         if rest and not self._ongoing.is_interrupted:
             yield Pause(rest)
@@ -100,8 +98,7 @@ class BetweenRuns:
     def _pause_where_requested(self, run: PendingRun) -> Steps[None]:
         """Wait, where `robot-runner pause` asked for it, until the request is taken back or the user interrupts.
 
-        Who is asked for a step at another place has done that first, and nobody is asked meanwhile: ENTER is for one of
-        both.
+        An operator's step at another place is awaited first, and none is asked for meanwhile: ENTER has one meaning.
         """
         pause = self._ongoing.experiment.folder.pause
         while not self._ongoing.is_interrupted and (
@@ -138,10 +135,7 @@ class BetweenRuns:
 
 
 class _Reboots:
-    """Starts hosts anew before the runs that their policies name.
-
-    It is done in a process under a keeper, as a run is: what a condition opens there is gone with it.
-    """
+    """Reboots hosts before the runs that their policies name, in a process under a keeper, as conditions open links."""
 
     def __init__(self, ongoing: OngoingExperiment) -> None:
         self._ongoing = ongoing
@@ -150,7 +144,7 @@ class _Reboots:
         self._last: PendingRun | None = None
 
     def before(self, run: PendingRun) -> Steps[None]:
-        """Start those hosts anew that are to be before this run, wherever the one before it was executed.
+        """Reboot the hosts that are to be rebooted before this run, wherever the one before it was executed.
 
         Raises:
             ExecutionError: a host refused, or did not come back.
@@ -220,10 +214,10 @@ class _Reboots:
 
 
 def _restarted(name: str, host: Host, context: RobotRunnerContext) -> dict[str, Any]:
-    """Start a host anew and wait until it answers again and its condition holds.
+    """Reboot a host and wait until it answers again and its condition holds.
 
     Returns:
-        how long it was away (s), and whether its kernel is another one; None where the host does not tell.
+        `away_s`, for how long it did not answer, and `is_new_kernel`, whether it booted; None without a boot id.
 
     Raises:
         LinkError: it refused, did not go away, or did not come back in time.
@@ -267,7 +261,7 @@ def _await_end(name: str, host: Host, shell: Shell, told: float) -> None:
 
 
 def _await_answer(name: str, host: Host, access: HostCommands, told: float) -> str:
-    """Return which kernel runs on the host that answers again."""
+    """Wait until the host answers again, and return its boot id; empty where it has none."""
     problem = ""
     while (left := host.back_within_s - (time.monotonic() - told)) > 0:
         try:

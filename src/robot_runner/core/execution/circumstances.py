@@ -65,13 +65,13 @@ def _config(experiment: Experiment) -> dict[str, str]:
     return {"file": experiment.config_path.name, "class": experiment.class_name, **kept}
 
 
-#: What an experiment that goes on is compared with.
+#: What a resumed experiment is compared with.
 _NEEDED = {"design", "executions", "experiment_name", "seed"}
 _NEEDED_OF_DESIGN = {"factors", "repetitions", "source"}
 
 
 def kept_manifest(experiment: Experiment) -> dict[str, Any]:
-    """Return the manifest of an experiment that has begun, as it is in its folder.
+    """Read the manifest in the folder of an experiment that has begun.
 
     Raises:
         StorageError: it cannot be read.
@@ -88,8 +88,8 @@ def kept_manifest(experiment: Experiment) -> dict[str, Any]:
 
 
 def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[str, Any]:
-    """Return the manifest of an experiment that goes on."""
-    # Asked about before, and accepted: what was given otherwise is part of the account of this execution.
+    """Return the manifest of a resumed experiment, with the present execution added."""
+    # The user has accepted these changes: the manifest tells them with this execution.
     others = {"changed_values": values} if (values := changed_values(experiment, manifest)) else {}
     manifest["executions"].append(_execution(experiment) | {"changed": changed_circumstances(manifest)} | others)
     manifest.pop("given_to_extension", None)
@@ -110,9 +110,9 @@ def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[s
     return manifest
 
 
-#: Facts of the host by which measures differ; its memory is told in bytes, and changes with each kernel.
+#: Facts of the host that influence measures. Its memory is left out: the number of bytes changes with each kernel.
 _OF_HOST = ("processor", "machine", "cores", "system", "release", "governor")
-#: So many of what has changed are named in a finding.
+#: A finding names at most so many changes.
 _NAMED = 8
 
 
@@ -135,17 +135,17 @@ def changed_circumstances(manifest: Mapping[str, Any]) -> dict[str, dict[str, An
 
 
 def _pairs(what: str, before: Mapping[str, Any] | None, now: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
-    """Yield the version of each package before and now, None if it is gone; new packages are left out."""
+    """Yield name, version before and version now (None if it is gone) of each package; new ones are left out."""
     return ((f"{what} {name}", release, now.get(name)) for name, release in (before or {}).items())
 
 
 def _common(before: Mapping[str, Any] | None, now: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what was of packages that are there now: which of them are imported is the config's business."""
+    """Return the part of `before` whose packages are imported now, too: which are imported is up to the config."""
     return {name: was for name, was in (before or {}).items() if name in now}
 
 
 def _described_pairs(manifest: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
-    """Yield what was and is of the facts that packages add, such as the distribution and middleware of ROS."""
+    """Yield name, earlier and present value of the facts that packages add, such as the middleware of ROS."""
     for name, described in described_circumstances().items():
         before, now = manifest.get(name) or {}, described or {}
         if name not in manifest or not (isinstance(before, dict) and isinstance(now, dict)):
@@ -187,8 +187,8 @@ def change_findings(experiment: Experiment, manifest: Mapping[str, Any]) -> Iter
 def restored_manifest(experiment: Experiment) -> tuple[dict[str, Any], Finding] | None:
     """Return a manifest made from the journal where the folder's is missing or damaged, and the finding that says so.
 
-    None where there is no need. The seed is that of the journal, so that the plan is the same as before. A damaged file
-    is kept beside.
+    None where the manifest is sound, or the journal has no start of an experiment. The seed is the journal's, so that
+    the plan is the same as before. A damaged file is kept under another name.
 
     Raises:
         StorageError: the manifest is of a newer format, or the journal cannot be read.
@@ -286,10 +286,7 @@ def _execution(experiment: Experiment) -> dict[str, Any]:
 
 
 def _keep_uncommitted(experiment: Experiment, manifest: dict[str, Any]) -> None:
-    """Keep the uncommitted changes of the config's repository, so that the code as executed can be restored.
-
-    Each difference has a file of its own, as it may change from one execution to the next.
-    """
+    """Keep the uncommitted changes of the config's repository, so that the code as executed can be restored."""
     repository = manifest["executions"][-1].get("repository") or {}
     changes = uncommitted_changes(experiment.config_path.parent) if repository.get("is_dirty") else b""
     if not changes:
@@ -304,7 +301,7 @@ def _keep_uncommitted(experiment: Experiment, manifest: dict[str, Any]) -> None:
 
 def _described(plugin: Plugin) -> dict[str, Any]:
     kind = type(plugin)
-    # A stranger's entry point may have another name than its class: then only the class is known.
+    # The entry point of another package may differ in name from its class: then only the class is known.
     named = [each for each in installed_plugins() if each.name == kind.__name__]
     announced = next((each for each in named if each.load() is kind), None)
     return {

@@ -1,8 +1,7 @@
-"""Whether this machine was suspended, or its clock was set, while a run was executed: its own clock tells of neither.
+"""Notice that this machine was suspended, or that its clock was set, while a run was executed.
 
 Spans are measured on the monotonic clock, which stands still while the machine is suspended: a robot that drives on
-meanwhile draws energy that no sample shows, in a window that seems to be whole. Time stamps are those of the clock that
-can be set.
+draws energy that no sample shows, in a window that seems to be whole. Time stamps are of the clock that can be set.
 """
 
 from __future__ import annotations
@@ -13,12 +12,12 @@ from typing import NamedTuple
 
 from robot_runner.core.errors import Finding
 
-#: Who tells of clocks, among plugins and config.
+#: The owner of findings about clocks, where those of plugins have the plugin's name.
 CLOCKS = "clocks"
 
-#: Changes are real from here on, s: a clock that is steered takes the others with it, so that they stay together.
+#: Smaller changes are ignored, s. Slewing (NTP) causes none: it moves all clocks of Linux together.
 _LEAST = 0.1
-#: The clocks are read again where that took longer, s, as this process had to wait in between.
+#: Where reading the clocks took longer, s, as this process was interrupted, they are read again, up to so many times.
 _AT_ONCE, _TRIES = 0.005, 10
 
 
@@ -30,7 +29,7 @@ class _Ahead(NamedTuple):
 
 
 class ClockJumps:
-    """How this machine's clocks stood to each other when this was made, and what has become of that since.
+    """How this machine's clocks have moved against each other since this was made.
 
     Example:
         >>> jumps = ClockJumps()
@@ -69,7 +68,7 @@ def told_setting(seconds: float) -> tuple[str, str]:
 
 
 class NotedSettings:
-    """Has the journal tell by how much this machine's clock was set, so that times across that can be told.
+    """Records in the journal by how much this machine's clock was set, so that durations across that can be computed.
 
     Args:
         note: keeps a record in the journal: its kind and fields.
@@ -80,14 +79,14 @@ class NotedSettings:
         self._jumps = ClockJumps()
 
     def look(self, run: str, told: Iterable[Finding] = ()) -> list[Finding]:
-        """Note by how much the clock was set since the last look, right before what is noted with later stamps.
+        """Record by how much the clock was set since the last call; call it before records with new stamps are written.
 
         Args:
             run: the run that begins or ends now.
-            told: what the run has told itself; that its clock was set is not told twice.
+            told: the run's own findings; if one is about clocks, none is added.
 
         Returns:
-            what there is to tell.
+            the finding, or nothing.
         """
         seconds = self._jumps.taken_setting()
         if not seconds:

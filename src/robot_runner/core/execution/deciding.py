@@ -60,16 +60,16 @@ class Growth:
 
 
 class Bookkeeper(Protocol):
-    """Takes down what is decided: the progress manager."""
+    """What `Deciding` needs of the progress manager."""
 
     def grow(self, growth: Growth) -> None:
         """Add the runs that were decided on."""
 
     def note(self, kind: str, *, flush: bool = False, **fields: Any) -> None:
-        """Keep what was known when it ended."""
+        """Append a record to the journal."""
 
     def find(self, finding: Finding) -> None:
-        """Take down what is to be told at the end."""
+        """Keep a finding for the end of the experiment."""
 
 
 def asking_of(model: RunTableModel, rules: Sequence[Precision]) -> Asking | None:
@@ -111,7 +111,7 @@ class Deciding:
         return what_follows(self._asks, list(rows.planned))
 
     def decide(self, progress: Bookkeeper, table: RecoveredTable) -> NextDecided | None:
-        """Have runs added where some follow, and else take down why not.
+        """Add the runs that follow, or record why none does.
 
         Returns:
             what was decided and why; None where nothing is to be decided.

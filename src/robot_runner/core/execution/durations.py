@@ -26,15 +26,15 @@ from robot_runner.core.plugin import Plugin
 from robot_runner.core.storage.journal import last_records, seconds_of
 from robot_runner.core.words import counted, enumerated, shown_duration
 
-#: The records that tell of durations.
+#: The kinds of records from which durations are computed.
 _TELLING = ("experiment_started", "attempt_started", "attempt_finished", "clock_set")
-#: A pause that is longer says nothing of the others, s: nobody was there, for a meal or a night.
+#: Longer pauses are ignored, s: nobody was there, for a meal or a night.
 _LEFT_ALONE = 3600.0
-#: As many of the last pauses are remembered.
+#: The mean is over so many of the last pauses.
 _PAUSES = 200
-#: Of a design with more combinations than this, all runs are taken to be alike: each costs time to tell from others.
+#: With more combinations than this, all runs are taken to last alike: distinguishing them costs time.
 _MOST_COMBINATIONS = 10_000
-#: The share of the time that may go into estimating anew after each run: a table may have a million runs.
+#: The share of the time that may be spent on estimating: a table may have a million runs.
 _SHARE = 1 / 50
 
 
@@ -44,7 +44,7 @@ class Estimate:
 
     Attributes:
         seconds: all that is known of it; None where nothing is.
-        is_least: whether something comes on top of which nobody knows how long it takes.
+        is_least: whether something comes on top whose duration is not known.
         parts: what it is made of, in words.
         unknown: what is not known, in words.
     """
@@ -55,7 +55,7 @@ class Estimate:
     unknown: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        """Say it as a person does."""
+        """Return the estimate in words, with its parts."""
         unknown = f"not known: {'; '.join(self.unknown)}" if self.unknown else ""
         if self.seconds is None:
             return unknown or "not known"
@@ -66,7 +66,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class TimeLeft:
-    """How long it takes from the moment at which a run began, or ended.
+    """How long the experiment takes from the moment at which a run began, or ended.
 
     Attributes:
         run: the run that is being executed, s; 0 where none is.
@@ -79,7 +79,7 @@ class TimeLeft:
     is_least: bool = False
 
     def after(self, seconds: float) -> float:
-        """Return what is left so many seconds later; a run that takes longer does not make the others shorter."""
+        """Return what is left `seconds` later, s; a run that takes longer does not make the others shorter."""
         return self.others + max(0.0, self.run - seconds)
 
     @classmethod
@@ -95,7 +95,7 @@ class TimeLeft:
         return {"run": round(self.run, 3), "others": round(self.others, 3), "is_least": self.is_least}
 
     def in_words(self, seconds: float = 0.0) -> str:
-        """Return what is left so many seconds later, as a person says it."""
+        """Return what is left `seconds` later, in words."""
         return f"{_about(self.after(seconds), is_least=self.is_least)} left"
 
 
@@ -104,17 +104,17 @@ def _about(seconds: float, *, is_least: bool) -> str:
 
 
 class Durations:
-    """Expects how long runs and the pauses between them take, and corrects itself while they end.
+    """Estimates how long runs and the pauses between them take, from what plugins say and from runs that have ended.
 
     A run counts from its beginning to the end of its last attempt, and a pause from there to the beginning of the
-    next run: rest, operator, gates and all. Runs that are done count; those that failed only while none is done. What
-    runs take beyond what was said of them is taken for what others will take beyond it.
+    next run: rest, operator, gates and all. Failed runs count only while none is done. What runs took beyond what
+    plugins said of them is expected of other runs, too.
 
     Args:
-        knowledge: what is known beforehand.
-        combinations: of all runs; what is said of each is asked for once.
+        knowledge: what plugins and config say.
+        combinations: of all runs; plugins are asked once about each.
         rest_s: how long the robot rests between two runs, s.
-        waits: what else comes between two runs, in words: nobody knows how long it takes before it was seen.
+        waits: what else comes between two runs, in words; it is of unknown duration until the first pause.
 
     Attributes:
         places: at how many places runs are executed at the same time.
@@ -166,7 +166,7 @@ class Durations:
         self.break_off()
 
     def take_record(self, record: Mapping[str, Any]) -> None:
-        """Take a record of the journal into account; kinds that tell nothing of durations are passed over."""
+        """Take a record of the journal into account; other kinds than `_TELLING` are ignored."""
         match record["kind"]:
             case "experiment_started":
                 self.break_off()
@@ -180,7 +180,7 @@ class Durations:
                 self.end(at, record["status"], is_last=record.get("is_last", True), run=record["run"])
 
     def plan(self, combinations: Iterable[Mapping[str, Any]], *, follows: str = "") -> None:
-        """Take down which runs are to come, and whether more may follow, until the experiment is precise."""
+        """Set which runs are to come, and in words what may follow them."""
         self._follows = follows
         self._left = Counter()
         if self._are_alike:
@@ -191,14 +191,14 @@ class Durations:
         self._computed = self._cost = 0.0
 
     def expect_again(self, combinations: Iterable[Mapping[str, Any]]) -> None:
-        """Take down that runs are to come once more."""
+        """Add runs that are to be executed once more."""
         again = Counter(map(self._key, combinations))
         self._left += again
         self._to_come += again.total()
         self._computed = 0.0
 
     def begin(self, combination: Mapping[str, Any], at: float, run: str = "", place: str = "") -> None:
-        """Take down that an attempt at a run begins.
+        """Note that an attempt at a run begins.
 
         Args:
             combination: of the run; treatments may be given by their texts.
@@ -220,7 +220,7 @@ class Durations:
                 self._expected = max(0.0, self._expected - (self._of(key) or 0.0))
 
     def end(self, at: float, status: str, *, is_last: bool, run: str = "") -> None:
-        """Take down that an attempt has ended with this status, unless the run is tried again."""
+        """Note that an attempt has ended with this status; the run goes on unless it was the last attempt."""
         if status == AttemptStatus.INTERRUPTED.value:
             self._current.pop(run, None)
         if not is_last or run not in self._current:
@@ -233,17 +233,17 @@ class Durations:
             self._computed = 0.0
 
     def said_of(self, combination: Mapping[str, Any]) -> float | None:
-        """Return what is said of a run of this combination, s; None where nothing is."""
+        """Return how long a run of this combination takes by what plugins say, s; None where they say nothing."""
         return self._said.get(self._key(combination))
 
     def learn(self, combination: Mapping[str, Any], seconds: float) -> None:
-        """Learn from a run that took so long and is done."""
+        """Learn from a run that is done and took so many seconds."""
         key = self._key(combination)
         self._done.take(key, seconds - self._said.get(key, 0.0))
         self._computed = 0.0
 
     def break_off(self) -> None:
-        """Forget what has begun and not ended: it was interrupted, or the clock is another one from here."""
+        """Forget runs that have begun and not ended: they were interrupted, or times are of another clock from here."""
         self._current.clear()
         self._ended.clear()
 

@@ -1,4 +1,4 @@
-"""What the journal and the run table of an experiment tell of how far it has come, taken in record by record."""
+"""What the journal and the run table of an experiment tell of how far it has come, record by record."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.run_table_reading import read_described_table
 from robot_runner.core.storage.run_table_rows import RunTableRows
 
-#: What is written before a session begins, or by other commands after one has ended: no session lasts until then.
+#: Kinds of records that are written between sessions: they do not extend the session before them.
 _BETWEEN_SESSIONS = EXCLUSION_KINDS | {EXTENDED, PREPARED}
 
 
@@ -57,17 +57,17 @@ def _moment(stamp: str) -> datetime:
 
 
 class ExperimentHistory:
-    """What the journal and then the run table tell: read at once, or record by record by who follows an experiment.
+    """What the journal and then the run table tell: read at once (`read`), or followed while the experiment goes on.
 
-    Who follows gives each record to `take`, calls `read_table` once the journal was read, and `settle` after each later
-    record; `experiment_status.status_of` tells how far the experiment is then.
+    To follow it, give each record to `take`, call `read_table` once the journal was read, and `settle` after each later
+    record. `experiment_status.status_of` makes an `ExperimentStatus` of it.
     """
 
     def __init__(self) -> None:
         self.statuses: dict[str, RunStatus] = {}
         self.failures: dict[str, str] = {}
         self.findings: list[Finding] = []
-        #: What a person is waited for: once before a run, and within runs, by run and step: several may ask at once.
+        #: What is asked of a person: before a run (None), and in runs by run and step, as several may ask at once.
         self._waits: dict[tuple[str, str] | None, dict[str, Any]] = {}
         self.warm_ups: set[str] = set()
         self.precision: tuple[str, ...] = ()
@@ -121,7 +121,7 @@ class ExperimentHistory:
             take(record)
 
     def settle(self) -> None:
-        """Have the statuses be what the journal told since the run table was written."""
+        """Update the statuses by what the journal told since the run table was written."""
         self.statuses |= self._since_table
 
     def read_table(self, files: ExperimentFolder) -> None:
@@ -159,7 +159,7 @@ class ExperimentHistory:
 
     @property
     def waiting_for(self) -> dict[str, Any] | None:
-        """What a person is waited for the longest; None where nothing is."""
+        """The oldest question to a person; None where there is none."""
         return next(iter(self._waits.values()), None)
 
     @property

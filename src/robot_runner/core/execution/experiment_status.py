@@ -1,4 +1,4 @@
-"""How far an experiment has come, from its folder alone, and what a person asks of one that is being executed."""
+"""How far an experiment has come, from its folder alone; and `continue`, for one that waits for a person."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class ExperimentStatus:
         finished_at: when it ended last (UTC), or None while it is executed or if it was killed.
         seconds_left: how long the runs take that are still to be executed, as it was estimated last; None where that is
             not known, or nothing is left.
-        left_is_least: whether something comes on top of that of which nobody knew how long it takes.
+        left_is_least: whether something comes on top of that whose duration is not known.
         gates: each gate that is awaited at this moment: its run, condition, what was `seen` of it at the time `at` (at
             most a minute ago), and for how many `seconds` it had been awaited then.
         gate_seconds: how long gates were awaited in all, s of their clocks.
@@ -101,12 +101,12 @@ class ExperimentStatus:
 
     @property
     def moment_of_pause(self) -> str:
-        """When all stands still after a pause that is asked for now, in words."""
+        """When a pause that is asked for now begins, in words."""
         return f"after {self.runs_now}" if self.in_flight else "before the next run"
 
     @property
     def closed_first(self) -> str:
-        """What becomes of the runs that are being executed where the experiment is told to stop now; empty for none."""
+        """What a stop now does to the runs that are being executed, in words; empty where there are none."""
         verb = "are" if len(self.in_flight) > 1 else "is"
         return f"{self.runs_now} {verb} closed first, and {verb} to be done again" if self.in_flight else ""
 
@@ -145,7 +145,7 @@ def status_of(files: ExperimentFolder, history: ExperimentHistory) -> Experiment
     follows = "" if history.is_decided else repeated or decides
     left = history.left if holder is not None else _time_left(files, history, follows)
     done = [run for run, status in statuses.items() if status is RunStatus.DONE]
-    # Of an experiment that is executed the end of a run may have come since the journal was read.
+    # While it is executed, the end of a run may have been recorded since the journal was read.
     lost = () if holder is not None else unrecorded_findings(files.journal, done, history.ended, manifest)
     return ExperimentStatus(
         experiment_name=manifest.get("experiment_name", files.root.name),
@@ -187,7 +187,7 @@ def status_of(files: ExperimentFolder, history: ExperimentHistory) -> Experiment
 
 
 def _older_status(files: ExperimentFolder) -> ExperimentStatus:
-    """Return how far another tool came: its run table says so, and nothing else does.
+    """Return how far an earlier tool came, by its run table, which is all there is.
 
     Raises:
         StorageError: the run table cannot be read.
@@ -211,7 +211,7 @@ def _count(statuses: Mapping[str, RunStatus], *wanted: RunStatus) -> int:
 
 
 def _time_left(files: ExperimentFolder, history: ExperimentHistory, follows: str) -> TimeLeft | None:
-    """Return how long the runs take that are not done; at least so long where others may follow, as is told."""
+    """Return how long the runs take that are not done; a lower bound where `follows` says that others may follow."""
     out = history.excluded
     unfinished = [run for run, status in history.statuses.items() if not (status is RunStatus.DONE or run in out)]
     if not unfinished:
@@ -239,10 +239,10 @@ def _left(status: ExperimentStatus) -> int:
 
 
 def require_executed(status: ExperimentStatus, where: str, what: str) -> None:
-    """Let only an experiment pass that somebody executes.
+    """Require that the experiment is being executed.
 
     Raises:
-        ExecutionError: nobody does.
+        ExecutionError: it is not.
     """
     if status.holder is None:
         fix = f"{what}; {'`robot-runner run` with its config goes on' if _left(status) else 'all its runs are done'}."
@@ -250,10 +250,10 @@ def require_executed(status: ExperimentStatus, where: str, what: str) -> None:
 
 
 def require_waiting(status: ExperimentStatus, where: str) -> None:
-    """Let only an experiment pass that waits for a person.
+    """Require that the experiment waits for a person.
 
     Raises:
-        ExecutionError: it does not; says what it does.
+        ExecutionError: it does not; the problem says what it does.
     """
     if status.holder is None:
         can_go_on = "Start it with `robot-runner run` and its config: it resumes."
@@ -271,7 +271,13 @@ def require_waiting(status: ExperimentStatus, where: str) -> None:
 def continue_and_see(
     files: ExperimentFolder, waiting_for: Mapping[str, Any] | None, answers: Mapping[str, str], where: str
 ) -> None:
-    """Tell an experiment to go on that waits for what the person has seen, and see that it has taken the request.
+    """Tell a waiting experiment to go on, and wait until it has taken the request.
+
+    Args:
+        files: of the experiment.
+        waiting_for: what the person was asked, as in `ExperimentStatus`: the request is for that question alone.
+        answers: to its questions, by name.
+        where: names the experiment in the error.
 
     Raises:
         StorageError: the folder cannot be written.
@@ -283,7 +289,7 @@ def continue_and_see(
     try:
         while files.control.exists() and time.monotonic() <= end:
             time.sleep(_LOOK)
-    finally:  # who is told that nobody has taken it does not expect the robot to move later
+    finally:  # a request that was reported as not taken must not move the robot later
         was_left = take_request(files.control, asked) is not None
     if was_left or files.control.exists():
         raise ExecutionError(

@@ -26,9 +26,9 @@ from robot_runner.core.words import shown_duration
 
 #: How long the process may take beyond the gate's own time, s: to connect, or to begin a simulation.
 _MARGIN = 60.0
-#: How often the journal takes down what is seen while a gate is awaited, s: for `status`, from another terminal.
+#: How often the journal records what is seen while a gate is awaited, s: for `status`, from another terminal.
 _KEPT_EVERY = 60.0
-#: How long until a robot is tried again that could not be reached, s.
+#: How long to wait before connecting again to a robot that could not be reached, s.
 _AGAIN = 1.0
 _OWNER = "gate"
 
@@ -48,7 +48,7 @@ class Passage:
     stop: str = ""
 
     def report_to(self, report: Report, columns: Sequence[str]) -> None:
-        """Report to an attempt what the gates say of it; `columns` are those of all measures."""
+        """Report doubts and failure to an attempt; doubts are about all measures, whose names are `columns`."""
         for finding in self.doubts:
             told = {"problem": finding.problem, "fix": finding.fix}
             report("finding", {"owner": _OWNER, **told, "measures": list(columns)})
@@ -122,14 +122,14 @@ class _Wait:
         return self._gates[min(self._number, len(self._gates) - 1)]
 
     def goes_on_without(self, outcome: RunOutcome) -> bool:
-        """Tell why the robot cannot be reached, and return whether it is waited for any longer."""
+        """Show why the robot cannot be reached, and return whether there is time left to wait for it."""
         self._seconds = time.monotonic() - self._began
         self._seen = outcome.failure.problem if outcome.failure is not None else ""
         self._go_on()
         return self._seconds < self._gate.patience_s
 
     def take(self, kind: str, fields: Mapping[str, Any]) -> None:
-        """Take what the process reports; the rest of its records is that of any run."""
+        """Take a record of the process; kinds that are not about waiting are ignored."""
         if kind in {"waiting", "waited"} and fields.get("owner") == CONFIG_OWNER:
             self._seen, self._seconds = str(fields["seen"]), float(fields["seconds"])
         if kind == "waiting":
@@ -140,7 +140,7 @@ class _Wait:
             self.end(str(fields["problem"]), state="failed" if fields["is_in_vain"] else "timed out")
 
     def end(self, problem: str, *, state: str) -> None:
-        """Take down that the present gate was not passed."""
+        """Record that the present gate was not passed."""
         if state != "interrupted":
             self._problems.append((self._gate, problem))
         self._finish(state, problem)
@@ -208,7 +208,7 @@ def _robot_is_away(outcome: RunOutcome) -> bool:
 
 
 def _await_gates(gates: Sequence[Gate], context: RobotRunnerContext) -> None:
-    """Await one gate after another; what keeps one from being passed is reported, and ends the wait unless it may."""
+    """Await one gate after another; a failure is reported, and ends the wait unless the gate's policy is DOUBT."""
     for gate in gates:
         try:
             gate.condition.wait(context, timeout_s=gate.patience_s)

@@ -1,8 +1,8 @@
-"""What an experiment was given, in plain words: static parameters, and what its plugins were made with.
+"""The values that an experiment was given, as JSON data: static parameters, and what its plugins were made with.
 
-The text of a config does not tell what it takes from outside: a variable of the environment, the name of the machine.
-So each execution records the values, and a later one is compared with them. What has no faithful text (an object, a
-folder of temporary files, a moment, a secret) has its name recorded, and is not compared.
+The text of a config does not show what it takes from outside: a variable of the environment, the name of the machine.
+So each execution records the values, and a later one is compared with them. Of what has no stable text (an object, a
+temporary folder, a time, a secret) only the name is recorded, and it is not compared.
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ from robot_runner.core.storage.manifest import last_execution
 from robot_runner.core.treatments import Bindable, Treatment, given_to
 from robot_runner.core.vain_parameters import CONFIG_MODULE
 
-#: Stands for a value that has no faithful text; for a secret, it is what stands for secrets everywhere.
+#: Stands for a value that has no stable text; for a secret it is `REDACTED`, as everywhere.
 LEFT_OUT = "(left out)"
-#: They change no value, or are compared in another way.
+#: Static parameters that change no value, or are compared in another way.
 _UNCOMPARED = frozenset(
     {"experiment_name", "results_output_path", "workers", "cluster", "registration", "smoke", "notify"}
     | {"analysis", "authors", "licence", "citation"}
 )
-#: Longer texts, characters, and lists, values, are recorded by their SHA-256.
+#: Texts with more characters and lists with more values are recorded by their SHA-256.
 _LONGEST = 1000
 _MOST = 200
-#: Structures that are nested deeper have no text.
+#: Structures that are nested deeper are left out.
 _DEEPEST = 8
 _ADDRESS = re.compile(r"\b(?:at|id=) ?0x[0-9a-fA-F]{6,}")
-#: Who logs in, with a password, in an address or a header.
+#: User and password in a URL, or the credentials in an Authorization header.
 _LOGIN = re.compile(r"(?<=://)[^/\s@]+(?=@)|(?<=\bBearer )\S+|(?<=\bBasic )[A-Za-z0-9+/=]{8,}")
 _ASSIGNED = re.compile(r"(\w+)['\"]?\s*[=:]")
 #: A set of texts, which has another order in each process.
@@ -70,7 +70,7 @@ def given_values(experiment: Experiment) -> dict[str, Any]:
     for name, given in pairs:
         try:
             values |= dict(words.leaves(name, given))
-        except Exception:  # noqa: BLE001 - a stranger's object; an experiment is worth more than its description
+        except Exception:  # noqa: BLE001 - a user's object may raise anything, and must not keep the experiment from starting
             values[name] = LEFT_OUT
     return values
 
@@ -130,7 +130,7 @@ def _is_data(value: Any, depth: int = 0) -> bool:
 
 
 class _Words:
-    """Says values in words that are the same elsewhere and at another time, as long as the values are."""
+    """Turns values into JSON data that is the same in another folder and at another time as long as the values are."""
 
     def __init__(self, beside: Path) -> None:
         own = dict.fromkeys([str(beside), str(beside.resolve())], ".")
@@ -140,7 +140,7 @@ class _Words:
         moments = [each - ago for each in (now, now.astimezone()) for ago in (timedelta(), timedelta(minutes=1))]
         texts = {f"{each:{form}}" for each in moments for form in ("%Y-%m-%d", "%Y%m%d", "%H:%M", "%H-%M")}
         self._passing = re.compile("|".join(map(re.escape, [*texts, f"{tempfile.gettempdir()}/"])))
-        #: Where an execution goes on may be another place, of which the manifest tells.
+        #: Folder and host may change between executions; the manifest records them elsewhere.
         self._here = frozenset({os.getcwd(), platform.node()})  # noqa: PTH109 - a text
 
     def leaves(self, name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, Any]]:
@@ -219,7 +219,7 @@ def _parts(name: str, value: Any) -> Iterable[tuple[str, Any]] | None:
 
 
 def _own_text(value: Any) -> str:
-    """Return a text that tells an object from others; objects without one are left out."""
+    """Return a text that identifies an object's value; `LEFT_OUT` where it has none."""
     if isinstance(value, bytes | bytearray):
         return _digest(value)
     if isinstance(value, Condition | date | Treatment):
@@ -251,9 +251,9 @@ def _digest(content: str | bytes | bytearray) -> str:
 
 
 def changed_values(experiment: Experiment, manifest: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return what is given otherwise than at the last execution: `was` and `is` by name, without what is not there.
+    """Return the values that differ from the last execution's, by name: `was`, `is`, or one of both where it is absent.
 
-    What another loading of the config would give otherwise again, such as a random number, differs by itself.
+    What differs at each loading of the config, such as a random number, is left out.
     """
     before, now = last_given(manifest), given_values(experiment)
     changed = dict(_differing(before, now)) if before is not None else {}
@@ -269,7 +269,7 @@ def last_given(manifest: Mapping[str, Any]) -> Mapping[str, Any] | None:
 def given_elsewhere(experiment: Experiment, original: Mapping[str, Any], settings: Collection[str]) -> list[str]:
     """Return in words which values differ from those in the manifest of the experiment that is replicated.
 
-    A file may lie elsewhere, and what is set on purpose is told in another way.
+    Left out are files of the same name in another folder, and the `settings` that were made on purpose.
     """
     before, now = last_given(original), given_values(experiment)
     told: list[str] = []
@@ -284,9 +284,9 @@ def given_elsewhere(experiment: Experiment, original: Mapping[str, Any], setting
 
 
 def accept_given(experiment: Experiment, manifest: dict[str, Any]) -> None:
-    """Have the next execution compared with what is given now, as an extension has accepted that the config changed.
+    """Record the present values for the next execution to be compared with: an extension has accepted the changes.
 
-    Where other static parameters are set now than were then, it is not compared.
+    Where other static parameters are set from outside than at the last execution, nothing will be compared.
     """
     settings = last_execution(manifest).get("deviations") or {}
     is_set_alike = settings.keys() == experiment.overrides.keys()
@@ -326,7 +326,7 @@ def _steady(
 
 @contextmanager
 def _loaded_anew(experiment: Experiment) -> Iterator[None]:
-    """While it lasts, have the modules beside the config executed once more where they are imported."""
+    """Take the config's local modules out of `sys.modules` for a while, so that importing executes them again."""
     local = set(map(str, experiment.local_modules))
     before = {
         name: module

@@ -18,9 +18,9 @@ from robot_runner.core.words import shown_duration
 _NAME = "host_files"
 #: The share of the grace that fetching may take after a failure: the rest is for the robot and the other plugins.
 _SHARE_OF_GRACE = 0.6
-#: What is left for a file where the time is over, s: it is told as too late.
+#: The timeout for a file once the time is over, s: fetching it then fails as too late.
 _SHORTEST = 0.001
-#: How finely clocks and files of hosts tell the time, s.
+#: The resolution of clocks and file times of hosts, s.
 _STEP = 2.0
 
 

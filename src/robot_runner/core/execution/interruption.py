@@ -1,7 +1,4 @@
-"""What ends a run or an experiment before its time: signals, threads of a run, callbacks that ask for it.
-
-A stop request is taken at moments at which nothing is lost by it.
-"""
+"""Stop requests: how signals, threads and callbacks end a run, its mission or the experiment before its time."""
 
 from __future__ import annotations
 
@@ -27,12 +24,12 @@ from robot_runner.core.execution.task import Report
 #: The signals that ask the orchestrator, or a run, to stop.
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-#: Wakes the main thread of a run. It tells of urgent data on a socket: hardly any program uses it, and a process that
-#: does not expect it passes over it.
+#: Wakes the main thread of a run. It stands for urgent data on a socket, which hardly any program uses, and a process
+#: without a handler ignores it.
 _WAKE = signal.SIGURG
 
-#: How much later a run is asked to stop once more, s. CPython looks for signals before it calls the system to sleep or
-#: to wait: one that comes in between does not end that call, but the next one does.
+#: How much later a run is asked to stop once more, s. CPython checks for signals before a system call that sleeps or
+#: waits: a signal that comes in between does not end that call, but the next one does.
 ASK_AGAIN = 0.2
 
 #: A terminal that closes sends SIGHUP twice in a row, and some shells repeat SIGTERM: within this many seconds, that
@@ -41,17 +38,14 @@ _SAME_REQUEST = 1.0
 
 
 def stop_signals_to_handle() -> list[signal.Signals]:
-    """Return the stop signals, without SIGHUP where it is ignored.
-
-    That is how `nohup` has a program go on after its terminal was closed.
-    """
+    """Return the stop signals, without SIGHUP where it is ignored, as under `nohup`."""
     return [each for each in STOP_SIGNALS if each != signal.SIGHUP or signal.getsignal(each) is not signal.SIG_IGN]
 
 
 def _of_this_process(handler: Callable[[int, FrameType | None], None]) -> Callable[[int, FrameType | None], None]:
     """Return a handler of the stop signals of this process, and of those that it forks as parts of the experiment.
 
-    A process that a callback forks, as `multiprocessing` does, inherits it, and takes them as if there were none.
+    A process that a callback forks (`multiprocessing`) inherits the handler, but ends as if there were none.
     """
     process = os.getpid()
 
@@ -69,9 +63,9 @@ def _of_this_process(handler: Callable[[int, FrameType | None], None]) -> Callab
 
 @contextmanager
 def stop_signals_handled(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """While this lasts, a handler takes the signals that ask a program to stop, also where they were blocked.
+    """Handle the stop signals for a while, also where they were blocked.
 
-    Who starts us may have blocked them for itself, and a process inherits that: nobody could stop the robot then.
+    A parent process may have blocked them, and that is inherited: nobody could stop the robot then.
     """
     taken = _of_this_process(handler)
     earlier = {number: signal.signal(number, taken) for number in stop_signals_to_handle()}
@@ -85,9 +79,9 @@ def stop_signals_handled(handler: Callable[[int, FrameType | None], None]) -> It
 
 
 def ignore_broken_pipes() -> None:
-    """Have writing to a pipe that nobody reads raise, as Python does, and not end this process.
+    """Let writing to a pipe without a reader raise BrokenPipeError, as is Python's default, and not end this process.
 
-    A config may have asked for the latter, as filters do: a run whose orchestrator was killed would close nothing.
+    A config may have restored SIGPIPE, as filters do: a run whose orchestrator was killed would close nothing.
     """
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)
 
@@ -109,9 +103,9 @@ class InterruptGate:
         self.held_up: Callable[[FrameType | None], None] = lambda _frame: None
 
     def listen(self) -> None:
-        """Take the stop signals of this process, also those that came while they were blocked.
+        """Handle the stop signals of this process, also those that came while they were blocked.
 
-        What one of them does not end is told to `held_up`. Call it in the main thread of the run's process.
+        Where the main thread goes on after one, `held_up` is called. Call this in the main thread of the run's process.
         """
         begin_run_of_its_own()
         ignore_broken_pipes()
@@ -121,17 +115,17 @@ class InterruptGate:
 
     @contextmanager
     def woken_by_threads(self) -> Iterator[None]:
-        """While this lasts, what another thread asks for reaches the callback that this thread executes.
+        """Let the requests of other threads interrupt the callbacks that this thread executes.
 
-        Where this is not the process's main thread, the request waits for the next event: Python tells no other
-        thread of signals.
+        Where this is not the process's main thread, a request waits for the next event: only the main thread of a
+        Python process handles signals.
         """
         self._runner = threading.get_ident()
         if threading.current_thread() is not threading.main_thread():
             yield
             return
         earlier = signal.signal(_WAKE, lambda _number, _frame: self._raise_request())
-        mask = signal.pthread_sigmask(signal.SIG_UNBLOCK, {_WAKE})  # blocked, perhaps, by who started us
+        mask = signal.pthread_sigmask(signal.SIG_UNBLOCK, {_WAKE})  # a parent process may have blocked it
         self._is_listening = True
         try:
             yield
@@ -141,10 +135,10 @@ class InterruptGate:
             signal.signal(_WAKE, earlier)
 
     def arm(self, *, is_mission: bool = False) -> None:
-        """Have a stop request raised from now on, until `disarm`; before and after, it waits.
+        """Let stop requests raise from now on, until `disarm`; before and after, they wait.
 
         Args:
-            is_mission: whether what is executed now is what `end_mission` ends.
+            is_mission: whether the mission is executed now, which `end_mission` ends.
 
         Raises:
             RunInterrupted: a request comes, or came before.
@@ -153,11 +147,11 @@ class InterruptGate:
         self._raise_request()
 
     def disarm(self) -> None:
-        """Have stop requests wait again."""
+        """Let stop requests wait again."""
         self._armed = False
 
     def request(self, *, at_once: bool = False) -> None:
-        """Ask to stop; `at_once` does not even wait for the closing. Call it in the thread that executes the run.
+        """Ask to stop; with `at_once`, closing is interrupted, too. Call it in the thread that executes the run.
 
         Raises:
             RunInterrupted: a callback is being executed (or anything is, with `at_once`).
@@ -167,12 +161,12 @@ class InterruptGate:
         self._raise_request()
 
     def end_run(self, error: RunInterrupted) -> None:
-        """Have `error` raised in the callback that is being executed; call it in any thread."""
+        """Raise `error` in the callback that is being executed; call it in any thread."""
         self._run_ends = self._run_ends or error
         self._wake()
 
     def end_mission(self, error: RunInterrupted) -> None:
-        """Have `error` raised in the mission, if it is still being executed; call it in any thread."""
+        """Raise `error` in the mission, if it is still being executed; call it in any thread."""
         self._mission_ends = self._mission_ends or error
         self._wake()
 
@@ -247,7 +241,7 @@ class Interruption:
 
     @contextmanager
     def passed_on(self, gate: InterruptGate) -> Iterator[None]:
-        """While this lasts, stop requests are passed on to callbacks that this process executes itself."""
+        """Pass stop requests on to callbacks that this process executes itself, for a while."""
         self._gate = gate
         if self._count:  # one came right before
             gate.request()
@@ -257,7 +251,7 @@ class Interruption:
             self._gate = None
 
     def request(self) -> None:
-        """Take a stop request that came in another way, as if it were a signal."""
+        """Count a stop request that came in another way as if it were a signal."""
         self._count_signal(signal.SIGINT, None)
         os.write(self._writer, b"\0")
 
@@ -280,7 +274,7 @@ class Interruption:
             self._gate.request(at_once=self._count > 1)
 
 
-#: Threads that runs of this process have started and not ended: what they raise is no fault of a later run.
+#: Threads that runs of this process have started and not ended: their exceptions must not fail a later run.
 _left_over: WeakSet[threading.Thread] = WeakSet()
 
 
@@ -307,7 +301,7 @@ class RunEnding:
 
     @contextmanager
     def from_any_thread(self) -> Iterator[None]:
-        """While this lasts, other threads can end what this one executes, and an exception in one of them does."""
+        """Let other threads end what this one executes, for a while; an exception in one of them does so."""
         self._earlier_hook = threading.excepthook
         threading.excepthook = self._take_unhandled
         before = set(threading.enumerate())
@@ -327,13 +321,13 @@ class RunEnding:
         self._gate.end_run(RunFailed(reason))
 
     def stop_mission(self, owner: str, reason: str) -> None:
-        """End the mission, which is going on and was not stopped before."""
+        """End the mission. It must be going on, and not have been stopped before."""
         _print_to_log(f"the mission was stopped by {owner}: {reason}\n")
         self._report("mission_stopped", {"owner": owner, "reason": reason})
         self._gate.end_mission(MissionStopped(reason))
 
     def fail_for(self, error: BaseException, where: str) -> None:
-        """Fail the run for what was raised where nobody else handles it, and end what it is doing."""
+        """Fail the run for an exception that nothing else handles, and end what the run is doing."""
         if threading.current_thread() in _left_over:
             self._find(error, where)
             return
@@ -348,14 +342,14 @@ class RunEnding:
             self._write(event, owner, failure_fields(error))
 
     def _tell_held_up(self, frame: FrameType | None) -> None:
-        """Record once what goes on though the run was told to end: the closing, or what swallowed that request."""
+        """Record once that a callback goes on after the stop request: it is closing, or has swallowed the request."""
         if self._has_told_held_up or self.has_failed or not self.callback[0]:
             return
         self._has_told_held_up = self.has_failed = True
         stack = "".join(traceback.format_stack(frame))
         fields = {"problem": "the callback was still being executed when the run was told to end", "traceback": stack}
-        # In a thread, as this is a signal's handler: what it has interrupted may hold the lock of what is reported.
-        # One of `threading` has locks of its own.
+        # In a thread, as this is a signal handler: the interrupted code may hold the lock of the record writer. Not by
+        # `threading`, which takes locks itself.
         _thread.start_new_thread(self._write, (*self.callback, fields))
 
     @property
@@ -380,7 +374,7 @@ class RunEnding:
             tell(raised.exc_value, where)
 
     def _find(self, error: BaseException, where: str) -> None:
-        """Record what a thread raised while things are closed, or after its run: it may have tripped over that."""
+        """Record as a finding what a thread raised during closing, or after its run, which may be the cause."""
         if threading.current_thread() in _left_over:
             where += " of an earlier run"
         problem = f"{where} raised {type(error).__name__}: {text_of(error)}"
@@ -390,5 +384,5 @@ class RunEnding:
 
 
 def _print_to_log(text: str) -> None:
-    with suppress(Exception):  # a full disk, or a stream that a callback closed: what comes now stops the robot
+    with suppress(Exception):  # a full disk, or a closed stream, must not keep what follows from stopping the robot
         sys.stderr.write(text)

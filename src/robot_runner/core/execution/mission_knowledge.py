@@ -21,7 +21,7 @@ CombinationKey = frozenset[tuple[str, str]]
 
 
 def combination_key(combination: Mapping[str, Any]) -> CombinationKey:
-    """Return what tells one combination from another, in a config and in a journal alike."""
+    """Return a key that is the same for a combination of the config and its record in the journal."""
     return frozenset((name, str(treatment)) for name, treatment in combination.items())
 
 
@@ -30,11 +30,10 @@ class MissionKnowledge:
     """What the plugins of an experiment, and its config, say of the duration of a run (`duration_s`).
 
     Attributes:
-        speakers: the plugins, and the config, that have something to say; a robot that lives by the embedded
-            simulation takes as long as the physics needs, which nobody says.
-        silent: who takes part in the mission and says nothing.
-        is_simulated: whether nobody is asked, as the robot is the embedded one.
-        findings: what was wrong with what they said.
+        speakers: plugins, and the config, that have a `duration_s`, with their names.
+        silent: the names of those that take part in the mission and have none.
+        is_simulated: whether the robot is the embedded one: then nobody is asked, as the physics takes its own time.
+        findings: what was wrong with their answers.
     """
 
     speakers: tuple[tuple[str, Any], ...] = ()
@@ -44,7 +43,7 @@ class MissionKnowledge:
 
     @classmethod
     def of(cls, config: Any, plugins: Sequence[Plugin], events: EventManager, robot: str | None) -> MissionKnowledge:
-        """Find out who can be asked; nobody is asked yet."""
+        """Find out which of them can be asked; none is asked yet."""
         if is_simulated(robot):
             return cls(is_simulated=True)
         able = tuple((plugin.name, plugin) for plugin in plugins if plugin.knows_duration)
@@ -55,7 +54,7 @@ class MissionKnowledge:
         return cls(able, tuple(dict.fromkeys(owner for owner in heard if owner not in names)))
 
     def seconds(self, combination: Mapping[str, Any]) -> float | None:
-        """Return how long a run takes by what is said of it, s; None where nobody says anything."""
+        """Return the sum of what plugins and config say of a run, s; None where none of them says anything."""
         answers = [self._asked(name, each, combination) for name, each in self.speakers]
         said = [seconds for seconds in answers if seconds is not None]
         return math.fsum(said) if said else None
@@ -81,7 +80,7 @@ class MissionKnowledge:
 
 
 def said_of_all(knowledge: MissionKnowledge, combinations: Iterable[Mapping[str, Any]]) -> dict[CombinationKey, float]:
-    """Return what is said of each combination; nothing where anything is left open, as it could not be compared."""
+    """Return how long a run of each combination takes by what is said, s; empty unless all of them are known."""
     said: dict[CombinationKey, float] = {}
     for combination in combinations if knowledge.speakers else ():
         key = combination_key(combination)
@@ -95,7 +94,7 @@ def said_of_all(knowledge: MissionKnowledge, combinations: Iterable[Mapping[str,
 
 
 def told_apart(combinations: Iterable[Mapping[str, Any]]) -> list[tuple[Mapping[str, Any], int]]:
-    """Return each combination with how often it is there, by identity: the repetitions of a plan share theirs."""
+    """Return each combination and how often it occurs, by identity: the repetitions of a plan share one object."""
     kept = list(combinations)
     found = {id(each): each for each in kept}
     counts = Counter(map(id, kept))
@@ -117,7 +116,7 @@ class _Mean:
 
 
 class SeenRuns:
-    """How long runs took: of each combination, and what each treatment adds where it differs from the others."""
+    """How long runs took: means of combinations, and of treatments for combinations that were not seen yet."""
 
     def __init__(self) -> None:
         self._all = _Mean()
@@ -133,13 +132,17 @@ class SeenRuns:
     def take(self, key: CombinationKey, seconds: float) -> None:
         """Take a run of this combination into account."""
         self._least, self._most = min(self._least, seconds), max(self._most, seconds)
-        # A combination of one treatment is that treatment: what is kept of each makes each later fork dearer.
+        # A combination of one treatment needs no mean of its own: what is kept in memory makes each later fork slower.
         combination = (self._of_combination[key],) if len(key) > 1 else ()
         for mean in (self._all, *combination, *(self._of_treatment[each] for each in key)):
             mean.take(seconds)
 
     def expected(self, key: CombinationKey) -> float | None:
-        """Return what is expected of a combination, s; None before any run has ended."""
+        """Return how long a run of a combination is expected to take, s; None before any run has ended.
+
+        For a combination that was not seen, it is the mean of all runs plus the effect of each treatment (additive),
+        within the shortest and the longest run.
+        """
         if not self._all.count:
             return None
         if key in self._of_combination:

@@ -15,7 +15,7 @@ from robot_runner.core.execution.task import RunOutcome, RunTask
 
 @dataclass(frozen=True, slots=True)
 class PreparationStarted:
-    """Something that the runs need is being made, before anything else happens, and may take its time."""
+    """Something that the runs need is being made, before anything else happens; it may take long."""
 
     what: str
 
@@ -33,8 +33,8 @@ class ExperimentStarted:
 
     Attributes:
         run_count: all runs of the table; `done_count` of them were done before.
-        columns: the measure columns with their units, without those that tell of others' quality.
-        asked_for: those of them that a person is asked for, before some runs only.
+        columns: the measure columns with their units, without those of the quality of others.
+        asked_for: those of them that a person is asked for, which have values in some runs only.
         left: how long it takes from here; None where that is not known.
     """
 
@@ -129,14 +129,14 @@ class WaitingForUser:
 
 @dataclass(frozen=True, slots=True)
 class QuestionAsked:
-    """Somebody at the keyboard is to answer this next."""
+    """The next question to the person at the keyboard."""
 
     question: Question
 
 
 @dataclass(frozen=True, slots=True)
 class AnswersRefused:
-    """What was answered is not taken, and asked for again."""
+    """An answer was refused; the question is asked again."""
 
     findings: Sequence[Finding]
 
@@ -148,7 +148,7 @@ class UserHasContinued:
 
 @dataclass(frozen=True, slots=True)
 class HostRestarts:
-    """A host is started anew before the next run, and awaited."""
+    """A host is rebooted before the next run, and awaited."""
 
     host: str
     next_run: str
@@ -165,7 +165,7 @@ class Paused:
 
 @dataclass(frozen=True, slots=True)
 class GateWaiting:
-    """The condition of a gate does not hold yet; told about twice a second.
+    """The condition of a gate does not hold yet; sent about twice a second.
 
     Attributes:
         run_id, run_number: the run that waits.
@@ -286,7 +286,7 @@ class SilentObserver:
     user_input: int | None = None
 
     def notice(self, notice: Notice) -> None:
-        """Pass over a notice."""
+        """Ignore a notice."""
 
     def refresh(self) -> None:
         """Do nothing: there is no screen."""

@@ -14,7 +14,7 @@ import sys
 
 
 def send(address: str, title: str, body: str, kind: str) -> bool:
-    """Send a notification; returns whether the service has taken it."""
+    """Send a notification; return whether the service has taken it."""
     import apprise  # noqa: PLC0415 - an extra, which only this process needs
 
     service = apprise.Apprise()

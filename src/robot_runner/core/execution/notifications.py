@@ -1,9 +1,9 @@
-"""Notifications: what an experiment tells somebody who is elsewhere, sent by short-lived processes.
+"""Notifications to a person elsewhere, sent by short-lived processes.
 
 Apprise starts threads and waits for networks; the process that forks runs does neither. So each notification to each
-address is sent by a process of its own, which ends by itself after `_DEADLINE`: see `notification_sender`. Addresses
-hold passwords: they go there through a pipe, and into no message, record or command line; a service that fails is named
-by the beginning of its address (`ntfy`, `mailto`).
+address is sent by a process of its own (`notification_sender`), which ends after `_DEADLINE`. Addresses hold passwords:
+they are passed through a pipe, and are in no message, record or command line; a service that fails is named by the
+scheme of its address (`ntfy`, `mailto`).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _MODULE = "robot_runner.core.execution.notification_sender"
 #: How long the sending of one notification may take, s: mail servers think for a while.
 _DEADLINE = 15.0
 _LOOK = 0.02
-#: A gate that is passed sooner is nobody's business, s.
+#: A notification is sent of gates that are awaited for longer, s.
 _GATE_PATIENCE = 60.0
 #: The longest text that is sent, in characters: services cut longer ones.
 _LONGEST = 1500
@@ -45,7 +45,7 @@ class _Message:
 
 
 class Notifications:
-    """Tells somebody elsewhere what the config asks for, and never holds the experiment up."""
+    """Sends the notifications that the config asks for (`notify`), without delaying the experiment."""
 
     def __init__(self, experiment: Experiment, note: Callable[..., None]) -> None:
         self._notify = experiment.parameters.notify
@@ -58,7 +58,7 @@ class Notifications:
         self._ended = self._done = self._failures = self._run_count = 0
 
     def take(self, notice: notices.Notice) -> None:
-        """Send what a notice is worth."""
+        """Send the notifications that are due on a notice."""
         if self._notify is None or not self._addresses:
             return
         self._reap()

@@ -1,8 +1,8 @@
-"""The person who takes part: asked before runs and after them, by the terminal or from any other, and taken down.
+"""The operator's steps and questions before and after runs, answered at this terminal or from another one.
 
-What a person did and answered is a record of the journal, so that an experiment that goes on later knows which steps
-are due: see `StepHistory`. Which ones come after a run is in the record of its end, so that what one session did not
-come to ask is asked by the next.
+What the operator did and answered is recorded in the journal, so that a later session knows which steps are due
+(`StepHistory`). Which steps come after a run is in the record of its end, so that the next session asks for those that
+were not done.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from robot_runner.core.execution.step_history import StepHistory, still_to_do
 from robot_runner.core.execution.task import OutcomeBuilder, PendingRun, Report, RunOutcome, RunTask
 from robot_runner.core.storage.lock import Asked, take_request
 
-#: How often a second terminal is listened to, in seconds.
+#: How often it is checked whether a second terminal has answered, s.
 _LISTEN = 0.2
-#: A line that is longer than this was not typed.
+#: How much of the input is kept that has no line end yet.
 _MOST_BYTES = 64 * 1024
 
 
 class Operator:
-    """Asks the person who takes part, and keeps what they did and answered.
+    """Asks the operator for steps and answers, and records both.
 
     Attributes:
-        is_asking: whether somebody is being asked at this moment, be it whether a pause is over.
+        is_asking: whether a question is open at this moment, also whether a pause is over.
     """
 
     def __init__(self, ongoing: OngoingExperiment) -> None:
@@ -52,13 +52,13 @@ class Operator:
         self._reads: dict[str, dict[tuple[str, str], None]] = {}
 
     def prepare(self, run: PendingRun, place: str, *, is_retry: bool = False) -> Steps[bool]:
-        """Have the steps done that are due before a run, or before another attempt at it; returns whether any was.
+        """Ask for the steps that are due before a run, or before another attempt; return whether any was.
 
-        Which ones are due is decided at once, so that with several places they are those that one place would have:
-        runs count in the order in which they come, also where one rests while the next is prepared elsewhere.
+        Which ones are due is decided before anything is awaited: so several places have the steps that one place would
+        have, by the order of runs.
 
         Args:
-            run: what comes.
+            run: the run that comes.
             place: the name of the robot or worker that executes it; empty where there is no other.
             is_retry: whether it has been tried already.
 
@@ -86,7 +86,7 @@ class Operator:
         return has_asked
 
     def due_after(self, run: PendingRun) -> list[str]:
-        """Return the steps that are to be done once a run is done; asked for before it, as a function may raise.
+        """Return the steps that are due once a run is done; call it before the run, as a function may raise.
 
         Raises:
             ExecutionError: a function of the config that says so raised.
@@ -94,7 +94,7 @@ class Operator:
         return [step.name for step in self._steps_after if self._suits(step, run)[1]]
 
     def ask_after(self, run: PendingRun, place: str, outcome: RunOutcome, names: Collection[str]) -> Steps[None]:
-        """Have these steps done after a run that is done, and make the answers measures of it."""
+        """Ask for these steps after a run that is done; the answers become measures of it."""
         for step in self._steps_after:
             if step.name not in names:
                 continue
@@ -108,14 +108,14 @@ class Operator:
             builder.go_on_from(outcome)
             for name, value in measures.items():
                 builder.take("measure", _as_measure(name, value))
-            # First the answers: a step that is recorded as done is not asked for again.
+            # The answers are recorded before the step: one that is recorded as done is not asked for again.
             outcome = self._progress.amend_outcome(self._progress.task_of(run, place), outcome, builder.outcome())
             facts = {"run": run.run_id, "step": step.name, "treatments": {}, "answers": measures, "notes": notes}
             self._progress.note("operator_step", flush=True, **facts, is_after=True)
             self._known().end_step(run.run_id, step.name)
 
     def ask_about_earlier(self) -> Steps[None]:
-        """Have the steps done that are due after runs of earlier sessions, but for those that are executed again."""
+        """Ask for the steps that are due after runs of earlier sessions, unless these are executed again."""
         if not self._steps_after:
             return
         rows, again = self._progress.rows, {run.run_id for run in self._progress.pending()}
@@ -125,7 +125,7 @@ class Operator:
                 yield from self.ask_after(PendingRun(run_id, place), "", RunOutcome.of_fields(end), end["to_ask"])
 
     def _await_done(self, awaited: Sequence[tuple[str, str]]) -> Steps[None]:
-        """Wait until a step has been done that is being done before runs that came earlier."""
+        """Wait until steps are done that are being done before earlier runs."""
         while not self._ongoing.is_interrupted and any(each in self._being_done for each in awaited):
             yield Pause(_LISTEN)
 
@@ -134,11 +134,11 @@ class Operator:
         yield from self._ask(run, place)
 
     def note_read(self, run_id: str, factor: str, owner: str) -> None:
-        """Take down that somebody read the treatment of a factor ahead of its run."""
+        """Remember that `owner` read the treatment of a factor before the run began."""
         self._reads.setdefault(run_id, {})[factor, owner] = None
 
     def hand_over(self, task: RunTask, report: Report) -> None:
-        """Report what an attempt is to know: the answers as its measures, and who read its treatments before."""
+        """Report to an attempt the answers as its measures, and who has read its treatments before."""
         for factor, owner in self._reads.get(task.run_id, ()):
             report("read", {"factor": factor, "owner": owner})
         if not self._steps:
@@ -162,7 +162,7 @@ class Operator:
         return self._known().is_due(step, _treatments(step, combination)) and suits
 
     def _suits(self, step: OperatorStep, run: PendingRun) -> tuple[WatchedCombination, bool]:
-        """Return the treatments of a run, and whether the config has the step done for these."""
+        """Return the treatments of a run, and whether the config wants the step for these."""
         combination = WatchedCombination(
             self._progress.task_of(run).combination,
             lambda factor: self.note_read(run.run_id, factor, OPERATOR_OWNER),
@@ -199,10 +199,9 @@ class Operator:
     def _ask(
         self, run: PendingRun, place: str, step: OperatorStep | None = None
     ) -> Steps[dict[str, MeasureValue] | None]:
-        """Wait until a person says that a step is done, or that a run may start; None after an interruption.
+        """Wait until the operator says that a step is done, or that a run may start; None after an interruption.
 
-        The person is asked about one run at a time; others that have ended or are about to begin elsewhere wait
-        meanwhile, and come in the order of the runs.
+        The operator is asked about one run at a time, in the order of the runs.
         """
         self._in_line.add(run.number)
         try:
@@ -252,7 +251,7 @@ class Operator:
 
     def _answered(self, asked: Asked, questions: Sequence[Question]) -> Steps[dict[str, MeasureValue] | None]:
         control = self._experiment.folder.control
-        take_request(control, asked)  # it was left before anybody asked
+        take_request(control, asked)  # drop one that was left before this question
         given: dict[str, MeasureValue] = {}
         left = deque(questions)
         self._put_question(left)
@@ -263,7 +262,7 @@ class Operator:
                     self._take_line(line, left, given)
                 if not left:
                     return given
-            self._progress.look_after_lock()  # a request might be for who has begun the experiment anew
+            self._progress.look_after_lock()  # who has taken the folder over meanwhile may be meant by the request
             request = take_request(control, asked)
             if request is not None:
                 answers, findings = read_answers(questions, request.answers, given)
@@ -296,7 +295,7 @@ def _treatments(step: OperatorStep, combination: Mapping[str, Any]) -> dict[str,
 
 
 class _Keyboard:
-    """Lines that somebody types, as they come."""
+    """Reads lines from the terminal."""
 
     def __init__(self, descriptor: int | None) -> None:
         self._descriptor = descriptor
@@ -308,7 +307,7 @@ class _Keyboard:
         return self._descriptor is not None
 
     def line(self) -> Steps[str | None]:
-        """Return the next line; None where none was completed for a moment."""
+        """Return the next line; None where none was completed within `_LISTEN`."""
         if b"\n" not in self._pending:
             pause = Pause(_LISTEN, self._descriptor)
             yield pause

@@ -1,4 +1,4 @@
-"""The experiment orchestrator: executes each run of the run table and says how it went (paper, II.C)."""
+"""The experiment orchestrator: executes each run of the run table and returns how it went (paper, II.C)."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ from robot_runner.core.storage.claim_locks import HeldClaims
 from robot_runner.core.storage.lock import forget_requests, is_requested
 
 _log = logging.getLogger(__name__)
-#: How often a request to stop is looked for, in seconds: it is a file, which wakes nobody.
+#: How often it is checked whether there is a request to stop, s: it is a file, which cannot be polled.
 _LISTEN = 0.5
 
-#: How often to look whether another experiment has let go of what it claimed, s.
+#: How often it is checked whether another experiment has released its claims, s.
 _LOOK_AT_CLAIMS = 0.5
 
 
@@ -63,17 +63,16 @@ def execute_experiment(
     Call it in the main thread: while it lasts, SIGINT, SIGTERM and SIGHUP end the experiment cleanly.
 
     Args:
-        experiment: a config that was found to be well formed.
+        experiment: a config without errors.
         observer: gets a notice of everything that happens.
         findings: of validation; they are shown again at the end.
         resumption: what to execute again, and whether to go on though something changed.
-        waits_for_claims: whether to wait where another experiment has claimed the same; else this one is refused.
+        waits_for_claims: whether to wait where another experiment holds a claim; else this one is refused.
 
     Raises:
         KeyboardInterrupt: the user interrupted while it waited for claims.
-        RobotRunnerError: the experiment cannot start (it is being executed by somebody else, its folder cannot be
-            written, the config or the run table on disk changed, a profiler does not measure) or cannot go on (the
-            disk is full).
+        RobotRunnerError: the experiment cannot start (another process executes it, its folder cannot be written, the
+            config or the run table on disk changed, a profiler does not measure) or cannot go on (the disk is full).
     """
     resumption = resumption or Resumption()
 
@@ -157,7 +156,7 @@ class _Orchestrator:
         self._stop_request = experiment.folder.stop
         self._places = places_of(experiment, claims, progress.combinations_left)
         has_one_place = len(self._places.all) == 1
-        is_alone = has_one_place and self._parameters.cluster is None  # nothing to keep apart, and here is everything
+        is_alone = has_one_place and self._parameters.cluster is None  # then no two runs can clash
         is_one_at_a_time = self._parameters.robots and claims.common(progress.combinations_left)
         progress.expect_places(1 if is_one_at_a_time else max(1, len(self._places.all)))
         events = OrchestratorEvents(experiment, progress, patience)
@@ -191,7 +190,7 @@ class _Orchestrator:
         try:
             with closing(self._places):
                 self._tend()
-                if self._interruption.is_requested:  # while the table was read, say: nothing was opened yet
+                if self._interruption.is_requested:  # during preparation: nothing was opened yet
                     return
                 returned = self._ongoing.events.emit_to_experiment(RobotRunnerEvents.BEFORE_EXPERIMENT)
                 self._execute_runs(is_cleared=any(value is True for value in returned))
@@ -201,9 +200,9 @@ class _Orchestrator:
         self._end_events(findings)
 
     def _end_after(self, error: BaseException, findings: Sequence[Finding]) -> None:
-        """Emit `after_experiment` after the error that ended the experiment; if that raises, too, both are told.
+        """Emit `after_experiment` after the error that ended the experiment; if that raises, too, both are reported.
 
-        What ended the experiment is told alone where the folder cannot be written any more.
+        Only the first error is reported where the folder cannot be written any more.
 
         Raises:
             ExecutionError: both raised.
@@ -216,7 +215,7 @@ class _Orchestrator:
             raise ExecutionError.of_findings([*found, *later.findings]) from error
 
     def _end_events(self, findings: Sequence[Finding], *, failure: str = "") -> None:
-        with suppress(StorageError):  # said again when everything is brought up to date
+        with suppress(StorageError):  # raised again by `ProgressManager.finish`
             self._progress.bring_table_up_to_date()
         finished = self._finish_notice(findings)
         ended = ExperimentEnd(
@@ -235,7 +234,7 @@ class _Orchestrator:
         """Execute the runs that are left, then those that follow from the results, until nothing follows."""
         note_open_files()
         gc.collect()
-        gc.freeze()  # what a forked run does not collect it does not have to copy
+        gc.freeze()  # a forked run does not collect these objects, and so does not copy their pages
         try:
             while self._side_by_side.execute(is_cleared=is_cleared):
                 decided = self._progress.decide()
@@ -285,9 +284,9 @@ class _Orchestrator:
         )
 
     def _tend(self) -> float:
-        """Do what is due while something is awaited; returns in how many seconds it is again."""
+        """Do what is due while something is awaited; return in how many seconds to call this again."""
         if is_requested(self._stop_request) and not self._interruption.is_requested:
-            self._interruption.request()  # first: whatever becomes of the record, the robot is to stop
+            self._interruption.request()  # first: the robot has to stop even if the record cannot be written
             self._progress.note("stop_requested", flush=True)
             forget_requests(self._stop_request)
         due = self._progress.tend_table()
@@ -295,7 +294,7 @@ class _Orchestrator:
 
     def _notice(self, notice: Notice) -> None:
         _tell(self._observer, notice)
-        if not isinstance(notice, ExperimentFinished):  # which is told once everything is on the disk
+        if not isinstance(notice, ExperimentFinished):  # that one is sent by `execute`, once everything is on the disk
             self._notifications.take(notice)
 
     def _refresh(self) -> None:

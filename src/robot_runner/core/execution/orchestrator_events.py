@@ -33,9 +33,9 @@ from robot_runner.core.storage.journal import utc_now
 
 #: How many times over `grace_in_s` a callback may take to end once its deadline has passed.
 _PATIENCE = 3
-#: What the system can wait at most is more than this, s: thirty years.
+#: The longest timeout that is given to the system, s: thirty years.
 _LONGEST = 1e9
-#: Of a terminal; the live screen hides it.
+#: Shows the cursor of a terminal, which the live screen hides.
 _SHOW_CURSOR = "\x1b[?25h"
 
 
@@ -44,19 +44,19 @@ class DeadlinePassed(BaseException):
 
 
 class EventDeadline:
-    """Has `DeadlinePassed` raised in what is executed while it lasts, once that takes too long. A context manager.
+    """Raises `DeadlinePassed` in its `with` block once that takes too long.
 
-    A timer signal ends the callback, as a thread would have to be left behind. Python handles a signal between two of
-    its own instructions: it interrupts sleeping, waiting and I/O, but code in C that computes or that waits again after
-    each signal goes on. Nothing in this process can end that, so a watcher, a process of its own, ends the orchestrator
-    then: the experiment stops instead of hanging, and resumes where it was.
+    A timer signal ends the callback. Python handles signals between two of its own instructions: a signal interrupts
+    sleeping, waiting and I/O, but not code in C that computes, or that waits again after each signal. Nothing in this
+    process can end that, so a watcher, a process of its own, kills the orchestrator then: the experiment stops instead
+    of hanging, and can be resumed.
 
     Where callbacks swallow the exception, it is raised again each `grace` seconds. Use it in the main thread.
 
     Args:
         what: the event that is guarded, in words.
         seconds: how long it may take.
-        grace: how long what it ends may take to clean up, s.
+        grace: how long a callback that is ended may take to clean up, s.
     """
 
     def __init__(self, what: str, seconds: float, grace: float) -> None:
@@ -73,7 +73,7 @@ class EventDeadline:
         self._watcher = self._watch()
         self._earlier = signal.signal(signal.SIGALRM, self._take_signal)
         self._is_armed = True
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGALRM})  # blocked, perhaps, by who started us
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGALRM})  # a parent process may have blocked it
         signal.setitimer(signal.ITIMER_REAL, min(_LONGEST, self._seconds), min(_LONGEST, self._grace))
         return self
 
@@ -92,14 +92,14 @@ class EventDeadline:
             raise DeadlinePassed(str(self))
 
     def _watch(self) -> tuple[int, int]:
-        """Start the watcher; returns its process id, and the descriptor on which it is told that all is over."""
+        """Start the watcher; return its process id, and the descriptor on which it is told that the event has ended."""
         reader, writer = os.pipe()
         watcher = forked()
         if watcher == 0:
             try:
                 os.close(writer)
                 self._end_orchestrator_unless_told(reader)
-            finally:  # whatever goes wrong: it must not execute the experiment, too
+            finally:  # whatever goes wrong, the watcher must not go on as a second orchestrator
                 os._exit(0)
         os.close(reader)
         return watcher, writer
@@ -130,7 +130,7 @@ class EventDeadline:
         )
 
 
-#: How often the run table is looked after while a callback of this process sleeps, s.
+#: How often the run table is brought up to date while a callback of this process sleeps, s.
 _LOOK = 1.0
 
 
@@ -164,7 +164,14 @@ class OrchestratorEvents:
         experiment: Experiment,
         adapt: Callable[[RobotRunnerContext], RobotRunnerContext] = lambda context: context,
     ) -> list[object]:
-        """Emit an event of a run in this process, `adapt` changing its contexts; who raises is a failure of the run.
+        """Emit an event of a run in this process; an exception is a failure of the run.
+
+        Args:
+            event: `before_run` or `continue`.
+            task: the run.
+            report: takes the records.
+            experiment: as the place of the run has it.
+            adapt: changes the context of each owner.
 
         Returns:
             what each callback returned.
@@ -177,7 +184,7 @@ class OrchestratorEvents:
         told("event", {"event": event.value, "at": utc_now(), "clock": time.monotonic()})
         if not self._experiment.events.subscribers(event):
             return []
-        if event is RobotRunnerEvents.BEFORE_RUN:  # other numbers than the run's own, and in whatever order runs begin
+        if event is RobotRunnerEvents.BEFORE_RUN:  # random numbers that depend on the run alone, not on the order
             seed_random_numbers(seed_of_run(task.run_seed, event.value))
         resources = Resources()
         clock = _AttentiveClock(self._patience)
@@ -193,13 +200,13 @@ class OrchestratorEvents:
             resources.close()
 
     def emit_to_experiment(self, event: RobotRunnerEvents, ended: ExperimentEnd | None = None) -> list[object]:
-        """Emit an event of the whole experiment; returns what each callback returned.
+        """Emit an event of the whole experiment; return what each callback returned.
 
-        `after_experiment` comes also where the folder cannot be written any more: what was opened is closed.
+        `after_experiment` is emitted also where the folder cannot be written any more: what was opened is closed.
 
         Raises:
             ExecutionError: a callback raised, or took too long.
-            StorageError: the event cannot be taken down.
+            StorageError: the event cannot be recorded.
         """
         context = ExperimentContext(
             experiment_name=self._experiment.parameters.experiment_name,
@@ -238,7 +245,7 @@ class OrchestratorEvents:
         place: str,
         experiment: Experiment,
     ) -> bool:
-        """Emit `continue`; a callback that returns True has asked the user itself.
+        """Emit `continue`; return whether a callback has returned True, as it has asked the user itself.
 
         What is published is a measure of the run that has finished.
 
@@ -301,12 +308,12 @@ class OngoingExperiment:
 
     Attributes:
         experiment: what is executed.
-        progress: takes down what happens.
+        progress: records what happens.
         events: emits the events of the orchestrator.
-        observer: the screen, and where somebody may type.
-        notify: tells the screens.
-        patience: what goes on while something is awaited.
-        has_one_place: whether no run ever goes on beside another one.
+        observer: the screen, and its keyboard.
+        notify: gives a notice to the observer and to notifications.
+        patience: how the orchestrator waits.
+        has_one_place: whether no two runs are ever in flight together.
         stopped_by: why no more runs begin, `on_failure`, `a gate`, `a guard` or `a robot that may be moving`; those in
             flight come to their end. Empty while it goes on.
     """
@@ -331,7 +338,7 @@ class OngoingExperiment:
         return self.is_interrupted or bool(self.stopped_by)
 
     def find(self, finding: Finding) -> None:
-        """Tell what looks odd, now and at the end."""
+        """Show a finding now, and keep it for the end."""
         self.progress.find(finding)
         self.notify(FindingsNoticed((finding,)))
 

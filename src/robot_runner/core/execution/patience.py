@@ -1,7 +1,7 @@
 """How the orchestrator waits: one poll for everything awaited, interruptions included, while screens are refreshed.
 
-What takes its time is written as *steps*: a generator that yields what it waits for, and is resumed once that is over.
-So the steps of several runs go on side by side in a process that has no threads.
+Whatever waits is written as *steps*: a generator that yields what it waits for, and is resumed once that is over. So
+the steps of several runs go on side by side in a process without threads.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from robot_runner.core.execution.places import INTERRUPTED, Awaited, Places
 
 _READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
 _Result = TypeVar("_Result")
-#: What is done step by step: it yields what it waits for, and returns a result.
+#: A generator that yields what it waits for, and returns a result.
 Steps = Generator[Awaited, None, _Result]
 
 
 class Pause:
-    """A span of time, which the user's interruption ends early, and a line that somebody types.
+    """A span of time, which input from the terminal or the user's interruption ends early.
 
     Args:
         seconds: how long it lasts at most.
-        user_input: the descriptor on which somebody may type; None where nobody sits there.
+        user_input: the descriptor of the terminal; None where there is none.
 
     Attributes:
         due: when it is over, on the monotonic clock, s.
-        typed: what was typed; empty at the end of the input, and None where nothing was.
+        typed: what was read; empty at the end of the input, and None where nothing was.
     """
 
     def __init__(self, seconds: float, user_input: int | None = None) -> None:
@@ -41,11 +41,11 @@ class Pause:
 
     @property
     def descriptors(self) -> Collection[int]:
-        """Where somebody may type."""
+        """The descriptor of the terminal, if there is one."""
         return () if self._input is None else (self._input,)
 
     def advance(self) -> bool:
-        """Take what was typed; return whether it is over."""
+        """Read what was typed; return whether the pause is over."""
         if self._input is not None and select.select([self._input], [], [], 0)[0]:
             self.typed = os.read(self._input, 4096)
             return True
@@ -64,14 +64,10 @@ class Patience:
     """What goes on while the orchestrator waits.
 
     Args:
-        interruption: the user's; it has all that is awaited end.
+        interruption: the user's; it ends all that is awaited.
         refresh: brings a live screen up to date; called every `refresh_interval` seconds, and never where that is None.
         refresh_interval: in seconds.
         tend: called before each wait; returns in how many seconds it is to be called again, None where nothing is due.
-
-    Attributes:
-        interruption: as above.
-        refresh_interval: as above.
     """
 
     def __init__(
@@ -87,13 +83,13 @@ class Patience:
         self._tend = tend
 
     def refresh_screen(self) -> None:
-        """Bring a live screen up to date, and what else is due."""
+        """Bring a live screen up to date, and call `tend`."""
         if self.refresh_interval is not None:
             self._refresh()
         self._tend()
 
     def follow(self, steps: Steps[_Result]) -> _Result:
-        """Go through steps that nothing else goes on beside, and return their result."""
+        """Execute steps, with nothing else beside them, and return their result."""
         try:
             while True:
                 awaited = next(steps)
@@ -108,7 +104,7 @@ class Patience:
     def turn(self, awaited: Sequence[Awaited], places: Places | None = None) -> list[Awaited]:
         """Wait until there is something to do, do it, and return what is over.
 
-        The user's interruption has all of them end soon, and a second one at once.
+        The user's interruption stops all of them, and a second one kills them.
         """
         self._pass_interruption_on(awaited)
         self._wait(awaited, places)
@@ -141,5 +137,5 @@ class Patience:
 
 
 def _milliseconds(seconds: float) -> float:
-    """Return how long to poll: a millisecond more, as poll would return a little before the moment that is due."""
+    """Return the timeout of a poll: a millisecond more, as poll may return a little before the moment that is due."""
     return seconds * 1000 + 1 if seconds > 0 else 0

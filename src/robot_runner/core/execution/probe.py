@@ -24,11 +24,11 @@ from robot_runner.core.storage.lock import ExperimentLock
 from robot_runner.core.treatments import built_with, factors_of
 from robot_runner.core.words import enumerated
 
-#: The id of the run that a probe is, in its findings and in the contexts of its callbacks.
+#: The run id in the context of a probe, and in its findings.
 _RUN = "probe"
 #: How long an event may take beyond the window, s: to connect to another computer, or for a board to boot.
 _PATIENCE = 30.0
-#: Where a profiler says that it sets something up before a run, a moment without that would tell nothing of it.
+#: A probe calls none of these. A profiler that sets something up in them is not probed, as it could not measure.
 _SET_UP = (RobotRunnerEvents.BEFORE_EXPERIMENT, RobotRunnerEvents.BEFORE_RUN)
 _PROBED = tuple(event for event in RUN_EVENTS if event is not RobotRunnerEvents.LAUNCH_MISSION)
 _WITHOUT = "Or go without the probe: --no-probe, or probe = False in the config."
@@ -41,11 +41,11 @@ class Probed:
     Attributes:
         plugin: its name.
         measures: what it published.
-        reasons: what it said of its values.
-        fixes: what it said can be done about that.
-        missing: the measures without a value, where none has one.
-        failure: what it raised, or how the process ended that it was tried in.
-        robot: the name of the robot beside which it was tried; empty where there is one only.
+        reasons: the problems of its findings.
+        fixes: the fixes of its findings, in the same order.
+        missing: the names of its measures where none of them has a value, else empty.
+        failure: what it raised, or how the process of the probe ended.
+        robot: the name of the robot with which it was tried; empty where there is only one.
     """
 
     plugin: str
@@ -115,17 +115,17 @@ class Probe:
 
 
 def probed_profilers(experiment: Experiment) -> list[Profiler]:
-    """Return the profilers that a probe tells something of.
+    """Return the profilers that can be probed.
 
-    Left out are all where the robot is the embedded simulation, whose meters give nothing to doubt, and each that says
-    so (`probe_s` is None), has no measures, or sets something up in `before_experiment` or `before_run`, which a probe
-    does not call. Of a cluster all are left out: the meters are those of its workers, where others may be using them.
+    There are none where the robot is the embedded simulation, whose meters always answer, or where runs go to a
+    cluster, whose meters others may be using. A profiler is left out that opts out (`probe_s` is None), has no
+    measures, or sets something up in `before_experiment` or `before_run`, which a probe does not call.
     """
     return probed_plugins(experiment.plugins, experiment.events, experiment.parameters)
 
 
 def probed_plugins(plugins: Sequence[Plugin], events: EventManager, parameters: Parameters) -> list[Profiler]:
-    """Return the same of the parts of an experiment."""
+    """Return the same as `probed_profilers`, for an experiment of which only these parts are known."""
     if is_simulated(parameters.robot) or parameters.cluster is not None:
         return []
     set_up = {each.owner for event in _SET_UP for each in events.subscribers(event)}
@@ -134,7 +134,7 @@ def probed_plugins(plugins: Sequence[Plugin], events: EventManager, parameters: 
 
 
 def probe_window_of(profilers: Sequence[Profiler]) -> float:
-    """Return how long these profilers measure in a probe, s: all at once, as long as the slowest needs."""
+    """Return how long these profilers measure in a probe, s: all at the same time, as long as the slowest needs."""
     return max((each.probe_s or 0.0 for each in profilers), default=0.0)
 
 
@@ -143,7 +143,7 @@ def _can_tell(profiler: Profiler) -> bool:
 
 
 def probe_experiment(experiment: Experiment) -> Probe:
-    """Probe the profilers of an experiment that is not being executed; nothing of it is kept.
+    """Probe the profilers of an experiment that is not being executed; no file is kept.
 
     Raises:
         ExecutionError: it is being executed, and its meters are in use.
@@ -158,10 +158,10 @@ def probe_experiment(experiment: Experiment) -> Probe:
 
 
 def probe_profilers(experiment: Experiment, task: RunTask, interruption: Interruption) -> Probe:
-    """Try all profilers that can be probed in one run without a mission; systems and the config are not called.
+    """Try all profilers that can be probed in a run without mission, systems and config.
 
-    A profiler that raises ends such a run, so that another one follows without it: all findings come at once. Where
-    several robots take turns, it is done beside each of them.
+    A profiler that raises ends that run, and another one follows without it, so that all findings are complete. Where
+    several robots take turns, each of them has a probe.
     """
     started = time.monotonic()
     seen: list[Probed] = []
@@ -175,8 +175,8 @@ def probe_profilers(experiment: Experiment, task: RunTask, interruption: Interru
 
 
 def _probed_beside(experiment: Experiment, task: RunTask, interruption: Interruption) -> list[Probed]:
-    """Try them beside the robot that the experiment has, and return what was seen."""
-    # A parameter that is bound to a factor has its treatment only in a run, and so has what follows from it.
+    """Try the profilers with the robot of the experiment."""
+    # Parameters that are bound to factors have values only in a run.
     built = [built_with(each, task.combination) for each in probed_profilers(experiment)]
     left = list(filter(_can_tell, built))
     seen: list[Probed] = []
@@ -193,7 +193,7 @@ def _probed_beside(experiment: Experiment, task: RunTask, interruption: Interrup
 
 
 def without_values(columns: Sequence[MeasureColumn], measures: Mapping[str, PublishedMeasure]) -> tuple[str, ...]:
-    """Return the names of these columns of a profiler where none of them has a value; nothing where one has."""
+    """Return the names of these columns of a profiler if none of them has a value, else nothing."""
     names = [column.name for column in columns]
     silent = all(name not in measures or measures[name].value is None for name in names)
     return tuple(names) if silent else ()

@@ -41,7 +41,7 @@ from robot_runner.core.storage.lock import ExperimentLock, forget_requests
 from robot_runner.core.storage.manifest import write_manifest
 from robot_runner.core.storage.run_table_rows import RunTableRows
 
-#: What a run reports that is kept in the journal; measures are kept with the end of the attempt.
+#: The kinds of a run's records that are kept in the journal; measures are kept with the end of the attempt.
 _OF_RUN = ("event", "window", "phase", "shared", "finding", "refused", "failure", "clock", "bound", CALLED)
 _OF_ATTENDANCE = ("waited", "guard", "asked", "answered", "subject", "mission_stopped", "outlives")
 _KEPT = frozenset((*_OF_RUN, *_OF_ATTENDANCE))
@@ -53,12 +53,12 @@ class ProgressManager:
     Args:
         experiment: what is executed.
         resumption: which runs, and what may differ from before.
-        probe: tries the profilers once nobody else can use them and before anything is written; gets the first run.
-        prepare: makes treatments that have to be made; gets the facts that it returned first.
+        probe: tries the profilers once the folder is locked and before anything is written; gets the first run.
+        prepare: makes treatments that have to be made; gets the facts that it returned in the first execution.
 
     Raises:
-        RobotRunnerError: on entering: somebody else executes the experiment, the folder cannot be written, the run
-            table that is there cannot be read or differs from the plan, or the probe refuses a profiler.
+        RobotRunnerError: on entering: another process executes the experiment, the folder cannot be written, the run
+            table on disk cannot be read or differs from the plan, or the probe refuses a profiler.
     """
 
     def __init__(
@@ -83,8 +83,8 @@ class ProgressManager:
         with told_if_refused() as seen_to, ExitStack() as opened:
             self._left_behind = made_folder(self._folder)
             self._lock = opened.enter_context(ExperimentLock(self._folder.lock))
-            opened.callback(forget_requests, self._folder.pause, self._folder.stop)  # of no use to the next session
-            forget_requests(self._folder.pause, self._folder.stop)  # of one that was killed
+            opened.callback(forget_requests, self._folder.pause, self._folder.stop)
+            forget_requests(self._folder.pause, self._folder.stop)  # left by a session that was killed
             remove_half_written(self._folder)
             seen_to.extend(see_to_what_is_left(self._experiment))
             self._findings += seen_to
@@ -140,7 +140,7 @@ class ProgressManager:
         return self
 
     def __exit__(self, *raised: object) -> None:
-        # What ended the experiment is told, and not that its folder cannot be written since.
+        # The error that ended the experiment is reported, not that its folder cannot be written any more.
         with nullcontext() if raised[0] is None else suppress(StorageError), self._resources:
             for slot in self._folder.used_slots():
                 drop_empty_log(self._folder.at_slot(slot))
@@ -163,7 +163,7 @@ class ProgressManager:
 
     @property
     def done_before(self) -> int:
-        """How many runs are done, but for those that this session executes again."""
+        """How many runs are done, without those that this session executes again."""
         return self.done_count - sum(self._rows.status(place) is RunStatus.DONE for place in self._selected)
 
     @property
@@ -192,7 +192,7 @@ class ProgressManager:
         return tuple(f"{run_id}: {reason}" for run_id, reason in self._failed.items())
 
     def last_outcome(self, place: str) -> RunOutcome:
-        """Return how the attempt went that was recorded last at a place."""
+        """Return the outcome that was recorded last at a place."""
         return self._last_outcomes[place]
 
     @property
@@ -216,12 +216,12 @@ class ProgressManager:
         return self._rows
 
     def expect_places(self, count: int, again: Sequence[PendingRun] = ()) -> None:
-        """Take into account how many runs go on at a time; at the most, where a place is gone whose runs come again."""
+        """Set for the estimate how many runs go on at a time; after a place was lost, which runs are executed again."""
         self._durations.places = min(count, self._durations.places) if again else count
         self._durations.expect_again(self._rows.combination(run.place) for run in again)
 
     def pending(self, first: int = 0) -> Iterator[PendingRun]:
-        """Yield the runs to execute from this one on: those to do, those that failed, those asked for again."""
+        """Yield the runs to execute, from number `first` on: those to do, those that failed, those asked for again."""
         return (PendingRun(self._rows.run_id(place), place) for place in self._selected[first:])
 
     def decide(self) -> NextDecided | None:
@@ -234,9 +234,9 @@ class ProgressManager:
         return None if is_partial else self._deciding.decide(self, self._table)
 
     def grow(self, growth: Growth) -> None:
-        """Add runs that were decided on, and write down why."""
+        """Add runs that were decided on, and record why."""
         self.note(growth.kind, flush=True, **growth.record)
-        # A session that begins with it warms up as it would for what is left to do.
+        # Where the session had no other runs, it warms up before these.
         warm_up = None if self._selected else self._experiment.model.warm_up
         places = with_session_warm_ups(growth.rows, list(growth.places), warm_up)
         self._selected += places
@@ -252,7 +252,7 @@ class ProgressManager:
         return len(self._selected) - self._selected.index(run.place)
 
     def task_of(self, run: PendingRun, place: str = "", slot: int = 1) -> RunTask:
-        """Return the attempt at a run that was begun last, at this place."""
+        """Return the task of a run's latest attempt, as executed at this place."""
         return RunTask(
             run_id=run.run_id,
             run_number=run.number,
@@ -267,11 +267,11 @@ class ProgressManager:
         )
 
     def look_after_lock(self) -> None:
-        """See that nobody else executes the experiment meanwhile, see `ExperimentLock.look_after`."""
+        """Check that this process still holds the experiment, see `ExperimentLock.look_after`."""
         self._findings += self._lock.look_after(self._journal)
 
     def begin(self, run: PendingRun, place: str = "", slot: int = 1) -> RunTask:
-        """Begin another attempt at a run at a place; what an earlier attempt left is kept elsewhere."""
+        """Begin another attempt at a run at a place; the files of an earlier attempt are moved, not lost."""
         self.look_after_lock()
         earlier = self._attempts[run.run_id]
         self._attempts[run.run_id] += 1
@@ -279,7 +279,7 @@ class ProgressManager:
             put_earlier_attempt_away(self._folder, run.run_id, earlier)
         if self._rows.status(run.place) is not RunStatus.TODO:
             self._rows.clear(run.run_id)
-        if self._rows.excluded(run.place) is not None:  # why it was left out is about what is put away here
+        if self._rows.excluded(run.place) is not None:  # the reason was about the earlier attempt
             self._rows.exclude(run.run_id, None)
             self.note("included", run=run.run_id, reason="the run is executed again")
         self._left_behind.add(run.run_id)
@@ -300,7 +300,7 @@ class ProgressManager:
         return task
 
     def record(self, task: RunTask, kind: str, fields: dict[str, Any]) -> None:
-        """Keep what a run reports while it is executed."""
+        """Keep a record of a run that is being executed."""
         if kind in _KEPT:
             self._journal.append(kind, run=task.run_id, attempt=task.attempt, **fields)
         self._reported.take(task.run_id, kind, fields)
@@ -311,21 +311,21 @@ class ProgressManager:
     def record_outcome(
         self, task: RunTask, outcome: RunOutcome, *, is_last: bool, to_ask: Sequence[str] = ()
     ) -> tuple[Finding, ...]:
-        """Keep on the disk how an attempt went and which steps come after it; return what it shows of runs to come."""
+        """Record how an attempt went and which steps follow; return findings that are about all runs to come."""
         self._lock.refuse_other_folder(self._journal)  # a run whose files are in two folders is not done
         if task.slot:
             keep_log(self._folder.at_slot(task.slot), task.run_id)
             self._findings += large_log(self._folder.log(task.run_id))
         self._durations.end(time.monotonic(), outcome.status.value, is_last=is_last, run=task.run_id)
         self._findings += [*outcome.findings, *missing_measures(self._experiment, task, outcome)]
-        if outcome.status is AttemptStatus.FAILED:  # also where it is to be tried again: something may come in between
+        if outcome.status is AttemptStatus.FAILED:  # also before another attempt, which an interruption may prevent
             self._failed[task.run_id] = str(outcome.failure)
         self._keep_outcome(task, outcome, {"is_last": is_last} | ({"to_ask": [*to_ask]} if to_ask else {}))
-        SystemsFile(self._folder.at_slot(task.slot)).remove()  # what became of its systems is told there
+        SystemsFile(self._folder.at_slot(task.slot)).remove()  # the outcome tells what became of its systems
         return self._unread.take(task, outcome)
 
     def amend_outcome(self, task: RunTask, before: RunOutcome, later: RunOutcome) -> RunOutcome:
-        """Keep and return what came after an attempt had been recorded: measures, findings, the stamp of `continue`."""
+        """Record what came after an attempt's end (measures, findings, the stamp of `continue`); return the whole."""
         found = later.findings[len(before.findings) :]
         if (later.measures, later.stamps) == (before.measures, before.stamps) and not found:
             return before
@@ -333,7 +333,7 @@ class ProgressManager:
         missing = missing_measures(self._experiment, task, outcome)
         no_more = set(missing_measures(self._experiment, task, before)).difference(missing)
         self._findings = [each for each in self._findings if each not in no_more] + list(found)
-        # The later end of an attempt takes the place of the earlier. A stamp alone can wait for what is flushed next.
+        # A later record of an attempt's end replaces the earlier one. A stamp alone need not be flushed at once.
         is_lasting = later.measures != before.measures or bool(found)
         self._keep_outcome(task, outcome, {"is_last": True, "is_amended": True}, flush=is_lasting)
         return outcome
@@ -343,20 +343,20 @@ class ProgressManager:
         told = {**facts, **outcome.fields(), **self._left()}
         self._journal.append("attempt_finished", flush=flush, run=task.run_id, attempt=task.attempt, **told)
         if self._table.take_outcome(task.run_id, outcome):
-            # From here on the schema tells the types: without it a text such as "1" would come back as a number.
+            # Without the types of the schema, a text such as "1" would be read back as a number.
             self._table.write_schema(self._folder.schema)
         self._file.refresh()
 
     def note(self, kind: str, *, flush: bool = False, **fields: Any) -> None:
-        """Keep something that is not about a run."""
+        """Append a record to the journal."""
         self._journal.append(kind, flush=flush, **fields)
 
     def tend_table(self) -> float | None:
-        """Write the run table where its time has come, while a run or a wait lasts; see `TableOnDisk.tend`."""
+        """Write the run table if that is due, while a run or a wait lasts; see `TableOnDisk.tend`."""
         return self._file.tend()
 
     def find(self, finding: Finding) -> None:
-        """Take down what is to be told at the end."""
+        """Keep a finding for the end of the experiment."""
         self._findings.append(finding)
 
     def bring_table_up_to_date(self) -> None:
@@ -364,7 +364,7 @@ class ProgressManager:
         self._file.bring_up_to_date()
 
     def finish(self, *, interrupted: bool) -> None:
-        """Bring everything that people read up to date: the experiment has ended."""
+        """Bring table, schema and manifest up to date, and record that the experiment has ended."""
         self._lock.refuse_other_folder(self._journal)
         self.bring_table_up_to_date()
         self._table.write_schema(self._folder.schema)
@@ -383,7 +383,7 @@ class ProgressManager:
         self._findings += recovered.findings
 
     def _probed(self) -> Probe | None:
-        # Runs may follow that are decided on once those of the table are done.
+        # Where no run is left but more may be decided on, the first one of the table stands for them.
         of_table = PendingRun(self._rows.run_id(0), 0) if self._deciding.follows(self._rows) else None
         first = next(self.pending(), of_table)
         return self._probe(self.task_of(first)) if self._probe is not None and first is not None else None

@@ -1,4 +1,4 @@
-"""The run table of an experiment that goes on: what the journal tells of it, its rows, their doubts, and its file."""
+"""The run table of a resumed experiment: its rows by the journal, their doubts, and its file on disk."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from robot_runner.core.words import counted, enumerated
 _RUN = re.compile(rb'\{"kind":"[^"]*","at":"[^"\\]*","run":"([^"\\]*)"')
 _SESSION = b'{"kind":"experiment_started"'
 _STARTED = b'{"kind":"attempt_started"'
-#: How the line begins that tells of an attempt's end.
+#: How the record of an attempt's end begins.
 ATTEMPT_FINISHED = b'{"kind":"attempt_finished"'
 _TABLE_WRITTEN = b'{"kind":"table_written"'
 _EXCLUSION = tuple(f'{{"kind":"{kind}"'.encode() for kind in EXCLUSION_KINDS)
@@ -42,20 +42,20 @@ _IS_DONE, _IS_INTERRUPTED, _HAS_DOUBTS = b'"status":"done"', b'"status":"interru
 
 @dataclass(slots=True)
 class TableHistory:
-    """What the journal tells, in its order, of runs and of the file of the run table.
+    """What the journal tells of runs and of the file of the run table.
 
     Attributes:
         attempted: the run of each attempt.
-        open: the beginnings of the last session's attempts that did not come to a recorded end, by their runs.
-        begun: the runs whose last attempt, of whatever session, did not come to a recorded end.
+        open: the records of attempts of the last session that began and have no recorded end, by run.
+        begun: the runs whose last attempt, of whatever session, has no recorded end.
         newer: the ends of attempts since the table was written last.
-        failed: the ends of attempts that did not end well.
+        failed: the ends of attempts that were not done.
         written: the digest of the table as it was written last; empty where that is not known.
         has_ends: whether any attempt has ended.
         ended: the runs whose last attempt came to an end, well or not.
         excluded: the runs that are left out.
-        doubtful: the last end of each run that has doubtful values: where we were killed, the schema is older.
-        doubts: what was found in runs, by owner, as `RecoveredTable` has it.
+        doubtful: the last end of each run with doubtful values: after a kill, the schema may lack them.
+        doubts: the findings in runs, by owner, as `RecoveredTable` has them.
     """
 
     attempted: list[str] = field(default_factory=list)
@@ -72,7 +72,7 @@ class TableHistory:
 
     @classmethod
     def of(cls, journal: Path) -> TableHistory:
-        """Read a journal; one that does not exist tells nothing.
+        """Read a journal, which need not exist.
 
         Raises:
             StorageError: it cannot be read, or a line is no record.
@@ -90,15 +90,15 @@ class TableHistory:
             self.open[run_id] = line
             self.begun.add(run_id)
         elif line.startswith(_SESSION):
-            self.open.clear()  # what they had printed was kept when that session began
+            self.open.clear()  # their logs were kept when that session began
         elif line.startswith(_TABLE_WRITTEN):
-            # Parsed, as what comes before is left out from here on: a damaged line must not do that.
+            # Parsed, unlike others: a damaged line must not make earlier records be skipped.
             self.written = str(parsed_record(journal, line).get("sha256", ""))
             self.newer.clear()
         elif line.startswith(_EXCLUSION):
             record = parsed_record(journal, line)
             self.excluded.take(record)
-            if record["kind"] == "deviation":  # the row counts as somebody has changed it
+            if record["kind"] == "deviation":  # from here on, the row as changed by hand counts
                 self.begun.discard(record["run"])
         elif line.startswith(_FINDING):
             found = parsed_record(journal, line)
@@ -141,7 +141,7 @@ class Deviation:
 
 
 def with_later_batches(path: Path, plan: RunTable, rows: RunTableRows) -> tuple[RunTableRows, tuple[Finding, ...]]:
-    """Return rows with the batches and repetitions of which the file has no run, as it is older, and a finding."""
+    """Add the batches and repetitions to rows of which an older file has no run; return the rows, and a finding."""
     added = dict(_added(plan))
     there = {run.run_id for run in rows.planned} if added else set()
     names = [name for name, ids in added.items() if not there.intersection(ids)]
@@ -156,7 +156,7 @@ def with_later_batches(path: Path, plan: RunTable, rows: RunTableRows) -> tuple[
 
 
 def _added(plan: RunTable) -> Iterator[tuple[str, set[str]]]:
-    """Yield the name and the runs of each batch and of each later addition that the journal added at once."""
+    """Yield the name and the run ids of each batch, and of each later addition to it."""
     for batch in plan.model.batches:
         later = set(chain.from_iterable(ids for _, ids in batch.added))
         yield f"batch {batch.number}", {run.run_id for run in batch.runs} - later
@@ -164,7 +164,7 @@ def _added(plan: RunTable) -> Iterator[tuple[str, set[str]]]:
 
 
 def lacks_runs(plan: RunTable, rows: RunTableRows) -> bool:
-    """Return whether a table has not all runs of a plan."""
+    """Return whether a table lacks runs of a plan."""
     return any(rows.place_of(run.run_id) is None for run in plan)
 
 
@@ -176,7 +176,7 @@ class RecoveredTable:
         rows: the table, kept up to date.
         attempts: how often each run was tried.
         failed: why each failed run failed.
-        unfinished: the runs whose attempts did not come to a recorded end, each with the slot that has its files.
+        unfinished: the runs whose attempts have no recorded end, each with the slot that has its files.
         findings: what looked odd in the file.
         is_on_disk: whether the file holds all this, and has a schema, so that neither need be written.
         deviations: what was changed by hand since the last execution.
@@ -200,7 +200,7 @@ class RecoveredTable:
     reasons: defaultdict[str, dict[str, tuple[str, ...]]] = field(default_factory=lambda: defaultdict(dict))
 
     def take_outcome(self, run_id: str, outcome: RunOutcome) -> bool:
-        """Bring the row of a run up to date with how its attempt ended; returns whether a type or origin is new."""
+        """Update the row of a run after its attempt; return whether a type or origin is new, which the schema lacks."""
         self.take_record({"run": run_id, **outcome.fields()})
         for finding in outcome.findings:
             self.doubts[finding.where.partition(", ")[2]].add(f"{run_id}: {finding.problem}")
@@ -212,7 +212,7 @@ class RecoveredTable:
         return has_new
 
     def take_record(self, record: Mapping[str, Any]) -> None:
-        """Bring the row of a run up to date with how the journal says that its attempt ended."""
+        """Update the row of a run by the journal's record of an attempt's end."""
         self.take_circumstances(record)
         values = {name: measure["value"] for name, measure in record["measures"].items()}
         self._record(record["run"], record["status"], record["stamps"], values)
@@ -222,16 +222,16 @@ class RecoveredTable:
         for name, measure in record["measures"].items():
             self.origins[name].add(measure["origin"])
         for by_run in self.reasons.values():
-            by_run.pop(record["run"], None)  # what was said of an earlier attempt is over
+            by_run.pop(record["run"], None)  # of an earlier attempt
         for name, measure in record["measures"].items():
             if doubts := measure.get("doubts"):
                 self.reasons[name][record["run"]] = tuple(doubts)
 
     def put_back_attempts(self) -> Iterator[str]:
-        """Put back what was put away for attempts of which none has begun, as who was to begin it was killed.
+        """Put the files of attempts back that were moved for a next attempt which a kill kept from beginning.
 
         Yields:
-            the runs that have their folder again.
+            the runs that have their files again.
         """
         folder = self.experiment.folder
         for run_id in runs_put_away(folder):
@@ -285,24 +285,24 @@ class RecoveredTable:
         } | {column.name: column for column in self.former}
 
 
-#: The run table is brought up to date at most so often that this share of the time goes into writing it, so that
-#: the cost of recording a run does not grow with the number of runs. The journal has every run at once.
+#: The largest share of the time that is spent on writing the table, so that the cost of recording a run does not grow
+#: with the number of runs. The journal has every run at once.
 _SHARE = 1 / 50
-#: While a run or a wait lasts, it is written at most so often, in seconds.
+#: While a run or a wait lasts, the table is written at most once in this time, s.
 _INTERVAL = 1.0
-#: A table that takes the processor longer than this, in seconds, is not written while a run is executed: that would
-#: disturb what is measured on this machine. A hundred thousand rows take so long.
+#: A table that takes more CPU time than this, s (a hundred thousand rows), is not written while a run is executed: that
+#: would disturb what is measured on this machine.
 _MOST_WORK_IN_RUN = 0.25
 
 
 class TableOnDisk:
-    """The file of the run table, and how far it is behind the rows in memory.
+    """The file of the run table, and whether it is behind the rows in memory.
 
     Args:
         path: the file.
-        table: what it is to hold.
-        journal: takes down each writing.
-        cost: how long writing takes at most, waiting for the disk and working, as far as that is known, in seconds.
+        table: its content.
+        journal: records each writing.
+        cost: how long writing takes at most, s, until it was measured.
     """
 
     def __init__(self, path: Path, table: RecoveredTable, journal: Journal, cost: float) -> None:
@@ -314,34 +314,34 @@ class TableOnDisk:
         self._is_stale = False
 
     def refresh(self) -> None:
-        """Write it unless that was done a moment ago: the rows have changed."""
+        """Note that the rows have changed, and write the file unless that was done a moment ago."""
         self._is_stale = True
         if time.monotonic() - self._written > self._cost / _SHARE:
             self.write()
 
     def tend(self) -> float | None:
-        """Write it where it is stale and the time has come, while a run or a wait lasts.
+        """Write the file if it is stale and due; called while a run or a wait lasts.
 
         Returns:
-            in how many seconds the time comes; None where there is nothing to write.
+            in how many seconds it is due; None where there is nothing to write.
         """
         if not self._is_stale or self._work > _MOST_WORK_IN_RUN:
             return None
-        # Nothing else waits for the disk meanwhile, so that only the work counts.
+        # Only CPU time counts: nothing else waits for the disk meanwhile.
         due = self._written + max(_INTERVAL, self._work / _SHARE) - time.monotonic()
         if due > 0:
             return due
-        with suppress(StorageError):  # said when the run has ended: it is not to fail for this
+        with suppress(StorageError):  # raised when the run has ended: it must not fail for this
             self.write()
         return None
 
     def bring_up_to_date(self) -> None:
-        """Write it if it is stale."""
+        """Write the file if it is stale."""
         if self._is_stale:
             self.write()
 
     def write(self) -> None:
-        """Write it.
+        """Write the file.
 
         Raises:
             StorageError: it cannot be written.
@@ -349,7 +349,7 @@ class TableOnDisk:
         self._journal.stay_in_place()
         started, worked = time.monotonic(), time.process_time()
         digest = write_run_table(self._path, self._table.rows)
-        # After the rename: a run that is in the table and not yet known to be is taken from the journal once more.
+        # After the rename: a kill in between only makes the next execution read these runs from the journal again.
         self._journal.append("table_written", sha256=digest)
         self._written = time.monotonic()
         self._cost, self._work = self._written - started, time.process_time() - worked

@@ -1,4 +1,4 @@
-"""How an experiment resumes: the runs to execute again, and the changes that are accepted."""
+"""How an experiment resumes: which runs are executed, and what has changed since the last execution."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ class TableChoice(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Resumption:
-    """What the user asks for when an experiment is started or goes on.
+    """What the user asks for when an experiment is started or resumed.
 
     Attributes:
-        accept_changes: go on though the config, what was set, or the run table differs from before.
+        accept_changes: go on though the config, its settings, or the run table differ from before.
         table: what counts where the run table and the journal disagree; None refuses to go on, unless changes are
             accepted: then the file counts.
-        redo: runs to execute again though they are done or excluded; what they left is kept.
+        redo: runs to execute again though they are done or excluded; their files are kept.
         only: the only runs to execute; nothing means all.
         skip: runs that are not executed this time.
         first: runs that are executed before all others this time, in this order.
@@ -77,7 +77,7 @@ class Resumption:
 
     @property
     def selection(self) -> dict[str, list[str]]:
-        """What was chosen of the runs and of their order, for the journal and the manifest."""
+        """The chosen runs, by option, for the journal and the manifest."""
         asked = {"only": self.only, "skip": self.skip, "first": self.first, "redo": self.redo}
         return {name: list(given) for name, given in asked.items() if given}
 
@@ -126,7 +126,7 @@ def _left(rows: RunTableRows) -> list[int]:
 def _contradictions(
     rows: RunTableRows, again: set[int], skipped: set[int], chosen: Mapping[str, Chosen]
 ) -> Iterator[Finding]:
-    """Yield each run that was named by its id though it cannot be executed as was asked for."""
+    """Yield an error for each run that was named by its id and cannot be executed as asked for."""
     for option, runs in chosen.items():
         for place in sorted(runs.named):
             where, reason = f"{option} {rows.run_id(place)}", rows.excluded(place)
@@ -137,9 +137,9 @@ def _contradictions(
                 yield Finding.error(where, f"the run is excluded: {reason}", fix)
 
 
-# What differs between an experiment as it was executed before and as it is to go on.
+# What has changed since the last execution.
 
-#: The option of `robot-runner run` that goes on all the same.
+#: The option of `robot-runner run` that accepts changes.
 ACCEPT = "--accept-changes"
 
 _CONFIG_FIX = f"Undo the change, accept it ({ACCEPT}), or choose another experiment_name."
@@ -193,7 +193,7 @@ def config_changes(experiment: Experiment, *, of_design: bool = True, of_setting
 
 
 def _earlier_name(experiment: Experiment, manifest: Mapping[str, Any]) -> str | None:
-    """Return what the config file of the experiment was called, where it has another name now."""
+    """Return the earlier name of the config file, where it has another name now."""
     name = str((manifest.get("config") or {}).get("file"))
     kept = experiment.folder.config
     has_other = name not in {experiment.config_path.name, "", ".", ".."} and Path(name).name == name
@@ -208,10 +208,14 @@ def table_differences(
     *,
     is_as_written: bool = False,
 ) -> Iterator[Finding]:
-    """Yield each cell in which the run table on disk differs from the plan, and each run that only one of them has.
+    """Yield an error for each cell in which the run table on disk differs from the plan, and each run of only one.
 
-    Cells of which run, column and text are `accepted` were told before. A table that `is_as_written` by us has been
-    changed by nobody.
+    Args:
+        path: of the run table, for the errors.
+        plan: by the config.
+        rows: as read from the disk.
+        accepted: cells that are left out: run, column and text.
+        is_as_written: whether the file is as we wrote it, so that the plan must have changed.
     """
     fix = _PLAN_FIX if is_as_written else _TABLE_FIX
     if len(plan) == len(rows) and all(map(is_, plan, rows.planned)):  # as nearly always, and many times faster
@@ -251,10 +255,10 @@ _DESIGN = frozenset({"create_run_table", "create_run_table_model"})
 
 
 def _text(program: bytes) -> str:
-    """Return the text of a program in the encoding that it declares, without a byte order mark."""
+    """Decode a Python file by its declared encoding, without a byte order mark."""
     try:
         return decode_source(program)
-    except (SyntaxError, UnicodeDecodeError):  # a local module may be of any kind
+    except (SyntaxError, UnicodeDecodeError):  # a local module need not be Python source
         return program.decode("utf-8", "backslashreplace")
 
 
@@ -270,10 +274,10 @@ def _changed_lines(source: Path, before: str, now: str, ignored: frozenset[str])
 
 
 def _means_the_same(before: str, now: str, ignored: frozenset[str]) -> bool:
-    """Return whether two versions of a file are the same program, functions of these names left aside."""
+    """Return whether two versions of a file have the same syntax tree, the bodies of `ignored` functions left out."""
     try:
         trees = parsed(before), parsed(now)
-    except (SyntaxError, ValueError):  # what is no program has bytes that are zero
+    except (SyntaxError, ValueError):  # ValueError: a binary file has null bytes
         return False
     for function in (each for tree in trees for each in ast.walk(tree) if isinstance(each, ast.FunctionDef)):
         if function.name in ignored:
@@ -281,7 +285,7 @@ def _means_the_same(before: str, now: str, ignored: frozenset[str]) -> bool:
     return ast.dump(trees[0]) == ast.dump(trees[1])
 
 
-#: By the one we have found this folder; the other changes no value.
+#: Settings that may change: the first has led to this folder, the second changes no value.
 _OF_NO_CONSEQUENCE = {"results_output_path", "workers"}
 
 
@@ -297,9 +301,9 @@ def _changed_settings(before: Mapping[str, str], now: Mapping[str, str]) -> Iter
 def _changed_values(
     experiment: Experiment, manifest: Mapping[str, Any], settings: Collection[str], why: str
 ) -> Iterator[Finding]:
-    """Yield each value that has changed; those set with `--set` are compared as settings.
+    """Yield an error for each value that has changed; those set with `--set` are compared as settings.
 
-    A list that was made of a set has another order in each process: nobody can undo that, and a warning tells it.
+    A list that was made of a set has another order in each process: that is a warning elsewhere (`change_findings`).
     """
     for name, pair in changed_values(experiment, manifest).items():
         if name not in settings and not is_reordered(pair):
@@ -312,12 +316,12 @@ def _setting(name: str, value: str | None) -> str:
     return "not set" if value is None else f"set by --set {name}={shown_settings({name: value})[name]}"
 
 
-#: More differences than people read are counted, not listed.
+#: Further differences are counted, not listed.
 _MOST_DIFFERENCES = 20
 
 
 def refuse_differences(differences: Iterable[Finding], kind: type[ExecutionError] = ExecutionError) -> None:
-    """Raise an error of these differences, with as many of them as people read; nothing where there are none.
+    """Raise an error that lists these differences, the first ones of many; nothing where there are none.
 
     Raises:
         ExecutionError: there are some.

@@ -1,4 +1,4 @@
-"""One run: its six events, what they open, and the closing of it, whatever fails in between."""
+"""One run: its six events, and closing what they have opened, whatever fails in between."""
 
 from __future__ import annotations
 
@@ -53,15 +53,15 @@ def run_contexts(
     report: Report,
     ending: Ending | None = None,
 ) -> Callable[[str], RobotRunnerContext]:
-    """Return what makes the context of a run for each owner; all share one broker.
+    """Return a function that makes the context of a run for an owner; all of them share one broker.
 
     Args:
         experiment: what is executed.
         task: the run.
         clock: the run's.
-        resources: what its callbacks open.
-        report: takes what happens.
-        ending: ends the run from any thread; None where callbacks of the orchestrator prepare it: they end in place.
+        resources: closes what its callbacks open.
+        report: takes the records.
+        ending: ends the run from any thread; None in the orchestrator, where `context.fail` ends the callback itself.
     """
     broker = MeasureBroker(task.run_id, experiment.columns, report, task.measures, task.shared)
     times = MissionTimes(clock, report, experiment.parameters.phases)
@@ -103,7 +103,7 @@ def run_contexts(
 
 
 class _Run:
-    """The life of one run in its own process: what one line opens, the end of its block closes."""
+    """One run in its own process."""
 
     def __init__(
         self,
@@ -137,9 +137,9 @@ class _Run:
 
     @property
     def _is_safe(self) -> bool:
-        """Whether each system was closed in order or made safe, or neither came to its mission nor drove before.
+        """Whether no standby is needed: the run ended in order, its robot had not moved, or all systems were made safe.
 
-        Links have to be closed as well: they stop what they commanded.
+        In the last case links have to be closed, too: closing one stops what it commanded.
         """
         has_moved = self._has_moved or (self._systems is not None and bool(self._systems.commanded))
         was_left = self._ending.has_failed and has_moved
@@ -148,7 +148,7 @@ class _Run:
     def _open(self) -> None:
         task, resources = self._task, self._resources
         self._clock = open_clock(self._experiment.parameters.robot, resources, seed=task.run_seed)
-        seed_random_numbers(task.run_seed)  # here, as the simulator has imported NumPy by now
+        seed_random_numbers(task.run_seed)  # after the clock: the simulator has imported NumPy by now
         self._context_for = run_contexts(
             self._experiment,
             task,
@@ -161,7 +161,7 @@ class _Run:
     def _emit_events(self) -> None:
         if self._systems is not None:
             hear_commanded(self._systems.add_commanded)
-            self._systems.set(Care.RUN)  # from here on, whatever becomes of this process, somebody makes them safe
+            self._systems.set(Care.RUN)  # from here on, the standby makes them safe if this process dies
         jumps = ClockJumps()
         with self._between(RobotRunnerEvents.START_RUN):
             if not self._ending.has_failed:
@@ -188,7 +188,7 @@ class _Run:
         self._look_at_window(jumps)
 
     def _look_at_window(self, jumps: ClockJumps) -> None:
-        """Doubt the values of a mission in which this machine was suspended, while its robot was not."""
+        """Make the values of the run doubtful where this machine was suspended in the mission, its robot not."""
         if (seconds := jumps.suspended) and not is_simulated(self._experiment.parameters.robot):
             problem = f"this machine was suspended for {seconds:,.1f} s in the mission: window and samples lack that"
             fix = "Keep it awake (systemd-inhibit), and execute the run again."
@@ -205,8 +205,8 @@ class _Run:
         try:
             yield
         finally:
-            # A subscriber without a callback for the opening event may have opened something elsewhere: it is not
-            # left out. Those that a failure kept from opening anything are.
+            # The closing event is not for those whose opening callback was not reached. It is for owners without an
+            # opening callback, who may have opened something in another event.
             subscribers = {subscriber.owner for subscriber in self._experiment.events.subscribers(opening)}
             self._emit(CLOSED_BY[opening], but_not=subscribers.difference(emission.reached))
 
@@ -225,7 +225,7 @@ class _Run:
                 publish_returned(self._context_for(owner), returned)
 
     def _miss_phases(self) -> None:
-        """Warn of phases for which measures were asked for, and which the mission did not have."""
+        """Warn of phases whose measures the config asks for, and that the mission did not have."""
         context = self._context_for(CONFIG_OWNER)
         there = dict.fromkeys(phase.name for phase in context.phases)
         for name in context.times.requested:
@@ -237,7 +237,7 @@ class _Run:
         self._report("event", {"event": event.value, "at": utc_now(), "clock": self._clock.now()})
         try:
             emission = self._call(event, but_not)
-        except RunInterrupted as error:  # between two callbacks: whom the event reached is not known, so all are closed
+        except RunInterrupted as error:  # between two callbacks: any of them may have opened something
             owners = (*(plugin.name for plugin in self._experiment.plugins), CONFIG_OWNER)
             emission = Emission((), owners, (CallbackFailure(event, "", error),))
         self._ending.callback = ("", "")
@@ -263,7 +263,7 @@ class _Run:
 
     @contextmanager
     def _recorded(self, event: str, owner: str) -> Iterator[None]:
-        """Record what is raised as a failure of the run, whatever it is: what comes after is executed all the same."""
+        """Record any exception as a failure of the run, and go on."""
         try:
             yield
         except BaseException as error:  # noqa: BLE001 - also sys.exit, and a request to stop
@@ -271,10 +271,10 @@ class _Run:
 
 
 def made_safe(system: System, context: RobotRunnerContext) -> None:
-    """Have a system stop its robot.
+    """Call `make_safe` of a system.
 
     Raises:
-        ConfigError: calling it has executed nothing.
+        ConfigError: the call has executed nothing, as it is a generator or a coroutine.
     """
     make_safe: Callable[[RobotRunnerContext], object] = system.make_safe
     check_executed(make_safe(context), "make_safe", make_safe, system.name)
@@ -309,7 +309,7 @@ def _refused(context: RobotRunnerContext, name: Any, value: object) -> MeasureEr
 
 
 def _origin_of_returned(context: RobotRunnerContext, name: object) -> Origin:
-    """Return where a returned value comes from: what was computed from simulated samples does not pass for measured."""
+    """Return the origin of a returned value: one that was computed from simulated samples is simulated, too."""
     published = context.broker.measures
     if isinstance(name, str) and name in published and published[name].origin is not Origin.ENTERED:
         return published[name].origin

@@ -1,4 +1,4 @@
-"""What is noticed of runs beside their measures: programs that they call, values that are missing, factors not read."""
+"""Facts about runs beside their measures: programs called, values missing, factors not read, large logs."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from robot_runner.core.execution.task import AttemptStatus, Report, RunOutcome, 
 from robot_runner.core.storage.layout import ExperimentFolder, keep_log, keep_refused, keep_unknown_log
 from robot_runner.core.storage.manifest import described_programs
 
-#: The kind of the record that says that a program was called, and which other one names a program.
+#: Kinds of records: a program was called; software under test was started.
 CALLED, _SUBJECT = "program", "subject"
-#: The events of Python's own that start a program (PEP 578), with the place of the program among their arguments.
+#: The audit events (PEP 578) of starting a program, with the index of the program among their arguments.
 _STARTS = {"subprocess.Popen": 0, "os.exec": 0, "os.posix_spawn": 0, "os.spawn": 1, "os.system": 0}
 _SHELLS = frozenset({"sh", "bash", "dash"})
-#: A log of this size is told, bytes: of a hundred runs, such logs fill the storage of a small computer.
+#: The size of a log from which on there is a warning, bytes: a hundred such runs fill the storage of a small computer.
 _LARGE_LOG = 100_000_000
 
 
 def notice_programs(experiment: Experiment, report: Report) -> None:
-    """Report each program that this process starts from now on, once, with whose callback it was.
+    """Report each program that this process starts from now on, once, with the owner of the callback.
 
-    It is for the process of a run, which ends with the run: Python cannot be told to stop it.
+    Only for the process of a run: an audit hook cannot be removed.
     """
     owners = {id(plugin): plugin.name for plugin in experiment.plugins} | {id(experiment.config): CONFIG_OWNER}
     seen: set[str] = set()
@@ -42,7 +42,7 @@ def notice_programs(experiment: Experiment, report: Report) -> None:
     def notice(event: str, arguments: tuple[Any, ...]) -> None:
         if event not in _STARTS:
             return
-        with suppress(Exception):  # whatever is wrong with what is noticed, the program is to start
+        with suppress(Exception):  # a fault in here must not keep the program from starting
             for path in _programs(event, arguments):
                 if path not in seen and path != os.path.realpath(sys.executable):
                     seen.add(path)
@@ -52,7 +52,7 @@ def notice_programs(experiment: Experiment, report: Report) -> None:
 
 
 def _programs(event: str, arguments: tuple[Any, ...]) -> list[str]:
-    """Return the paths of the programs that are started: of a shell, the first program of its command, too."""
+    """Return the paths of the programs that are started; for `sh -c`, also the first program of the command."""
     if event == "os.system":
         words = ["/bin/sh", "-c", os.fsdecode(arguments[0])]
     else:
@@ -75,9 +75,9 @@ def _owner(owners: Mapping[int, str], frame: FrameType | None) -> str:
 
 
 class ReportedFacts:
-    """What runs report that is kept elsewhere than in the journal, too.
+    """Records of runs that are kept elsewhere than in the journal, too.
 
-    How clocks stood and which programs were called goes into the manifest, what was refused beside the run.
+    Clock offsets and the programs that were called go into the manifest, refused values into the run's folder.
     """
 
     def __init__(self, folder: ExperimentFolder, manifest: dict[str, Any]) -> None:
@@ -86,7 +86,7 @@ class ReportedFacts:
         self._callers: dict[str, set[str]] = {}
 
     def take(self, run_id: str, kind: str, fields: Mapping[str, Any]) -> None:
-        """Take what a run reports; most of it is kept in the journal alone."""
+        """Take a record of a run; most kinds are kept in the journal alone."""
         if kind == "clock":
             _note_clock(self._manifest, fields)
         elif kind == "refused":
@@ -112,9 +112,9 @@ class ReportedFacts:
 
 
 def _note_clock(manifest: dict[str, Any], facts: Mapping[str, Any]) -> None:
-    """Bring the manifest's `clocks` up to date with how a computer's clock stood to ours before and after one run.
+    """Update the manifest's `clocks` by the offset of a computer's clock before and after one run.
 
-    The manifest sums up, so that it does not grow with the number of runs; the journal keeps each run's facts.
+    The manifest has extremes only, so that it does not grow with the number of runs; the journal has each run's facts.
 
     Args:
         manifest: what is changed.
@@ -160,16 +160,16 @@ class UnreadFactors:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """A warning for each of them, once a run is done."""
+        """A warning for each of these factors, once a run is done."""
         return tuple((self._unread or {}).values())
 
     def take(self, task: RunTask, outcome: RunOutcome) -> tuple[Finding, ...]:
-        """Return the factors that nobody read in the first finished run; later reads take them off the list."""
+        """Return a warning for each factor that the first finished run did not read; later reads withdraw them."""
         if outcome.status is not AttemptStatus.DONE or not self._has_callbacks():
             return ()
         if self._unread is None:
             model = self._experiment.model
-            blocks = model.design_facts.get("block_columns", ())  # a day, a period: said of a run, and not applied
+            blocks = model.design_facts.get("block_columns", ())  # a day, a period: nothing has to read it
             varied = [each.name for each in model.factors if len(each.treatments) > 1 and each.name not in blocks]
             # A factor of that name counts repetitions, as in the paper's Listing 1.
             self._unread = {
@@ -183,12 +183,12 @@ class UnreadFactors:
         return ()
 
     def _has_callbacks(self) -> bool:
-        """Return whether anything happens in a run: a plan that is still to be filled cannot be misread."""
+        """Return whether a run has any callback: a config without any is only planned so far."""
         return any(map(self._experiment.events.subscribers, (RobotRunnerEvents.BEFORE_RUN, *RUN_EVENTS)))
 
 
 def missing_measures(experiment: Experiment, task: RunTask, outcome: RunOutcome) -> list[Finding]:
-    """Return a warning for each measure of a run that is done and has no value of it."""
+    """Return a warning for each measure without a value, of a run that is done."""
     if outcome.status is not AttemptStatus.DONE:
         return []
     has_log = experiment.folder.log(task.run_id).exists()
@@ -206,17 +206,17 @@ def missing_measures(experiment: Experiment, task: RunTask, outcome: RunOutcome)
 
 
 def left_logs(folder: ExperimentFolder, unfinished: Mapping[str, int]) -> list[Finding]:
-    """Keep what the runs of an execution that was killed had printed, and warn of what is of no run that is known.
+    """Keep the logs of runs of an execution that was killed, and warn of logs that belong to no known run.
 
     Args:
         folder: the experiment's.
-        unfinished: the runs whose attempts did not come to a recorded end, each with its slot; 0 is on another machine.
+        unfinished: the runs whose attempts have no recorded end, each with its slot; 0 is on another machine.
 
     Raises:
         StorageError: it cannot be moved.
     """
     for run_id, slot in unfinished.items():
-        if slot and not folder.log(run_id).exists():  # else what was printed is of a later run: the journal is older
+        if slot and not folder.log(run_id).exists():  # else the log at the slot is of a run that the journal lacks
             keep_log(folder.at_slot(slot), run_id)
     kept = [keep_unknown_log(folder.at_slot(slot)) for slot in folder.used_slots()]
     problem = "a run printed this of which the journal does not tell that it was begun"
@@ -225,7 +225,7 @@ def left_logs(folder: ExperimentFolder, unfinished: Mapping[str, int]) -> list[F
 
 
 def large_log(log: Path) -> list[Finding]:
-    """Return a warning where a run has printed more than anybody reads: each attempt keeps it, and a package has it."""
+    """Return a warning where a log is so large that it fills disks, as each attempt keeps one, and a package has it."""
     try:
         size = log.stat().st_size
     except OSError:  # it has printed nothing

@@ -1,4 +1,4 @@
-"""What a run reports while it is executed, on its way to the orchestrator: one JSON record a line through a pipe."""
+"""The records of a run on their way to the orchestrator: JSON lines through a pipe."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from robot_runner.core.secret_names import sentences_without_secrets, without_en
 
 #: The last record of a run that ended by itself.
 FINISHED = "finished"
-#: The event in which a run is evaluated: its last.
+#: The last event of a run, in which its measures are computed.
 POPULATE = "populate_run_data"
 
-#: How much of one write a pipe takes at once or not at all, bytes (PIPE_BUF of Linux; POSIX asks for 512).
+#: The size up to which a write to a pipe is atomic, bytes (PIPE_BUF of Linux; POSIX requires 512).
 _AT_ONCE = 4096
-#: How long an orchestrator that is only slow is waited for, s, once: what is held is lost where the run is killed.
+#: How long the run waits, once, for an orchestrator that does not read, s: held records are lost if the run is killed.
 _PATIENCE = 0.5
-#: How much may be held for an orchestrator that does not read, bytes: an hour of 50 records a second. Beyond that, what
-#: a callback tells fails the run, so that its robot is stopped.
+#: How much may be held for an orchestrator that does not read, bytes: an hour of 50 records a second. Beyond that,
+#: publishing fails the run, so that its robot is stopped.
 _MOST_HELD = 32 << 20
 _OF_CALLBACKS = ("shared", "measure")
 
@@ -33,17 +33,17 @@ _encode = json.JSONEncoder(ensure_ascii=True, separators=(",", ":"), default=str
 
 
 class RecordWriter:
-    """The run's end of the pipe. Plugins may report from threads of their own.
+    """The run's end of the pipe. Threads of plugins may use it, too.
 
-    Measures that are published while the run is evaluated cross the pipe in one write, with the next record of another
-    kind; there always is one. Those of a longer event are sent at once, as a mission may last for hours.
+    Measures of `populate_run_data` are sent in one write, with the next record of another kind, which always comes.
+    Those of other events are sent at once, as a mission may last for hours.
 
-    A mission does not wait for long for an orchestrator that waits for a disk, or was suspended: the robot would drive
-    on as it was commanded last. What the pipe does not take is held then, and sent with the next record.
+    A mission must not wait long for an orchestrator that waits for a disk, or was suspended: the robot would carry out
+    its last command. What the pipe does not take is held then, and sent with the next record.
 
     Args:
         descriptor: of the pipe.
-        waits: whether each record is waited for until the pipe has taken it, where no robot is driven meanwhile.
+        waits: whether writing waits until the pipe has room, where no robot moves meanwhile.
     """
 
     def __init__(self, descriptor: int, *, waits: bool = False) -> None:
@@ -55,12 +55,10 @@ class RecordWriter:
         self._is_stalled = False
 
     def __call__(self, kind: str, fields: dict[str, Any]) -> None:
-        """Send one record, without what the environment keeps secret.
-
-        An orchestrator that is gone is no reason for the run not to close what it opened.
+        """Send one record, with secrets of the environment masked; dropped where the orchestrator is gone.
 
         Raises:
-            ExecutionError: a callback goes on sharing or publishing, and the orchestrator has not read for too long.
+            ExecutionError: a callback shares or publishes while the orchestrator has not read for too long.
         """
         line = f"{_encode([kind, sentences_without_secrets(fields)])}\n"
         with self._lock:
@@ -77,7 +75,7 @@ class RecordWriter:
                 )
 
     def _send(self, *, waits: bool) -> None:
-        """Write the held records: as much as the pipe takes at once, or with `waits` all of them."""
+        """Write the held records: as much as the pipe takes, or with `waits` all of them."""
         while self._held:
             try:
                 written = os.write(self.descriptor, self._held[:_AT_ONCE])
@@ -99,7 +97,7 @@ class RecordWriter:
 
 
 def _has_room(descriptor: int, seconds: float | None) -> bool:
-    """Wait until a pipe takes something again, for so long at most; None for any time. Return whether it does."""
+    """Wait until a pipe has room, for `seconds` at most (None: without limit); return whether it has."""
     poll = select.poll()
     poll.register(descriptor, select.POLLOUT)
     return bool(poll.poll(None if seconds is None else 1000 * seconds))
@@ -134,13 +132,13 @@ class RecordReader:
 def _decoded(line: bytes) -> tuple[str, dict[str, Any]] | None:
     try:
         kind, fields = json.loads(line.decode())
-    except (ValueError, TypeError):  # somebody else wrote into the pipe
+    except (ValueError, TypeError):  # another program wrote into the pipe
         return None
     return (kind, fields) if isinstance(kind, str) and isinstance(fields, dict) else None
 
 
 def failure_fields(error: BaseException) -> dict[str, str]:
-    """Return the problem in one line, and the traceback, without what the environment keeps secret."""
+    """Return `problem`, with the type of the error unless it is ours, and `traceback`; secrets are masked."""
     text = text_of(error)
     problem = text if isinstance(error, RobotRunnerError | RunInterrupted) else f"{type(error).__name__}: {text}"
     problem += _name_meant(error)
@@ -151,18 +149,18 @@ def failure_fields(error: BaseException) -> dict[str, str]:
 
 
 def _name_meant(error: BaseException) -> str:
-    """Return, in brackets, the name that may be meant where an object has no attribute of a name; else nothing."""
+    """Return, in brackets, the nearest attribute for an AttributeError; else nothing."""
     if not isinstance(error, AttributeError) or not error.name or error.obj is None:
         return ""
     near = OTHER_NAMES.get(error.name) if isinstance(error.obj, ExperimentContext) else None
-    with suppress(Exception):  # what `dir` calls is a stranger's code
+    with suppress(Exception):  # `dir` may execute a user's code
         near = near or nearest(error.name, dir(error.obj))
     return f" (did you mean {near!r}?)" if near else ""
 
 
 def text_of(error: BaseException) -> str:
-    """Return what an error says; some have a `__str__` that raises."""
+    """Return the text of an error, also of one whose `__str__` raises."""
     try:
         return str(error)
-    except BaseException as later:  # noqa: BLE001 - a stranger's code
+    except BaseException as later:  # noqa: BLE001 - a user's code
         return f"(its text could not be made: {type(later).__name__})"

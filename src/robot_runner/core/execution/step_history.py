@@ -1,4 +1,4 @@
-"""Which of the operator's steps were done, as the journal tells: that decides which ones are due."""
+"""Which of the operator's steps were done, by the journal, and so which ones are due."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class _Done:
     """When a step was done last.
 
     Attributes:
-        treatments: which it was done for, by factor.
+        treatments: for which it was done, by factor.
         begun_since: the runs that have begun since.
-        ahead: those that came before it, and had not begun when it was done.
+        ahead: earlier runs that had not begun when it was done; they do not count as begun since.
     """
 
     treatments: Mapping[str, str]
@@ -32,18 +32,18 @@ class _Done:
 
 
 def still_to_do(run_id: str, steps: Sequence[str]) -> Finding:
-    """Return the finding that the person has not done yet what comes after a run."""
+    """Return the finding that steps after a run have not been done yet."""
     problem = f"still to be done after it: {enumerated(steps)}"
     return Finding.warning(run_id, problem, "Start the experiment again: it asks for that first.")
 
 
 class StepHistory:
-    """Which steps were done, and what was answered about runs that have not come to their end.
+    """Which steps were done, and the answers for runs that have not ended.
 
     Attributes:
-        answers: as above, by run.
-        ends: how runs ended that are done, by run, where steps are still to be done after them (`to_ask`).
-        after: the steps that come after runs in the config that was executed last.
+        answers: by run.
+        ends: the records of the end of runs after which steps are still to be done (`to_ask`), by run.
+        after: the names of the steps after runs, in the config that was executed last.
     """
 
     def __init__(self) -> None:
@@ -54,7 +54,7 @@ class StepHistory:
 
     @classmethod
     def of(cls, journal: Path) -> StepHistory:
-        """Return what the journal tells."""
+        """Read it from a journal."""
         history = cls()
         for record in read_journal(journal, kinds={"attempt_started", "attempt_finished", "operator_step"}):
             match record["kind"]:
@@ -71,29 +71,29 @@ class StepHistory:
         return history
 
     def expect(self, step: str, treatments: Mapping[str, str], ahead: Iterable[str]) -> None:
-        """Take down that a step is done for some treatments, after runs that are yet to begin."""
+        """Note that a step is done for these treatments; the runs `ahead` come before it and have not begun."""
         self._done[step] = _Done(treatments, ahead=set(ahead))
 
     def take(self, run_id: str, answers: Mapping[str, MeasureValue]) -> None:
-        """Take down what was answered about a run."""
+        """Keep the answers about a run."""
         self.answers.setdefault(run_id, {}).update(answers)
 
     def begin(self, run_id: str) -> None:
-        """Take down that a run begins."""
+        """Note that a run begins."""
         self.ends.pop(run_id, None)
         for done in self._done.values():
             if run_id not in done.ahead:
                 done.begun_since.add(run_id)
 
     def expect_after(self, end: Mapping[str, Any]) -> None:
-        """Take down which steps come after a run, by how it ended; a later end of the same attempt names none."""
+        """Keep which steps come after a run, by the record of its end; an amended record names none."""
         to_ask = end.get("to_ask") or self.ends.get(end["run"], {}).get("to_ask")
         if to_ask:
             self.ends[end["run"]] = {**end, "to_ask": to_ask}
 
     @property
     def left_after(self) -> list[Finding]:
-        """What was not done after runs, and whether that is still to come."""
+        """Findings on steps after runs that were not done, and whether they will be asked for."""
         found = []
         for run_id, end in self.ends.items():
             if left := [step for step in end["to_ask"] if step in self.after]:
@@ -104,7 +104,7 @@ class StepHistory:
         return found
 
     def end_step(self, run_id: str, step: str) -> None:
-        """Take down that a step was done after a run."""
+        """Note that a step was done after a run."""
         left = [each for each in self.ends.get(run_id, {}).get("to_ask", ()) if each != step]
         if left:
             self.ends[run_id]["to_ask"] = left
@@ -112,14 +112,14 @@ class StepHistory:
             self.ends.pop(run_id, None)
 
     def end(self, run_id: str, *, is_interrupted: bool) -> None:
-        """Take down that a run has ended: if it is executed again, it begins anew, and is asked about anew."""
+        """Note that a run has ended; unless it was interrupted, its answers are not for another attempt."""
         for done in self._done.values():
             done.ahead.discard(run_id)
         if not is_interrupted:
             self.answers.pop(run_id, None)
 
     def ahead_of(self, step: str, yet_to_begin: Iterable[str]) -> list[str]:
-        """Return which of some runs came before a step was done last."""
+        """Return which of the runs `yet_to_begin` come before the step's last time."""
         return [run_id for run_id in yet_to_begin if run_id in self._done[step].ahead]
 
     def is_due(self, step: OperatorStep, treatments: Mapping[str, str]) -> bool:

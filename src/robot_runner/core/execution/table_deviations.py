@@ -1,4 +1,4 @@
-"""Which cells of a run table are not as the journal has them."""
+"""Cells of a run table that differ from the journal."""
 
 from __future__ import annotations
 
@@ -19,19 +19,24 @@ from robot_runner.core.storage.run_table_reading import run_table_in
 from robot_runner.core.storage.run_table_rows import RunTableRows
 from robot_runner.core.words import counted, enumerated, listed
 
-#: In a deviation: what stands for a row that is not there any more, and for rows that changed places.
+#: The `column` of a deviation that is a removed row, or a changed order of rows.
 ROW, ORDER = "row", "order"
 
 
 def cell_deviations(
     rows: RunTableRows, record: Mapping[str, Any], changed: Mapping[tuple[str, str], str]
 ) -> Iterator[Deviation]:
-    """Yield each cell of a run's row that is not what its last attempt, and changes since, have left.
+    """Yield each cell of a run's row that differs from its last attempt and from the changes recorded since.
 
-    The same number in other digits (`11.0` for 11, as pandas writes beside a missing value) is put back.
+    The same number in other digits (`11.0` for 11, as pandas writes beside a missing value) is put back in `rows`.
+
+    Args:
+        rows: the table as it is on disk.
+        record: the end of the run's last attempt.
+        changed: the changes that were recorded since: the text by run and column.
     """
     run_id = record["run"]
-    if record["status"] not in ENDS:  # it was interrupted, and is to do again
+    if record["status"] not in ENDS:  # it was interrupted, and is to be done again
         return
     place = rows.place_of(run_id)
     if place is None:
@@ -51,7 +56,7 @@ def cell_deviations(
 
 
 def _expected(rows: RunTableRows, status: Any, record: Mapping[str, Any]) -> dict[str, str]:
-    """Return the text of each cell of a run's row as the end of its last attempt has left it."""
+    """Return the text that each cell of a run's row has by the end of its last attempt."""
     layout, expected = rows.layout, {}
     if layout.spelling.tells_apart(ENDS[record["status"]], status):
         expected["status"] = ENDS[record["status"]].value
@@ -66,7 +71,7 @@ def treatment_deviations(
     defaults: Mapping[str, Any],
     changed: Mapping[tuple[str, str], str],
 ) -> Iterator[Deviation]:
-    """Yield what of a done run's treatments and repetition is not as it was executed, or changed since.
+    """Yield each treatment, and the repetition, of a done run that differs from what was executed or recorded since.
 
     Args:
         rows: the table as it is on disk.
@@ -90,16 +95,16 @@ def treatment_deviations(
 def with_changes(
     path: Path, rows: RunTableRows, plan: Sequence[PlannedRun], changed: Mapping[tuple[str, str], str]
 ) -> tuple[RunTableRows, str]:
-    """Return the rows of a table that was made anew with the cells that were changed by hand, on record.
+    """Apply recorded changes by hand to a table that was made anew.
 
     Args:
-        path: the table's file, for what is said of it.
+        path: the table's file, for errors.
         rows: the table as it was planned and executed.
         plan: from which it was made.
         changed: the text of each changed cell, by run and column.
 
     Returns:
-        the rows, and what has been changed in words: ", and 2 cells as ...".
+        the rows, and the changes in words: ", and 2 cells as ...".
     """
     columns = {name: place for place, name in enumerate(rows.layout.columns) if name != EXCLUDED}
     cells = {
@@ -111,7 +116,7 @@ def with_changes(
     told = f"; {enumerated(removed)} had been removed by hand" if removed else ""
     if not cells:
         return rows, told
-    # As text: it was read from the file, and is read by the same rules once more.
+    # By way of CSV, so that changed texts are read by the same rules as those of a file.
     lines = [rows.layout.headings, *map(list, chain.from_iterable(rows.cells()))]
     for (place, column), text in cells.items():
         lines[1 + place][column] = text
@@ -120,7 +125,7 @@ def with_changes(
 
 
 def changed_exclusions(rows: RunTableRows, excluded: ExcludedRuns) -> Iterator[Deviation]:
-    """Yield each run that a table leaves out otherwise than the journal does."""
+    """Yield each run whose exclusion differs between table and journal."""
     for run_id, found in zip(rows.values(RUN_ID), rows.values(EXCLUDED), strict=True) if excluded.were_any else ():
         reason = excluded.reason(run_id)
         if reason != found:
@@ -131,13 +136,13 @@ def _text(cell: Any) -> str:
     return str(cell.value) if isinstance(cell, RunStatus) else measure_text(cell)
 
 
-#: Of one column, so many cells are told one by one; of more, how many they are.
+#: Of a column with more differing cells than this there is one finding, which shows the first few.
 _MOST_CELLS = 5
 _SHOWN_CELLS = 3
 
 
 def deviation_findings(path: Path, found: Sequence[Deviation], severity: Severity, fix: str = "") -> Iterator[Finding]:
-    """Yield a finding for each cell that differs, and one for all of a column in which many do: they have one cause."""
+    """Yield a finding for each cell that differs, or one for the whole column where many do, as with one cause."""
     columns: dict[str, list[Deviation]] = {}
     for each in found:
         columns.setdefault(each.column, []).append(each)

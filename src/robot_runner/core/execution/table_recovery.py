@@ -1,8 +1,8 @@
-"""The run table of an experiment that goes on: the journal is the truth, and the file is compared with it.
+"""Reading the run table of a resumed experiment: the journal is the truth, and the file is compared with it.
 
 The journal is flushed at the end of each run; the file is written now and then, and people, spreadsheets and sync
-clients change it. A file that is as we wrote it last (by its SHA-256, which the journal has) is read, and runs that
-ended since are added. Any other file is compared with the journal, run by run.
+clients change it. A file that has the SHA-256 of the last writing, by the journal, is read, and runs that ended since
+are added. Any other file is compared with the journal, run by run.
 """
 
 from __future__ import annotations
@@ -72,11 +72,11 @@ _SETTLE_JOURNAL = (
 
 
 def recover_table(experiment: Experiment, manifest: Mapping[str, Any], resumption: Resumption) -> RecoveredTable:
-    """Return the run table: planned anew, or as it stands in the folder with what the journal knows better.
+    """Return the run table: newly planned, or as it is on disk, corrected by the journal.
 
     Raises:
-        StorageError: the table or the journal cannot be read; every problem is named.
-        ExecutionError: the file differs from the plan, or from the journal; every cell is named.
+        StorageError: the table or the journal cannot be read; all problems are listed.
+        ExecutionError: the file differs from the plan, or from the journal; the cells are listed.
     """
     return _Recovery(experiment, manifest, resumption).recovered()
 
@@ -142,7 +142,7 @@ class _Recovery:
             findings = [*error.findings, Finding.error(str(self._path), "runs of the table were executed", _REBUILD)]
             raise TableDisagreementError.of_findings(findings) from error
         rows, added = with_later_batches(self._path, self._plan, rows)
-        unrecorded = self._unrecorded(rows)  # first: where the journal is older, the plan may lack what was added since
+        unrecorded = self._unrecorded(rows)  # first: an older journal lacks later batches, and so does the plan
         if not self._is_by_hand and self._choice is TableChoice.JOURNAL and lacks_runs(self._plan, rows):
             return self._rebuilt("the run table lacked runs that are planned")
         if not self._is_by_hand and not self._accepts_changes and self._choice is not TableChoice.JOURNAL:
@@ -165,10 +165,10 @@ class _Recovery:
             refuse_differences(table_differences(self._path, self._plan, rows, accepted, is_as_written=is_ours))
 
     def _unrecorded(self, rows: RunTableRows) -> list[str]:
-        """Return the runs that are done and of which the journal has no end: it is older than the table, or missing.
+        """Return the runs that are done by the table and have no end in the journal, which is older, or missing.
 
         Raises:
-            ExecutionError: there are some, and nobody has said what counts.
+            ExecutionError: there are some, and the user has not chosen what counts.
         """
         found = [] if self._is_first else unrecorded_runs(rows.done_runs, self._history.ended, self._manifest)
         if found and self._choice is None:
@@ -184,17 +184,17 @@ class _Recovery:
             return
         self._put_aside()
         for run_id in found:
-            if table.rows.place_of(run_id) is not None:  # it may have been made anew
+            if table.rows.place_of(run_id) is not None:  # a table that was made anew may lack it
                 table.rows.clear(run_id)
         table.is_on_disk = False
         again = f"{told}; {'it is' if len(found) == 1 else 'they are'} to do again"
         table.findings += (Finding.warning(str(self._journal), again, self._kept_fix()),)
 
     def _reconcile(self, table: RecoveredTable) -> None:
-        """Compare each executed run with its row, and let count what was chosen.
+        """Compare each executed run with its row, and correct table or record as was chosen.
 
         Raises:
-            ExecutionError: they differ, and nothing was chosen.
+            ExecutionError: they differ, and the user has not chosen what counts.
         """
         ends, earlier = self._last_ends()
         newer = self._history.begun.union(run_of(self._journal, line) for line in self._history.newer)
@@ -203,11 +203,11 @@ class _Recovery:
             place = table.rows.place_of(run_id)
             has_come = place is not None and table.rows.status(place) in {RunStatus.DONE, RunStatus.FAILED}
             if run_id in newer and not has_come:
-                continue  # it ended after the file was written, or is to do once more: the journal alone has it
+                continue  # it ended after the file was written, or is to be done again: `_add_newer`, `_settle`
             found += cell_deviations(table.rows, parsed_record(self._journal, line), earlier)
         treatments = list(self._changed_treatments(table.rows, earlier))
         found += [*treatments, *changed_exclusions(table.rows, self._history.excluded)]
-        table.is_on_disk = False  # from here on it is as we write it, so that it need not be compared again
+        table.is_on_disk = False  # it is written again, so that the next execution need not compare it
         if not found:
             return
         if self._choice is None:
@@ -259,13 +259,13 @@ class _Recovery:
         return table
 
     def _leave_out(self, table: RecoveredTable) -> None:
-        """Leave out the runs that the journal has left out, and no others."""
+        """Exclude the runs that are excluded by the journal, and no others."""
         for each in tuple(changed_exclusions(table.rows, self._history.excluded)):
             table.rows.exclude(each.run, each.was or None)
             table.is_on_disk = False
 
     def _unplanned(self, rows: RunTableRows) -> Iterator[Finding]:
-        """Yield each run that was executed with other treatments than the plan has for it."""
+        """Yield an error for each run that was executed with other treatments than the plan has for it."""
         fix = "Restore the run table from a backup: it was written or changed by hand, and the plan does not have that."
         for line in journal_lines(self._journal, kinds={"attempt_started"}):
             record = parsed_record(self._journal, line)
@@ -283,7 +283,7 @@ class _Recovery:
                 yield Finding.error(where, "the run was executed from a table that was written by hand", fix)
 
     def _last_ends(self) -> tuple[dict[str, bytes], dict[tuple[str, str], str]]:
-        """Return the line of each run's last end, and the changes by hand since, by run and column."""
+        """Return the journal line of each run's last end, and each later change by hand: text by run and column."""
         ends: dict[str, bytes] = {}
         changed: dict[tuple[str, str], str] = {}
         for line in journal_lines(self._journal, kinds={"attempt_finished", "deviation"}):
@@ -313,10 +313,10 @@ class _Recovery:
         table.is_on_disk &= not last_ends and not table.rows.count(RunStatus.RUNNING)
 
     def _settle(self, table: RecoveredTable) -> None:
-        """Runs whose end nobody saw are to do again; failed ones are listed with their reason."""
+        """Clear the rows of runs whose end was not recorded, and list failed ones with their reason."""
         history, rows = self._history, table.rows
         for run_id in history.begun.difference(each.run for each in table.deviations):
-            place = rows.place_of(run_id)  # what an earlier attempt has left is put away
+            place = rows.place_of(run_id)
             if place is not None and rows.status(place) is not RunStatus.TODO:
                 rows.clear(run_id)
                 table.is_on_disk = False
@@ -358,7 +358,7 @@ class _Recovery:
 
 
 def is_reordered(plan: RunTable, rows: RunTableRows) -> bool:
-    """Return whether the runs of a plan stand in another order in a table; runs that only one of them has aside."""
+    """Return whether the runs that plan and table have in common are in different orders."""
     planned = [run.run_id for run in plan]
     there = [run.run_id for run in rows.planned]
     if planned == there:
@@ -368,7 +368,7 @@ def is_reordered(plan: RunTable, rows: RunTableRows) -> bool:
 
 
 def _has_content(path: Path) -> bool:
-    """Return whether there is anything in a file but blanks."""
+    """Return whether a file exists and has more than white space."""
     try:
         return any(block.strip() for block in read_blocks(path))
     except MissingFileError:
@@ -376,7 +376,7 @@ def _has_content(path: Path) -> bool:
 
 
 def _schema_of(path: Path) -> tuple[tuple[ColumnDescription, ...], tuple[Finding, ...]]:
-    """Return what the schema says; nothing where it is missing or damaged: it is made anew from the journal."""
+    """Return the columns of the schema; none where it is missing, or damaged, which is a finding."""
     if not path.exists():
         return (), ()
     try:

@@ -1,4 +1,4 @@
-"""A run's task, the records that it sends while it is executed, and the outcome that they add up to: plain data."""
+"""A run's task, and the outcome that its records add up to: plain data."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import OPERATOR_OWNER, MeasureColumns, Origin, PublishedMeasure, quality_text
 from robot_runner.core.execution.run_records import FINISHED, POPULATE
 
-#: Takes what happens in a run as it happens: the kind of the record and its plain fields.
+#: Takes a record of a run: its kind and its plain fields.
 Report = Callable[[str, dict[str, Any]], None]
 
 
@@ -38,11 +38,11 @@ class RunTask:
         repetition: which repetition of its combination it is, from 1; 0 for a warm-up run.
         run_seed: a seed for this run alone, the same each time that it is executed.
         attempts_left: how often it is tried again where this attempt fails.
-        measures: what was published of this run by now, by column: the fields of the record that told of it.
-        shared: the key-value pairs that were shared by now, by plugin. Both are filled in place, so that the process of
-            the run begins with what a person answered, and with what `before_run` told.
-        place: where it is executed; empty where there is one place only.
-        slot: the number of the slot of this machine that has its files meanwhile; 0 where none has.
+        measures: the measures published so far, by column: the fields of their records.
+        shared: the key-value pairs shared so far, by plugin. Both are filled in place, so that the process of the run
+            begins with the operator's answers, and with what `before_run` published and shared.
+        place: where it is executed; empty where there is only one place.
+        slot: the number of the slot of this machine that has its files meanwhile; 0 on another machine.
     """
 
     run_id: str
@@ -61,7 +61,7 @@ class RunTask:
 
     @property
     def whereabouts(self) -> dict[str, Any]:
-        """What the journal has of where it is executed: nothing where there is one place only."""
+        """The fields `place` and `slot` of its records in the journal, without defaults."""
         named: dict[str, Any] = {"place": self.place} if self.place else {}
         return named if self.slot == 1 else {**named, "slot": self.slot}
 
@@ -108,7 +108,7 @@ class RunFailure:
 
     def __str__(self) -> str:
         place = " of ".join(part for part in (self.event, self.owner) if part)
-        # An error that a plugin raises mostly says by itself whose it is.
+        # An error that a plugin raises mostly names the plugin.
         return f"{place}: {self.problem.removeprefix(f'{self.owner}: ')}" if place else self.problem
 
 
@@ -120,10 +120,10 @@ class RunOutcome:
         stamps: UTC time of each event's emission, by the event's name.
         measures: what was published, by column.
         failure: the first thing that went wrong, if any did.
-        later_failures: what went wrong after that, while what was open was closed.
-        readers: who read the treatment of each factor, or has a parameter bound to it, by the factor's name.
+        later_failures: what went wrong after that, during closing.
+        readers: the owners that read the treatment of a factor, or have a parameter bound to it, by factor.
         seconds: real time that the attempt took.
-        is_lost: whether it failed as the machine that executed it was lost, which is not the run's fault.
+        is_lost: whether it failed because the machine that executed it was lost.
     """
 
     status: AttemptStatus
@@ -159,7 +159,7 @@ class RunOutcome:
 
     @classmethod
     def of_fields(cls, fields: Mapping[str, Any]) -> RunOutcome:
-        """Return an outcome that is done as the journal has it; units and findings are kept elsewhere."""
+        """Return the outcome of a run that is done from its record in the journal, without units and findings."""
         measures = {
             name: PublishedMeasure(
                 name, each["value"], each["owner"], origin=Origin(each["origin"]), doubts=tuple(each.get("doubts", ()))
@@ -172,7 +172,7 @@ class RunOutcome:
 
 
 class OutcomeBuilder:
-    """Gathers the records of one attempt; what it lacks when the run has ended tells how it ended."""
+    """Gathers the records of one attempt into its outcome."""
 
     def __init__(
         self,
@@ -204,7 +204,7 @@ class OutcomeBuilder:
         return bool(self._failures)
 
     def take(self, kind: str, fields: dict[str, Any]) -> None:
-        """Take one record; kinds that say nothing about the outcome are passed over."""
+        """Take one record; kinds that do not matter to the outcome are ignored."""
         if kind == "event":
             self.event = fields["event"]
             self._stamps.setdefault(self.event, fields["at"])
@@ -216,7 +216,7 @@ class OutcomeBuilder:
             )
         elif kind == "finding":
             where = f"{self._run_id}, {fields['owner']}"
-            # A file's name in it may hold what no table in UTF-8 can.
+            # A file name in it may have surrogates, which cannot be written as UTF-8.
             problem, fix = (fields[each].encode("utf-8", "backslashreplace").decode() for each in ("problem", "fix"))
             self._findings.append(Finding.warning(where, problem, fix))
             for name in fields.get("measures", ()):
@@ -232,7 +232,7 @@ class OutcomeBuilder:
             self.is_finished = True
 
     def go_on_from(self, outcome: RunOutcome) -> None:
-        """Add what comes to what an attempt that has ended has yielded; its failures stay its own."""
+        """Begin with the stamps, measures and findings of an attempt that has ended, without its failures."""
         self._stamps.update(outcome.stamps)
         self._measures.update(outcome.measures)
         self._findings += outcome.findings
@@ -277,14 +277,14 @@ class OutcomeBuilder:
                 measures[column.name] = replace(published, doubts=doubts) if doubts else published
         for column in self._columns.in_table:
             told, doubts = measures.get(column.tells_of), tuple(dict.fromkeys(self._doubts[column.tells_of]))
-            # What nobody published, before `continue` either, keeps the reasons that were given for that.
+            # Where nothing is published in `continue` either, the earlier reasons stay.
             if column.tells_of and (told is not None or doubts or column.name not in measures):
                 text = quality_text(None, doubts) if told is None else quality_text(told.value, told.doubts)
                 measures[column.name] = PublishedMeasure(column.name, text, column.owner)
         return measures
 
     def _bad_values(self, measures: Mapping[str, PublishedMeasure]) -> Iterator[RunFailure]:
-        """Yield a failure for each value of the run table that is missing, or not plausible."""
+        """Yield a failure for each measure of the run table whose value is missing or implausible."""
         for column in self._columns.in_table:
             published = measures.get(column.name)
             if column.tells_of or column.owner == OPERATOR_OWNER:
@@ -301,6 +301,6 @@ class OutcomeBuilder:
         self._readers[factor] = known if owner in known else (*known, owner)
 
     def _ended(self, because: str, failures: list[RunFailure]) -> RunFailure:
-        # The run's own record of the stop request knows the callback; the orchestrator knows why.
+        # The run's own record of the stop request has the callback; the orchestrator has the reason.
         first = failures[0] if failures else RunFailure("", self.event)
         return RunFailure(because, first.event or self.event, first.owner, first.traceback)

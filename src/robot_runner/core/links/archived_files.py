@@ -1,4 +1,4 @@
-"""Files on their way to and from hosts, as tar archives: nothing outside its folder is written, no link is followed."""
+"""Packing and unpacking files for hosts as tar archives: nothing outside the folder is written, no link followed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import IO
 
 from robot_runner.core.words import one_line
 
-#: What an archive may have beyond the bytes of its files: headers, and the blocks that it is filled up with.
+#: The size of headers and padding that an archive may have beyond its files, bytes.
 TAR_MARGIN = 10_000_000
 _MODE = 0o644
 _FULL = {errno.ENOSPC, errno.EDQUOT}
@@ -22,13 +22,13 @@ _FULL = {errno.ENOSPC, errno.EDQUOT}
 
 @dataclass(slots=True)
 class Unpacked:
-    """What came out of an archive.
+    """The result of unpacking an archive.
 
     Attributes:
-        files: where they are.
+        files: their paths.
         size: of all of them, bytes.
-        problems: what did not come, and why, as parts of sentences.
-        is_too_much: whether there was more than there may be.
+        problems: members that were not unpacked, and why, as parts of sentences.
+        is_too_much: whether there was more than allowed.
     """
 
     files: list[Path] = field(default_factory=list)
@@ -38,7 +38,7 @@ class Unpacked:
 
 
 def pack(source: Path, name: str, archive: IO[bytes]) -> None:
-    """Write a file or a folder into an archive under a name, for whoever takes it out to own, and rewind."""
+    """Write a file or a folder into an archive under a name, without an owner, and rewind."""
 
     def own(member: tarfile.TarInfo) -> tarfile.TarInfo:
         member.uid = member.gid = 0
@@ -52,16 +52,16 @@ def pack(source: Path, name: str, archive: IO[bytes]) -> None:
 
 
 def unpack(archive: IO[bytes], folder: Path, most: int) -> Unpacked:
-    """Take the regular files out of an archive, whole ones alone, and put each into a folder under its own path.
+    """Unpack the regular files of an archive into a folder; a file that is cut off is left out.
 
     Args:
         archive: at its beginning; it may be cut off.
-        folder: is there.
-        most: how many bytes may come.
+        folder: must exist.
+        most: how many bytes are allowed.
     """
     unpacked = Unpacked()
     seen: dict[str, tarfile.TarInfo] = {}
-    # An archive ends anywhere where its program was ended.
+    # An archive may end anywhere, if its program was ended.
     with suppress(tarfile.TarError, EOFError), tarfile.open(fileobj=archive, mode="r:") as tar:
         for member in tar:
             # What has a second name stands in the archive under its first one.
@@ -75,7 +75,7 @@ def unpack(archive: IO[bytes], folder: Path, most: int) -> Unpacked:
 
 
 def _unpack_member(tar: tarfile.TarFile, name: str, held: tarfile.TarInfo, folder: Path, unpacked: Unpacked) -> bool:
-    """Put a file into the folder, or tell why not; return whether there is any use in going on."""
+    """Put a file into the folder, or add a problem; return False if unpacking must end."""
     parts = [part for part in PurePosixPath(name).parts if part not in {"/", "."}]
     shown = one_line("/" + "/".join(parts))
     if ".." in parts or not parts or any("\0" in part for part in parts):
@@ -99,12 +99,12 @@ def _unpack_member(tar: tarfile.TarFile, name: str, held: tarfile.TarInfo, folde
 
 
 def _write(source: IO[bytes], target: Path, folder: Path) -> None:
-    """Write beside and rename, so that a file is whole or not there; a link that stands on the way is replaced."""
+    """Write beside and rename, so that a file is whole or missing; a link in the path is replaced."""
     for above in _between(folder, target.parent):
         if above.is_symlink():
             above.unlink()
         above.mkdir(exist_ok=True)
-    beside = target.with_name(f".{os.getpid()}.part")  # whichever name the file has, this one is not too long
+    beside = target.with_name(f".{os.getpid()}.part")  # short, as the file's own name may have the maximal length
     beside.unlink(missing_ok=True)
     try:
         descriptor = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, _MODE)

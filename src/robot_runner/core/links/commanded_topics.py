@@ -1,4 +1,4 @@
-"""Commands that must arrive: who stands by for a process that dies knows where it drove a robot, and stops it there."""
+"""Topics on which this process commands velocities, so that a standby can stop the robot there, and stopping it."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from collections.abc import Callable, Sequence
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Advertiser, Message, RobotLink
 
-#: A robot carries out a command of these types until the next one; one without any field stops it.
+#: A robot carries out a command of these types until the next one; an empty message, all zero, stops it.
 VELOCITIES = frozenset({"geometry_msgs/Twist", "geometry_msgs/TwistStamped"})
-#: What stands in a finding or a failure where nobody could stop a robot: no further run begins then.
+#: In the problem of a finding or a failure: the robot could not be stopped, so that no further run begins.
 MAY_BE_MOVING = "THE ROBOT MAY BE MOVING"
-#: What an experiment is said to be stopped by then.
+#: The reason why an experiment was stopped then (`stopped_by`).
 MOVING_ROBOT = "a robot that may be moving"
-#: What is to be done about it.
+#: The fix.
 STOP_BY_HAND = (
     "Stop it by hand, and start the experiment again: it resumes. A watchdog on the robot stops it when the laptop "
     "falls silent."
 )
-#: For how long and how often a robot is told to stand still, s: it may be discovered only now, on Fast DDS up to 3.2 s
-#: after this process has joined, and one message may be lost.
+#: For how long and how often zero is commanded, s: a subscriber may be discovered late, on Fast DDS up to 3.2 s after
+#: this process has joined, and one message may be lost.
 _TELLING, _PERIOD = 4.0, 0.1
-#: For how long where its subscription is not reached by then, s: on a busy machine, ROS 1 has taken more than 4 s.
+#: For how long if a subscriber is not reached by then, s: on a busy machine, ROS 1 has taken more than 4 s.
 _REACHING = 10.0
 
 _listeners: list[Callable[[str, str], object]] = []
@@ -31,12 +31,12 @@ _types: dict[str, str] = {}
 
 
 def hear_commanded(listener: Callable[[str, str], object]) -> None:
-    """Have the full name and the type of each topic told on which a velocity is about to be commanded."""
+    """Call `listener` with full name and type of each topic on which a velocity is about to be commanded."""
     _listeners.append(listener)
 
 
 def tell_commanded(topic: str, message_type: str) -> None:
-    """Say that velocities will be commanded on a topic; a message of its type without any field stops the robot.
+    """Tell the listeners that velocities will be commanded on a topic.
 
     Example:
         >>> hear_commanded(print)
@@ -55,17 +55,16 @@ def commanded_type(topic: str) -> str | None:
 
 
 def keep_commanding_zero(link: RobotLink, commanded: Sequence[tuple[str, str]]) -> list[str]:
-    """Command zero for some seconds, by topic and type, and until every subscriber is reached.
+    """Command zero on topics (name and type) for some seconds, and until every subscriber is reached.
 
-    Where a topic has no subscriber, it is waited for one for as long as for one that is not reached: it may have to be
-    discovered.
+    On a topic without a subscriber, one is awaited for as long: it may have to be discovered.
 
     Returns:
-        the topics without any.
+        the topics without a subscriber.
 
     Raises:
-        LinkError: a subscriber of a topic is not reached, or the robot cannot be. What fails at one topic keeps no
-            other from being told to the end; what fails at all of them is raised at once.
+        LinkError: a subscriber of a topic, or the robot, is not reached. A failure at one topic is raised after the
+            others are done; a failure at all of them immediately.
     """
     began = time.monotonic()
     while True:
@@ -98,9 +97,9 @@ def keep_commanding_zero(link: RobotLink, commanded: Sequence[tuple[str, str]]) 
 
 
 def command_for_certain(link: RobotLink, topic: str, message_type: str, message: Message) -> None:
-    """Publish what nobody repeats, and again until every subscriber is reached.
+    """Publish a single command, again and again until every subscriber is reached.
 
-    A publisher that is new waits for its subscribers, and on a busy machine not long enough.
+    A new publisher waits for its subscribers, but on a busy machine not long enough.
 
     Raises:
         LinkError: a subscriber is not reached, or the robot cannot be.

@@ -1,4 +1,4 @@
-"""From the name of a robot to its link, which is opened once a run; entry points say which kinds of link there are."""
+"""Connecting to robots by name: links are opened once in a run, and their kinds are found by entry points."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.storage.input_files import InputFile
 
-#: The name of the embedded robot, which messages offer as a way out; nothing here depends on it.
+#: The name of the embedded robot, for messages that suggest it.
 SIMULATED = "simulated"
 
 _SIMULATE = f"Execute it on the embedded robot: --set robot={SIMULATED}."
 
 
 def link_findings(robot: str | None) -> list[Finding]:
-    """Return what stands in the way of reaching this robot; nothing is opened by asking.
+    """Return findings on why this robot cannot be reached, without opening anything.
 
     Example:
         >>> [finding.problem for finding in link_findings("simulatd")]
@@ -39,11 +39,11 @@ def link_findings(robot: str | None) -> list[Finding]:
 
 
 def begin_graph_look(robot: str, needs: Mapping[str, Sequence[GraphNeed]]) -> Callable[[], Sequence[Finding]] | None:
-    """Begin to look whether the graph of a robot has what plugins need; None where its link looks at none.
+    """Begin to check that the graph of a robot has what plugins need; None where its link cannot look at a graph.
 
     Args:
         robot: how it is reached.
-        needs: with names relative to the robot's namespace, by the place that findings are to name.
+        needs: with names relative to the robot's namespace, by the place for findings.
 
     Raises:
         LinkError: there is no such robot, or a name cannot be one.
@@ -82,7 +82,7 @@ def meant_robot(robot: str) -> str | None:
 
 
 def looks_for_robot(robot: str | None) -> bool:
-    """Whether a name stands for whichever robot is found (`auto`)."""
+    """Return whether a name stands for any robot that is found (`auto`)."""
     return robot is not None and isinstance(_kind_or_none(robot), kinds.FindsRobot)
 
 
@@ -90,14 +90,14 @@ def found_robot(robot: str | None) -> kinds.FoundRobot | None:
     """Return the robot that `auto` finds; None for any other name.
 
     Raises:
-        LinkError: it is to be looked for, and none is there.
+        LinkError: there is none.
     """
     kind = None if robot is None else _kind_or_none(robot)
     return _found(kind, str(robot)) if isinstance(kind, kinds.FindsRobot) else None
 
 
 def _found(kind: kinds.FindsRobot, robot: str) -> kinds.FoundRobot:
-    """Return the robot that is found; what a name says beside `auto` would be lost with it."""
+    """Return the robot that is found; options beside `auto` are refused, as they would be lost."""
     name = RobotName.parse(robot)
     if name != RobotName(name.link):
         fix = f"Say {name.link!r} alone, or name the link: ros2://alice, dds:domain=7."
@@ -152,10 +152,10 @@ def preload_robot(robot: str | None) -> None:
 
 
 def preload_simulation(robot: str | None) -> None:
-    """Import what simulates this robot into the orchestrator, so that no forked run has to; a real one is left alone.
+    """Import the simulator of a simulated robot into the orchestrator, so that no forked run has to.
 
-    A simulator begins no thread by being imported; the client library of a real robot may, and threads do not survive
-    a fork. What cannot be imported is told by the run.
+    Importing a simulator starts no thread; importing the client library of a real robot may, and threads do not survive
+    a fork. A failing import is reported by the run.
     """
     if is_simulated(robot):
         with suppress(LinkError, ImportError):
@@ -181,7 +181,7 @@ def connect_robot(context: RobotRunnerContext, *, namespace: str = "") -> RobotL
 
 
 def join_beforehand(context: RobotRunnerContext, *, namespace: str = "") -> None:
-    """Connect to the run's robot where a command would be heard late by way of a new connection; for `System.stand_by`.
+    """Connect to the run's robot if commands over a new connection would arrive late; for `System.stand_by`.
 
     Raises:
         LinkError: the run has no robot, or it cannot be reached.
@@ -192,7 +192,7 @@ def join_beforehand(context: RobotRunnerContext, *, namespace: str = "") -> None
 
 
 def is_slow_to_join(robot: str) -> bool:
-    """Whether who has joined the graph of a robot sees it, and is heard there, only some seconds later.
+    """Return whether a process that joins the graph of a robot can communicate only some seconds later.
 
     Raises:
         LinkError: there is no such link, or no robot was found.
@@ -205,9 +205,9 @@ def _is_slow(kind: kinds.RobotLinkKind) -> bool:
 
 
 def robot_on_graph(robot: str) -> str:
-    """Return what tells one robot from another, however it is reached: its graph, and its namespace there.
+    """Return an identifier of a robot, however it is reached: its graph, and its namespace there.
 
-    One that is still to be looked for is told by its name.
+    For `auto`, whose robot is not known yet, it is the name.
 
     Raises:
         LinkError: there is no such link.
@@ -222,7 +222,7 @@ def robot_on_graph(robot: str) -> str:
 
 
 def graph_of_robot(robot: str) -> str:
-    """Return what tells the graph of a robot from others, whichever of the robots there it is.
+    """Return an identifier of a robot's graph, the same for all robots there.
 
     Raises:
         LinkError: there is no such link, or no robot was found.
@@ -237,7 +237,7 @@ def graph_of_robot(robot: str) -> str:
 
 
 def graph_variables(robot: str | None, *, is_here: bool = True) -> Mapping[str, str]:
-    """Return the variables of the environment by which a program joins the graph of a robot, where its name says which.
+    """Return the environment variables by which a program joins the graph of a robot, as far as its name has them.
 
     Args:
         robot: how it is reached; None where there is none.
@@ -272,7 +272,7 @@ def run_robot(context: RobotRunnerContext) -> tuple[kinds.RobotLinkKind, RobotNa
 
 
 def resolved_robot(robot: str) -> tuple[kinds.RobotLinkKind, RobotName]:
-    """Return the kind of link of a robot's name, and the name; what is to be looked for is found.
+    """Return the kind of link of a robot's name, and the name; for `auto` those of the robot that is found.
 
     Raises:
         LinkError: there is no such link, or no robot was found.
@@ -299,7 +299,7 @@ def _with_namespace(robot: str, name: RobotName) -> RobotName:
 
 
 def robot_namespace(context: ExperimentContext, namespace: str = "") -> str:
-    """Return the namespace on the graph of what a plugin calls `namespace`: below that of the run's robot, if any.
+    """Return the full namespace for a plugin's `namespace`: below that of the run's robot, if it has one.
 
     Raises:
         LinkError: there is no such robot.
@@ -317,7 +317,7 @@ def open_robot(robot: str, *, namespace: str = "", seed: int = 1) -> Iterator[tu
     """Reach a robot outside of a run, as a node of your own does, and leave it when the block ends.
 
     Args:
-        robot: as `robot` in a config has it, such as `dds:domain=7,clock=graph`.
+        robot: as in a config, such as `dds:domain=7,clock=graph`.
         namespace: which robot, where there are several.
         seed: of a simulated one.
 
@@ -349,7 +349,7 @@ def _kind_or_none(robot: str) -> kinds.RobotLinkKind | kinds.FindsRobot | None:
         return None
 
 
-#: Published once, by who puts a simulated robot on a graph, in the robot's namespace.
+#: The topic, in the robot's namespace, that marks a simulated robot on a graph.
 SIMULATION_TOPIC = "robot_runner/simulation"
 _CLOCK = "/clock"
 

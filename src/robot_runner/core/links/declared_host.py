@@ -1,4 +1,4 @@
-"""The hosts of a config: how each is reached, what is fetched from it, when it is started anew."""
+"""The hosts of a config: how each is reached, what is fetched from it, when it is rebooted."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ FETCHABLE = "Begin the path with '/' or, for the home folder there, '~/'."
 
 
 def is_fetchable(pattern: object) -> bool:
-    """Return whether files of a host can be named so."""
+    """Return whether a pattern can name files of a host."""
     return isinstance(pattern, str) and pattern.startswith(("/", "~/")) and "\0" not in pattern
 
 
 class Reboot(Enum):
-    """When a host is started anew: never, before the first run, where a block begins, or before each run."""
+    """When a host is rebooted: never, before the first run, where a block begins, or before each run."""
 
     NEVER = "never"
     ONCE = "once"
@@ -46,17 +46,17 @@ class Host:
 
     Attributes:
         address: `"local"` for this machine; any other as for ssh: `"robot"`, `"pi@robot"`, `"ssh://pi@robot:2222"`.
-        ssh_config: a file to take the place of your ssh config; relative to where the program is started.
-        fetch: files that are results: fetched when a run stops, whether it went well or not.
+        ssh_config: replaces your ssh config; relative to where the program is started.
+        fetch: result files, which are fetched when a run stops, also a failed one.
         fetch_within_s: how long that may take, s; after a failure no longer than the config's `grace_in_s` leaves.
-        largest_fetch_mb: how much may come of one run, in millions of bytes.
-        reboot: when it is started anew.
-        reboot_command: what starts it anew there.
+        largest_fetch_mb: how much may be fetched of one run, in millions of bytes.
+        reboot: when it is rebooted.
+        reboot_command: reboots it.
         back_within_s: how long it may take until it answers again, s.
-        ready: what must hold, beyond that it answers, before the next run begins.
+        ready: a condition that must hold after it answers, before the next run begins.
 
     Raises:
-        ConfigError: a value is not well formed; all of them are told.
+        ConfigError: values are invalid; `findings` lists all of them.
 
     Example:
         >>> Host(address="pi@robot", fetch=["~/.ros/log/latest/*.log"]).is_local
@@ -145,7 +145,7 @@ def named_hosts(value: Mapping[str, str | Host]) -> dict[str, Host]:
 
 
 def host_findings(where: str, name: str, host: Host, robot: str | None) -> list[Finding]:
-    """Return what stands in the way of a host: it is tried, and changes nothing there."""
+    """Return findings on why a host cannot be used; it is tried without changing anything there."""
     from robot_runner.core.links.ssh_command import ssh_findings  # noqa: PLC0415 - slow, and seldom needed
 
     place = f"{where}.hosts[{name!r}]"

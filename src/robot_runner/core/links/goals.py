@@ -1,4 +1,4 @@
-"""What becomes of a goal that is sent to an action: its states, its result, and how an execution ends otherwise."""
+"""Goals of actions: their states, their results, and the exceptions by which an execution ends otherwise."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ class GoalStatus(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ActionResult:
-    """What came of a goal.
+    """The result of a goal.
 
     Attributes:
         status: how it ended.
-        result: the message of the action's result; of a goal that did not succeed, what the server filled in.
-        text: what an actionlib server of ROS 1 says beside; empty elsewhere.
+        result: the message of the action's result; without success, as far as the server filled it in.
+        text: of an actionlib server of ROS 1; empty elsewhere.
 
     Example:
         >>> ActionResult(GoalStatus.SUCCEEDED, {"sequence": [0, 1, 1]}).has_succeeded

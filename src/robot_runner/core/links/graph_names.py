@@ -20,7 +20,7 @@ _LEGAL = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 
 
 def namespace_prefix(namespace: str) -> str:
-    """Return what stands before a relative name: nothing, or `/alice`.
+    """Return the prefix of relative names: empty, or `/alice`.
 
     Raises:
         LinkError: it cannot be the name of a namespace.
@@ -36,7 +36,7 @@ def namespace_prefix(namespace: str) -> str:
 
 
 def full_name(namespace: str, name: str) -> str:
-    """Return the name on the graph of what a robot of this namespace calls `name`.
+    """Return the full name on the graph for `name` in a namespace.
 
     Raises:
         LinkError: it cannot be a name.
@@ -51,7 +51,7 @@ def full_name(namespace: str, name: str) -> str:
 
 
 def missing(kind: str, name: str, known: Iterable[str], *, where: str, fix: str) -> LinkError:
-    """Return the error that there is no topic or service of this name; it names the nearest that there is.
+    """Return the error for a missing topic or service, with the nearest name that exists.
 
     Example:
         >>> missing("service", "/task/stpo", ["/task/stop"], where="ros1", fix="Start its node.").fix
@@ -66,7 +66,7 @@ def _illegal(kind: str, name: str) -> LinkError:
 
 
 class GraphPart(StrEnum):
-    """What of a graph is needed."""
+    """The kinds of needs."""
 
     #: A topic that somebody publishes: the plugin subscribes it.
     PUBLISHED = "published"
@@ -85,13 +85,13 @@ class GraphNeed:
     Attributes:
         part: what it is.
         name: relative to the namespace of the plugin's robot, unless it begins with `/`.
-        types: ROS names; one of them is enough; none for any type.
-        is_sole: whether nobody else may publish the topic: of a topic that is published, a second publisher is an
-            error; of one that the plugin commands, any other publisher is a warning.
-        fix: what to do where it is not there.
-        values: of parameters that are to be set, by their names, as JSON; the name is the node's then.
-        sent: what is sent there, the goals of an action or the messages of a topic, as JSON: each of them is compared
-            with the definition of its type, the first of `types`.
+        types: accepted ROS types; none for any type.
+        is_sole: whether it must have no other publisher: a second publisher of a published topic is an error, any other
+            publisher of a topic that the plugin commands a warning.
+        fix: what to do where it is missing.
+        values: values of parameters to be set, by name, as JSON; `name` is the node then.
+        sent: goals of the action or messages of the topic, as JSON: each is compared with the definition of its type,
+            the first of `types`.
 
     Example:
         >>> GraphNeed.published("odom", "nav_msgs/Odometry", is_sole=True).types
@@ -144,7 +144,7 @@ def _as_json(message: Mapping[str, object]) -> str:
 
 
 def _plain(value: object) -> object:
-    """Return what JSON can hold of a value: arrays are lists; what no message can hold fits no field then, either."""
+    """Return a value for JSON: arrays become lists; an object that no message can have becomes a mapping."""
     if isinstance(value, Mapping):
         return dict(value)
     tolist = getattr(value, "tolist", None)  # of arrays and numbers: numpy's and the standard library's

@@ -1,4 +1,4 @@
-"""Commands, copies and fetching on a host, here or over ssh: one way for both, but for what starts the shell."""
+"""Commands, copies and fetching on a host, here or over ssh: the same way, with different shells."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from robot_runner.core.storage.guarded_files import make_folder, open_to_append
 from robot_runner.core.words import shown_duration
 
 _LAST_LINES = 5
-#: What ssh itself ends with where the connection fails; a command may do so, too.
+#: The exit status of ssh where the connection fails; a command may have it, too.
 _SSH_FAILED = 255
-#: What a fetching shell ends with where nothing matches.
+#: The exit status of a fetching shell where nothing matches.
 _NOTHING = 66
 
 # The command gets a session of its own, where the host can do that, so that it is ended with all that it started once
@@ -54,16 +54,16 @@ cd / && exec tar -cf - "$@"
 
 
 class Shell(Protocol):
-    """What starts a shell on a host."""
+    """Starts shells on a host."""
 
     def is_connected(self) -> bool:
-        """Return whether the connection to the host still stands; a failing command asks."""
+        """Return whether the host is still connected; asked after a failing command."""
 
     def command(self, remote: str, *, within_s: float) -> list[str]:
-        """Return the command line that has the host's login shell execute `remote`, connected within so many s."""
+        """Return the command line by which the host's login shell executes `remote`; connect within so many s."""
 
     def close(self) -> None:
-        """Let go of the host; closing twice does nothing."""
+        """Disconnect from the host; closing twice does nothing."""
 
 
 class _LocalShell:
@@ -79,13 +79,13 @@ class _LocalShell:
 
 
 def open_shell(host: Host) -> Shell:
-    """Return what starts a shell on a host; nothing is connected before it is needed."""
+    """Return the `Shell` of a host, which connects once it is needed."""
     return _LocalShell() if host.is_local else KeptConnection(host.address, host.ssh_config)
 
 
 @dataclass(slots=True)
 class _OpenedHost:
-    """What all who use a host in a run share: its shell, and how many bytes may still be fetched."""
+    """A host as all callbacks of a run share it: its shell, and how many bytes may still be fetched."""
 
     shell: Shell
     room: int
@@ -195,7 +195,7 @@ class HostCommands:
         if any("\0" in word for word in (program, *arguments)):
             problem = "no word of a command or path can hold a NUL character"
             raise LinkError(problem, where=self._name, fix="Leave it out.")
-        # To the login shell, whichever that is, this is `sh` with quoted words.
+        # For any login shell: `sh` with quoted words.
         remote = shlex.join(["sh", "-c", program, "robot-runner", *arguments])
         return self.shell.command(remote, within_s=self._checked(seconds))
 
@@ -238,7 +238,7 @@ def _whole_lines(text: str) -> str:
 
 
 def opened_host(hosts: Mapping[str, Host], name: str, context: RobotRunnerContext) -> HostCommands:
-    """Return the host of this name; all who ask in a run share its connection.
+    """Return the host of this name; all callbacks of a run share its connection.
 
     Raises:
         LinkError: the config names no such host; the nearest is named.

@@ -1,4 +1,4 @@
-"""A program that is followed to its end: its output, its deadline, and how much of it there may be."""
+"""Executing a program to its end, with a deadline and a limit for its output."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from typing import IO
 from robot_runner.core.errors import LinkError
 from robot_runner.core.words import one_line
 
-#: As much is kept in memory of what a program writes, each to its output and its errors.
+#: How many bytes are kept in memory of a program's output, and of its errors.
 MOST_KEPT = 16_000_000
 _CHUNK = 65536
-#: How often the size of what goes to a file is looked at, and whether the program has ended, s.
+#: How often it is checked whether the program has ended, and how large its output file is, s.
 _LOOK = 0.1
 #: How long a program may take to end once it is told to, s, before it is killed.
 _GRACE = 3.0
 _SHOWN = 60
-#: What a shell expands in a pattern; everything else is quoted.
+#: Characters that a shell expands in a pattern; all others are quoted.
 _PATTERN = frozenset("*?[]")
 
 
@@ -49,7 +49,7 @@ def last_lines(text: str, count: int) -> str:
 
 
 def shortened(command: str) -> str:
-    """Return a command on one line, as much of it as an error tells."""
+    """Return a command on one line, shortened for an error."""
     line = one_line(command.strip())
     return line if len(line) <= _SHOWN else f"{line[: _SHOWN - 1]}…"
 
@@ -59,8 +59,8 @@ class Ended:
     """How a program ended.
 
     Attributes:
-        is_in_time: whether it ended by itself before its deadline.
-        is_too_much: whether it was ended as it wrote more than it may.
+        is_in_time: whether it ended before its deadline.
+        is_too_much: whether it was ended because it wrote more than allowed.
         is_cut: whether it wrote more than is kept in memory: `output` and `errors` have the beginning.
     """
 
@@ -78,10 +78,10 @@ class Program:
 
     Args:
         line: program and arguments.
-        source: what it reads.
-        target: takes its output, instead of memory.
-        most: how many bytes of output there may be.
-        has_lifeline: whether it reads an input that is closed when it is to end.
+        source: its input.
+        target: a file for its output, instead of memory.
+        most: how many bytes of output are allowed.
+        has_lifeline: whether its input is a pipe that is closed when it is to end.
 
     Raises:
         LinkError: it cannot be started.
@@ -115,7 +115,7 @@ class Program:
             raise LinkError(f"{line[0]} cannot be started: {error.strerror}", where="host", fix=fix) from error
 
     def follow(self, timeout_s: float) -> Ended:
-        """Take what it writes until it ends, and end it where it takes too long or writes too much."""
+        """Read its output until it ends, and end it if it takes too long or writes too much."""
         process = self._process
         both = (process.stdout, process.stderr)
         streams = list(filter(None, both))
@@ -143,14 +143,14 @@ class Program:
         )
 
     def _take_until(self, deadline: float, selector: selectors.BaseSelector, most: int | None = 0) -> bool:
-        """Return whether it ended before the deadline; it is left alone where it writes too much."""
+        """Read until it ends; return whether that was before the deadline, and before it wrote too much."""
         while True:
             left = deadline - time.monotonic()
             has_ended = self._process.poll() is not None
             ready = selector.select(0 if has_ended else max(0.0, min(left, _LOOK))) if selector.get_map() else []
             for key, _ in ready:
                 self._take(key.fd, key.fileobj, selector)
-            if has_ended and not ready:  # what it left behind may hold its output open: nobody waits for that
+            if has_ended and not ready:  # programs that it left may keep its output open: they are not awaited
                 return True
             if not selector.get_map() and not has_ended:
                 with suppress(subprocess.TimeoutExpired):

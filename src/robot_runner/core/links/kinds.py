@@ -1,4 +1,4 @@
-"""The kinds of robot link that are installed: each is announced by an entry point, as anybody's is."""
+"""The protocols of kinds of robot links, and finding installed ones by entry points."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _GROUP = "links"
 
 @runtime_checkable
 class RobotLinkKind(Protocol):
-    """One way to reach a robot, as the group `robot_runner.links` names it: an object, imported once it is asked for.
+    """One way to reach a robot: an object in the entry point group `robot_runner.links`, imported when it is used.
 
-    Importing it must be cheap: it is asked what stands in its way before anything is executed, and never opened then.
+    Importing it must be cheap: its findings are asked for before anything is executed.
     """
 
     @property
@@ -38,10 +38,10 @@ class RobotLinkKind(Protocol):
         """Whether each robot behind it is a simulation, so that it needs nothing of the real world."""
 
     def findings(self, name: RobotName) -> list[Finding]:
-        """Return what stands in the way of reaching a robot of this name; nothing is opened by asking.
+        """Return findings on why a robot of this name cannot be reached, without opening anything.
 
         Raises:
-            LinkError: the name cannot be one; becomes a finding.
+            LinkError: the name is invalid; becomes a finding.
         """
 
     def open_robot(
@@ -61,7 +61,7 @@ class RobotLinkKind(Protocol):
         """
 
     def open_clock(self, name: RobotName, *, resources: Resources, seed: int) -> Clock:
-        """Return the clock that a run with this robot lives by; it is closed with `resources`.
+        """Return the clock of a run with this robot; it is closed with `resources`.
 
         Raises:
             LinkError: the robot cannot be reached, or does not tell the time.
@@ -82,7 +82,7 @@ class JoinsGraph(Protocol):
 
     @property
     def is_slow_to_join(self) -> bool:
-        """Whether a new participant is not heard at once, so that the standby joins beforehand."""
+        """Whether a new participant can communicate only some seconds later, so that the standby joins beforehand."""
 
 
 @runtime_checkable
@@ -90,19 +90,19 @@ class TellsGraphs(Protocol):
     """A kind of link that can tell whether two names mean one graph."""
 
     def graph_of(self, name: RobotName) -> str:
-        """Return what tells the graph of a robot from any other, however it is reached: `domain 7`.
+        """Return an identifier of a robot's graph, however it is reached: `domain 7`.
 
         Raises:
-            LinkError: the name cannot be one.
+            LinkError: the name is invalid.
         """
 
 
 @runtime_checkable
 class PutsOnGraph(Protocol):
-    """A kind of link whose graph other programs join, which find it by their environment."""
+    """A kind of link whose graph other programs can join by environment variables."""
 
     def program_variables(self, name: RobotName, *, is_here: bool) -> Mapping[str, str]:
-        """Return the variables by which a program joins the graph of a robot: those that the name says.
+        """Return the variables by which a program joins the graph of a robot, as far as its name has them.
 
         Args:
             name: of the robot.
@@ -112,16 +112,16 @@ class PutsOnGraph(Protocol):
 
 @runtime_checkable
 class LooksAtGraph(Protocol):
-    """A kind of link that can look, before anything is executed, whether its graph has what plugins need."""
+    """A kind of link that can check, before anything is executed, that its graph has what plugins need."""
 
     def begin_look(self, name: RobotName, needs: Mapping[str, Sequence[GraphNeed]]) -> Callable[[], Sequence[Finding]]:
-        """Begin to look, in a process of its own, and return what waits for the findings, within a deadline.
+        """Begin to look, in a process of its own, and return a function that waits for the findings, with a deadline.
 
         Nothing is moved, changed or started by looking.
 
         Args:
             name: of the robot.
-            needs: what is needed, with full names, by the place that findings are to name (`plugin Arm`).
+            needs: with full names, by the place for findings (`plugin Arm`).
         """
 
 
@@ -158,7 +158,7 @@ class FindsRobot(Protocol):
         """Return the robot that is there.
 
         Raises:
-            LinkError: none is found; it says what was looked for.
+            LinkError: none is found; the problem says what was looked for.
         """
 
 
@@ -171,7 +171,7 @@ def link_kind(link: str) -> RobotLinkKind | FindsRobot | None:
     """Return the kind of link of this name, or None where none is installed.
 
     Raises:
-        PluginError: it cannot be imported, or is no kind of link.
+        PluginError: it cannot be imported, or does not have the protocol.
 
     Example:
         >>> link_kind("gazebo") is None

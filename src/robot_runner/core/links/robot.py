@@ -1,4 +1,4 @@
-"""What a link to a robot can do, whatever stands behind it."""
+"""The protocols of a link to a robot, the same for all kinds of links."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Encoding(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RawMessage:
-    """A message as it was received, for recorders and for what measures its size.
+    """A message as it was received, for recorders and for measuring its size.
 
     Attributes:
         data: the message's bytes, in the link's encoding.
@@ -55,13 +55,14 @@ class RawMessage:
 
 @dataclass(frozen=True, slots=True)
 class GraphEndpoint:
-    """Who publishes or subscribes a topic.
+    """A publisher or subscriber of a topic.
 
     Attributes:
-        node: the full name of its node; empty where the graph does not tell.
-        message_type: the type that it publishes or subscribes, such as `nav_msgs/Odometry`; empty likewise.
-        is_own: whether it is this link's. All that one rosbridge server publishes for anybody counts as this link's.
-        qos: the profile that comes nearest to its own; None where the graph does not tell (ROS 1, a rosbridge).
+        node: the full name of its node; empty where the graph does not say.
+        message_type: such as `nav_msgs/Odometry`; empty where the graph does not say.
+        is_own: whether it is this link's. Everything that a rosbridge server publishes counts as this link's.
+        qos: the profile nearest to its own; None where the graph does not say (a rosbridge; ROS 1 for topics to which
+            this process does not subscribe).
     """
 
     node: str
@@ -70,7 +71,7 @@ class GraphEndpoint:
     qos: Qos | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
-        """Return what to call it.
+        """Return its name for messages.
 
         Example:
             >>> str(GraphEndpoint("/teleop", "geometry_msgs/Twist")), str(GraphEndpoint("", "geometry_msgs/Twist"))
@@ -104,14 +105,14 @@ class Advertiser(Protocol):
     """Puts topics on the graph before anything is published on them."""
 
     def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT, is_commanded: bool = True) -> bool:
-        """Return once the subscribers that are there by now would receive a message; it may be called again.
+        """Advertise a topic, and wait until its present subscribers would receive a message; may be called again.
 
         Args:
             topic: its name.
             message_type: such as `geometry_msgs/Twist`.
             qos: of what is published.
-            is_commanded: whether velocities are commanded there, if it has these: zero has to arrive as the link is
-                closed, and where the process is killed. Else zero is commanded as well as it goes.
+            is_commanded: for a type of velocities, whether they are commanded there: then zero must arrive when the
+                link is closed, and if the process is killed. Otherwise zero is sent without that guarantee.
 
         Returns:
             whether they would; False where that took too long.
@@ -131,14 +132,14 @@ class Subscriber(Protocol):
     def subscribe(
         self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None
     ) -> Subscription:
-        """Have `callback` called with each message of the topic.
+        """Call `callback` with each message of the topic.
 
         Args:
-            topic: its name. It may come later, except on the simulated link, whose topics are all there.
+            topic: its name. It need not exist yet, except on the simulated link.
             message_type: ROS name, such as `nav_msgs/Odometry`.
-            callback: called with each message. What it raises fails the run: on the simulated link it is raised where
-                the clock is slept on, on all others by `close`.
-            qos: None for what fits the topic's publishers.
+            callback: called with each message. Its exceptions fail the run: on the simulated link they are raised by
+                sleeping on the clock, on all others by `close`.
+            qos: None for a profile that fits the topic's publishers.
 
         Raises:
             LinkError: it carries another type, its publishers offer less than `qos` asks for, or there is no such type.
@@ -147,7 +148,7 @@ class Subscriber(Protocol):
     def subscribe_raw(
         self, topic: str, message_type: str, callback: Callable[[RawMessage], None], *, qos: Qos | None = None
     ) -> Subscription:
-        """Have `callback` called with the bytes of each message of the topic; as `subscribe` in all else."""
+        """Call `callback` with the bytes of each message of the topic; otherwise as `subscribe`."""
 
     def wait_for(
         self,
@@ -185,7 +186,7 @@ class Offerer(Protocol):
         """Offer a service until it is closed; `answer` makes the response of a request.
 
         Raises:
-            LinkError: there is no such type, or somebody offers a service of this name already.
+            LinkError: there is no such type, or a service of this name exists.
         """
 
 
@@ -194,17 +195,17 @@ class Goal(Protocol):
 
     @property
     def status(self) -> GoalStatus:
-        """What the server said last of it."""
+        """The last status from the server."""
 
     def result(self, *, timeout: float) -> ActionResult:
-        """Wait until it is over and return what came of it, in whichever way it ended; `timeout` is in seconds.
+        """Wait until it is over and return its result, however it ended; `timeout` is in seconds.
 
         Raises:
             LinkError: it is not over in time, and goes on; or its server is gone.
         """
 
     def cancel(self, *, timeout: float = 5.0) -> None:
-        """Ask for its end and wait until it is over; nothing is done where it is over. `timeout` is in seconds.
+        """Cancel it and wait until it is over; nothing is done where it is over. `timeout` is in seconds.
 
         Raises:
             LinkError: the server refuses, or does not end it in time.
@@ -248,10 +249,10 @@ class GoalExecution(Protocol):
 
     @property
     def is_cancel_requested(self) -> bool:
-        """Whether it is to end: raise `ActionCanceled` then."""
+        """Whether the client has cancelled it: raise `ActionCanceled` then."""
 
     def feedback(self, message: Message) -> None:
-        """Tell whoever sent the goal how far it is.
+        """Send feedback to the client.
 
         Raises:
             LinkError: the message does not follow its definition, or the graph is lost.
@@ -275,14 +276,14 @@ class ActionOfferer(Protocol):
         Args:
             action: name of the action.
             action_type: ROS name.
-            execute: carries out a goal, in a thread of its own, and returns the result: the goal succeeded. It raises
-                `ActionAborted` or `ActionCanceled` for the other ends; whatever else it raises aborts the goal and
-                fails the run. On the simulated link the thread runs only while the simulation's clock is slept on, and
-                may sleep on that clock itself.
-            accept: whether a goal is taken; None for all.
+            execute: carries out a goal, in a thread of its own, and returns the result of success. It raises
+                `ActionAborted` or `ActionCanceled` to end otherwise; any other exception aborts the goal and fails the
+                run. On the simulated link the thread runs only while the simulation's clock is slept on, and may sleep
+                on that clock itself.
+            accept: returns whether a goal is accepted; None for all.
 
         Raises:
-            LinkError: there is no such type, or somebody offers an action of this name already.
+            LinkError: there is no such type, or an action of this name exists.
         """
 
 
@@ -294,7 +295,7 @@ class GraphListing(Protocol):
         """Return the type of each topic that is published or subscribed on the graph, by its full name."""
 
     def services(self) -> Mapping[str, str]:
-        """Return the type of each service on the graph, by its full name; empty where the graph does not tell."""
+        """Return the type of each service on the graph, by its full name; empty where the graph does not say."""
 
     def actions(self) -> Mapping[str, str]:
         """Return the type of each action that a server offers, by its full name."""
@@ -303,31 +304,31 @@ class GraphListing(Protocol):
         """Return the full names of the nodes on the graph, sorted."""
 
     def publishers(self, topic: str) -> Sequence[GraphEndpoint]:
-        """Return who publishes a topic, this link included; nobody where there is no such topic."""
+        """Return the publishers of a topic, this link included; none where there is no such topic."""
 
     def subscribers(self, topic: str) -> Sequence[GraphEndpoint]:
-        """Return who subscribes a topic, this link included; nobody where there is no such topic."""
+        """Return the subscribers of a topic, this link included; none where there is no such topic."""
 
 
 @runtime_checkable
 class RobotLink(Publisher, Subscriber, Caller, Offerer, ActionCaller, ActionOfferer, GraphListing, Protocol):
     """A link to one robot. Names are relative to the robot's namespace unless they begin with `/`.
 
-    Message types are ROS names without a generation, such as `geometry_msgs/Twist`. What needs only a part of a link
-    may ask for that part: `Publisher`, `Subscriber`, `Caller`, `Offerer`, `ActionCaller`, `ActionOfferer` or
+    Message types are ROS names without a generation, such as `geometry_msgs/Twist`. Code that needs only a part of a
+    link is typed by that part: `Publisher`, `Subscriber`, `Caller`, `Offerer`, `ActionCaller`, `ActionOfferer` or
     `GraphListing`.
     """
 
     @property
     def is_simulated(self) -> bool:
-        """Whether there is a simulation behind it, so that what it yields is labelled so."""
+        """Whether its robot is simulated, so that values are labelled as such."""
 
     @property
     def encoding(self) -> Encoding:
         """How the bytes of raw messages are laid out."""
 
     def definition(self, message_type: str) -> str:
-        """Return the text of a type's definition, with those that it is made of after it, as bags store it.
+        """Return the text of a type's definition, followed by those of its parts, as bags store it.
 
         Raises:
             LinkError: the link knows no such type.

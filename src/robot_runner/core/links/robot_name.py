@@ -1,4 +1,4 @@
-"""How robots are named: one by its link and its options, or several that take turns."""
+"""Names of robots: one by its link and its options, or several that take turns."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ _WHERE = "robot"
 
 @dataclass(frozen=True, slots=True)
 class RobotName:
-    """What `robot` in a config says: `link`, `link:option=value,option=value`, or an address: `link://host:port`.
+    """The parsed `robot` of a config: `link`, `link:option=value,option=value`, or an address: `link://host:port`.
 
-    Of a link that reaches a whole graph, what stands in the place of an address names one of its robots by its
-    namespace: `ros2://alice`, or with other options `ros2:domain=7,namespace=/alice`.
+    For a link to a whole graph, the namespace of a robot takes the place of an address: `ros2://alice`, or with other
+    options `ros2:domain=7,namespace=/alice`.
 
     Attributes:
         link: the name of the robot link.
-        options: what is set on it, as written, in that order.
-        address: the whole of an address; None where it is none.
-        namespace: of the robot that is named on a graph; empty where none is.
+        options: as written, in that order.
+        address: the whole text of an address, or None.
+        namespace: of a robot on a graph, or empty.
 
     Example:
         >>> RobotName.parse("simulated:task_power_factor=1.1")
@@ -37,12 +37,12 @@ class RobotName:
 
     @property
     def on_graph(self) -> RobotName:
-        """The robot of a graph that stands in the place of an address."""
+        """The same with the address taken as the namespace of a robot on a graph."""
         return RobotName(self.link, namespace=(self.address or "").partition("://")[2])
 
     @property
     def graph(self) -> str:
-        """How its graph is reached, whichever of the robots there it is.
+        """How its graph is reached, without a namespace.
 
         Example:
             >>> RobotName.parse("ros2:namespace=/alice,domain=7").graph
@@ -53,7 +53,7 @@ class RobotName:
 
     @classmethod
     def parse(cls, text: str) -> RobotName:
-        """Take a name apart.
+        """Parse a name.
 
         Raises:
             LinkError: an option has no name or no value, or is given twice.
@@ -77,7 +77,7 @@ class RobotName:
         return cls(link.strip(), options, namespace=namespace)
 
 
-#: What the name of a robot keeps of a text: it becomes a cell of the run table, and stands on screens.
+#: Valid names of robots, which are cells of the run table.
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 
@@ -87,14 +87,14 @@ class Robots:
     Each combination is executed equally often on each robot, where that is possible.
 
     Args:
-        robots: how each is reached, as `robot` says it of one. The host of an address, or the namespace, is its name.
+        robots: how each is reached, as `robot` for one. Its name is the host of the address, or the namespace.
         named: the same, by the robot's name.
 
     Attributes:
         links: how each is reached, by its name.
 
     Raises:
-        ConfigError: there are fewer than two, or two of one name; all findings are told.
+        ConfigError: there are fewer than two, or two have the same name; `findings` lists all problems.
 
     Example:
         >>> Robots("ros2://alice", bob="rosbridge://10.0.0.7:9090").links["alice"]

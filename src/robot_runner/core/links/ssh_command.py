@@ -1,4 +1,4 @@
-"""How another computer is reached by its name, with the system's own OpenSSH client: one command, or many."""
+"""Command lines of the system's OpenSSH client, and a kept connection for many commands."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import IO
 
 from robot_runner.core.errors import Finding, LinkError
 
-#: Never ask a person; notice within 15 s that the other end is gone; leave out what the user's config may forward.
+#: No questions; notice within 15 s that the host is gone; no forwarding from the user's config.
 _OPTIONS = (
     *("-T", "-x", "-a"),
     *("-o", "BatchMode=yes"),
@@ -29,7 +29,7 @@ _OPTIONS = (
 _CHECK_SECONDS = 15.0
 
 _INSTALL = "Install the OpenSSH client (Debian, Ubuntu: sudo apt install openssh-client)."
-#: What ssh says, above its last line, of a host whose key is another one than before.
+#: In the messages of ssh for a host whose key has changed.
 _CHANGED_KEY = "remote host identification has changed"
 _MAYBE_AN_ATTACK = (
     "This may be an attack: somebody may stand between you and {host}. Find out why its key changed; only if that has "
@@ -51,7 +51,7 @@ def checked_destination(host: str) -> str:
     """Return the host as ssh takes it: `robot`, `pi@robot` or `ssh://pi@robot:2222`.
 
     Raises:
-        LinkError: it is empty, holds blanks, or would pass for an option of ssh.
+        LinkError: it is empty, contains blanks, or would be an option of ssh.
 
     Example:
         >>> checked_destination("pi@robot")
@@ -71,7 +71,7 @@ def ssh_command(host: str, remote: str, *, config: Path | None = None) -> list[s
     """Return the command line that executes `remote` on a host, with the user's ssh config or the one given.
 
     Raises:
-        LinkError: the host's name cannot be.
+        LinkError: the host's name is invalid.
 
     Example:
         >>> ssh_command("pi@robot", "true")[-3:]
@@ -82,7 +82,7 @@ def ssh_command(host: str, remote: str, *, config: Path | None = None) -> list[s
 
 
 def remedy(host: str, answer: str) -> str:
-    """Return what mends what ssh complains of, by all that it wrote: the cause may stand above the last line.
+    """Return the fix for an error of ssh, by all that it wrote: the cause may be above the last line.
 
     Example:
         >>> remedy("pi@robot", "pi@robot: Permission denied (publickey).")
@@ -107,7 +107,7 @@ def gist(answer: str) -> str:
 
 
 def ssh_findings(where: str, host: str, *, config: Path | None = None) -> list[Finding]:
-    """Return what stands in the way of executing something on a host: it is tried, and changes nothing there."""
+    """Return findings on why nothing can be executed on a host; it is tried without changing anything there."""
     try:
         command = ssh_command(host, "exit 0", config=config)
     except LinkError as error:
@@ -126,7 +126,7 @@ def ssh_findings(where: str, host: str, *, config: Path | None = None) -> list[F
 
 
 def execute(command: list[str], *, timeout: float) -> subprocess.CompletedProcess[bytes]:
-    """Execute a command of `ssh_command` to its end, with nothing to read, for so many seconds at most.
+    """Execute a command of `ssh_command` to its end, without input, for `timeout` seconds at most.
 
     Raises:
         OSError: it cannot be started.
@@ -143,7 +143,7 @@ def execute(command: list[str], *, timeout: float) -> subprocess.CompletedProces
 
 
 def failure(done: subprocess.CompletedProcess[bytes]) -> str | None:
-    """Return the whole of what was answered to a command that failed, for `gist` and `remedy`; None if it did not."""
+    """Return all that ssh wrote for a failed command, for `gist` and `remedy`; None if it succeeded."""
     if done.returncode == 0:
         return None
     return done.stderr.decode(errors="replace").strip() or f"ssh ended with code {done.returncode}"
@@ -154,17 +154,17 @@ _CONNECTING = 15.0
 #: How long the master, a process on this machine, may take to answer, s.
 _ANSWERING = 5.0
 _POLL = 0.01
-#: Keeps the session open until our end of its input is closed, which the system does for a process that was killed.
+#: Keeps the session open until this process closes its input, or dies.
 _HOLD = "cat >/dev/null"
-#: Where sockets are, in folders that begin so: not where TMPDIR says, as the path of one may have some hundred
-#: characters at most.
+#: Where the folders of sockets are, and how their names begin: not in TMPDIR, as the path of a socket may have some
+#: hundred characters at most.
 _SOCKETS, _PREFIX = Path("/tmp"), "robot-runner-ssh-"  # noqa: S108 - each is its owner's alone
 
 
 class KeptConnection:
     """A master of OpenSSH's connection sharing, opened when it is first needed and again when it was lost.
 
-    It ends with the process that opened it, however that ends: its session reads what this process never writes.
+    It ends with the process that opened it, however that ends, by `_HOLD`.
     """
 
     def __init__(self, host: str, config: Path | None) -> None:
@@ -176,7 +176,7 @@ class KeptConnection:
         self._lock = threading.Lock()
 
     def is_connected(self) -> bool:
-        """Return whether the master still answers; one that is ending does not, though its process is still there."""
+        """Return whether the master still answers."""
         if not self._has_master:
             return False
         try:
@@ -185,7 +185,7 @@ class KeptConnection:
             return False
 
     def command(self, remote: str, *, within_s: float = _CONNECTING) -> list[str]:
-        """Return the command line that executes `remote` over the connection, opened within so many s if it is not.
+        """Return the command line that executes `remote` over the connection; open it first, within so many s.
 
         Raises:
             LinkError: the host cannot be reached.
@@ -271,7 +271,7 @@ class KeptConnection:
 class _SocketFolder:
     """A folder for the socket of a connection, locked for as long as its process lives.
 
-    A process that is killed leaves its folder; who makes one removes those that nobody has locked.
+    A killed process leaves its folder; making one removes those that are not locked.
 
     Attributes:
         socket: the path of the socket.
@@ -283,9 +283,9 @@ class _SocketFolder:
         while True:
             self._path = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=_SOCKETS))
             self._descriptor = os.open(self._path, os.O_RDONLY)
-            with suppress(OSError):  # no locks there: then nobody removes one that is left, either
+            with suppress(OSError):  # without locks, left folders are not removed, either
                 fcntl.flock(self._descriptor, fcntl.LOCK_SH)
-            if self._path.exists():  # else it was taken for one that was left, before it was locked
+            if self._path.exists():  # else another process has removed it before it was locked
                 break
             os.close(self._descriptor)
         self.socket = self._path / "ssh"

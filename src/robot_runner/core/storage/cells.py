@@ -31,7 +31,7 @@ class RunStatus(Enum):
     DONE = "Done"
     FAILED = "Failed"
 
-    #: Each member is there once; the enumeration's own would hash its name, in Python, at each look into a dictionary.
+    #: By identity, which is faster: that of `Enum` hashes the name, in Python.
     __hash__ = object.__hash__
 
 
@@ -42,12 +42,12 @@ _WORDS = {status.value.casefold(): status for status in RunStatus} | dict.fromke
 )
 
 
-#: The status of a run whose last attempt ended so, as the journal says; one whose attempt was interrupted is to do.
+#: The status of a run by how its last attempt ended, in the journal's words; after an interruption it is to be done.
 ENDS = {"done": RunStatus.DONE, "failed": RunStatus.FAILED}
 
 
 def status_of_word(word: str) -> RunStatus | None:
-    """Return the status that is written so, whatever the case of its letters, or None."""
+    """Return the status that a word stands for, in any case of letters, or None."""
     return _WORDS.get(word.strip().casefold())
 
 
@@ -57,7 +57,7 @@ CellValue = int | float | bool | str | None
 _BOOLS = {"true": True, "false": False}
 _SPECIAL = re.compile(r'[",\r\n]')
 
-# A whole number exactly as Python writes it: what differs (`007`, `+5`) was written as text and stays text.
+# An integer exactly as Python writes it: anything else (`007`, `+5`) was written as text and stays text.
 _NUMBER_CHARACTERS = "0123456789.e+-"
 _WRITTEN_INT = re.compile(r"-?(?:0|[1-9][0-9]{0,399})")
 _ANY_NUMBER = re.compile(r"[+-]?(?:[0-9]{1,400}(\.[0-9]*)?|(\.[0-9]+))([eE][+-]?[0-9]+)?")
@@ -65,7 +65,7 @@ _DECIMAL_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+(?:[eE][+-]?[0-9]+)?")
 
 _STAMPS = re.compile(r"(?:\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z\n)*+", re.ASCII)
 
-#: As far as a float goes; beyond, R and pandas cannot read the column.
+#: The size of the largest float: R and pandas cannot read a column with larger integers.
 _MAX_BITS = 1024
 
 
@@ -88,14 +88,14 @@ def csv_text(rows: Sequence[Sequence[Any]]) -> str:
 
 
 def measure_text(value: CellValue) -> str:
-    """Return how a measure is written; a float so that it comes back exactly, a missing value as nothing."""
+    """Return the text of a measure's cell: a float so that it is read back exactly, a missing value as empty."""
     if value is None:
         return ""
     return repr(value) if isinstance(value, float) else str(value)
 
 
 def plain_value(text: str) -> CellValue:
-    """Return the value that a cell stands for by its looks alone: missing, a number, a bool, else text."""
+    """Return the value of a cell whose type is not known: missing, a number, a bool, else text."""
     if not text:
         return None
     if not text.strip(_NUMBER_CHARACTERS):
@@ -107,7 +107,7 @@ def plain_value(text: str) -> CellValue:
 
 
 def number_of(text: str, *, decimal_comma: bool = False) -> int | float | None:
-    """Return the number that a cell stands for, written in whichever way people write it, or None."""
+    """Return the number in a cell, in any notation that people use, or None."""
     trimmed = text.strip()
     if decimal_comma and _DECIMAL_COMMA.fullmatch(trimmed):
         trimmed = trimmed.replace(",", ".")
@@ -125,12 +125,12 @@ def typed_value(text: str, kind: str | None, *, decimal_comma: bool = False) -> 
 
     Args:
         text: the cell.
-        kind: the column's type in the run table's schema; None goes by the cell's looks, and `any`, the type of a
-            column with texts and other values, takes as text what Python would not have written so.
+        kind: the column's type in the run table's schema; None to guess it from the cell. With `any`, the type of a
+            column with texts and other values, a number that Python would write in another way is a text.
         decimal_comma: whether `0,5` is read as 0.5.
 
     Returns:
-        The value; where the cell does not fit the column's type, what it is by its looks.
+        The value; where the cell does not fit the column's type, as `plain_value` reads it.
     """
     if not text:
         return None
@@ -158,7 +158,7 @@ def typed_values(cells: Sequence[str], kind: str | None, *, decimal_comma: bool 
 
 
 def treatment_position(factor: Factor, text: str, *, decimal_comma: bool = False) -> int | None:
-    """Return the place of the treatment that a cell stands for, or None.
+    """Return the index of the treatment that a cell stands for, or None.
 
     The exact text comes first. Then, where exactly one treatment fits: the text without surrounding blanks, the same
     number (`1.0` for 1), and the same letters in another case (`TRUE` for True), as people and spreadsheets write.
@@ -182,7 +182,7 @@ def are_stamps(texts: Sequence[str]) -> bool:
 
 
 def as_stamp(text: str) -> str | None:
-    """Return a moment that is written in another way, such as pandas', as the journal writes it; None where it is none.
+    """Return a time stamp in another format, such as pandas', in the journal's format; None where it is no time stamp.
 
     Example:
         >>> as_stamp("2026-01-31 13:00:00.250+01:00")
@@ -200,7 +200,7 @@ def checked_measure(name: str, value: Any) -> CellValue:
     """Return a measure's value if the run table can hold it; an empty text is a missing value.
 
     Raises:
-        MeasureError: it is of another type, not finite, too large, or holds what UTF-8 cannot.
+        MeasureError: it is of another type, not finite, too large, or a text that UTF-8 cannot encode.
     """
     problem = _measure_problem(value)
     if problem:
@@ -210,7 +210,7 @@ def checked_measure(name: str, value: Any) -> CellValue:
 
 
 def _written_float(text: str) -> float | None:
-    """Return the float that only number characters make up, or None; Python writes each with a point or an `e`."""
+    """Return the float that a cell of digits, signs, points and `e` stands for as Python writes it, or None."""
     if "." not in text and "e" not in text:
         return None
     try:

@@ -1,8 +1,8 @@
-"""What an experiment has claimed for itself, known to other experiments on this machine.
+"""Claims of an experiment, which keep other experiments on this machine from using the same robot or device.
 
 Each claim is a file in `$XDG_STATE_HOME/robot-runner/claims/<host>` that is locked while the experiment is executed.
-The system lets go of the lock when the process dies, however it dies; the file stays. That is for experiments of this
-user, who are told of each other; `shared_claims` keeps out those of others.
+The system releases the lock when the process dies, however it dies; the file stays, and names the holder. That is for
+experiments of this user; `shared_claims` keeps out those of other users.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from robot_runner.core.storage.lock_files import sign, signature_of, try_lock
 from robot_runner.core.storage.shared_claims import hold_against_users, may_be_one
 from robot_runner.core.storage.system_refusals import storage_error
 
-#: How often a file is tried that nobody holds and somebody merely looks at, and how long to wait between, s.
+#: How often a lock is tried that another process may have for a moment to look at it, and how long to wait between, s.
 _TRIES, _BETWEEN = 50, 0.01
-#: So many folders are remembered of experiments that have perhaps left something.
+#: A claim file names at most so many folders of earlier holders that may have left something.
 _MOST_EARLIER = 16
 _HAVE_IT_WAIT = (
     "Have this one wait: `robot-runner queue add`, or `run --wait`; or end the other with Ctrl-C in its terminal."
@@ -44,7 +44,7 @@ _NAME_A_FOLDER = "Set XDG_STATE_HOME to a folder of your own."
 
 
 def state_folder(name: str) -> Path:
-    """Return the folder for what this user's experiments on this machine know of each other.
+    """Return a folder that this user's experiments on this machine share.
 
     Raises:
         StorageError: the user has no home folder, as in some containers.
@@ -57,7 +57,7 @@ class ClaimHolder:
     """Who has claimed something: the experiment, its folder, its process, and since when (UTC).
 
     Attributes:
-        before: the folders of those who had it before, and have perhaps left something that nobody has seen to yet.
+        before: the folders of earlier holders that were killed and may have left something.
     """
 
     experiment: str = "another one"
@@ -67,20 +67,20 @@ class ClaimHolder:
     before: Sequence[str] = ()
 
     def in_words(self) -> str:
-        """Return the same as a user reads it."""
+        """Return the same in words."""
         return f"the experiment {self.experiment!r} in {self.folder} (process {self.pid}, since {self.since})"
 
     def left_in_words(self, root: str) -> str:
-        """Return the same of what was killed in one of its folders."""
+        """Return in words the experiment that was killed in `root`, this one or an earlier holder."""
         return self.in_words() if root == self.folder else f"an experiment in {root}"
 
     def roots_but(self, own: str) -> list[str]:
-        """Return the folders of experiments that were killed, perhaps, while they had it, but for that one."""
+        """Return its folder and those of earlier holders, without `own`: any of them may have been killed."""
         return [each for each in dict.fromkeys((self.folder, *self.before)) if each != own]
 
 
 def claim_holders(claims: Collection[str]) -> dict[str, ClaimHolder]:
-    """Return which of these claims are held at this moment, and by whom; nothing is changed by asking."""
+    """Return who holds which of these claims at this moment, without changing anything."""
     found: dict[str, ClaimHolder] = {}
     for claim in sorted(claims):
         with suppress(StorageError, OSError):
@@ -91,7 +91,7 @@ def claim_holders(claims: Collection[str]) -> dict[str, ClaimHolder]:
 
 
 def claiming_folders() -> list[Path]:
-    """Return the folders of experiments that have claimed something last, and are there; nothing is changed by asking.
+    """Return the existing folders of the last holders of all claims, without changing anything.
 
     Raises:
         StorageError: the user has no home folder, as in some containers.
@@ -104,7 +104,7 @@ def claiming_folders() -> list[Path]:
 
 
 def _looked_at(path: Path) -> tuple[ClaimHolder, bool]:
-    """Return who has a claim, or had it last, and whether somebody has it now."""
+    """Return the holder of a claim, or its last one, and whether it is held now."""
     descriptor = open_descriptor(path, path.parent, os.O_RDONLY)
     try:
         is_held = not _locked(descriptor, fcntl.LOCK_SH)
@@ -118,15 +118,15 @@ class HeldClaims:
 
     Args:
         claims: what the experiment claims, such as `serial:/dev/ttyUSB0`.
-        experiment: its name, which is told to who is refused.
+        experiment: its name, for the message of an experiment that is refused.
         folder: its folder, likewise.
-        wait: called with who holds the claims where others do, again and again; it waits a moment and returns, or
-            raises. None where the experiment is refused then.
-        goes_on: returns whether anything of the experiment in a folder goes on though nobody executes it: where that
-            was killed, the system has let go of its claims, and its run may still be closed, or its robot stopped.
+        wait: called repeatedly while others hold claims, with findings that name them; it waits a moment and returns,
+            or raises. None to refuse the experiment instead.
+        goes_on: returns whether processes of the experiment in a folder are alive though nobody executes it: after a
+            kill the system has released its claims, but its run may still be closing, or its robot being stopped.
 
     Attributes:
-        findings: that claims could not be held, as their files cannot be locked; others are not kept out then.
+        findings: warnings of claims whose files cannot be locked, so that others are not kept out.
 
     Raises:
         ExecutionError: on entering: another experiment holds some of them; each is named, with who holds it.
@@ -159,12 +159,12 @@ class HeldClaims:
         self._held.close()
 
     def forget_earlier(self) -> None:
-        """Say that what killed experiments have left was seen to: whoever claims the same next need not look at it."""
+        """Forget earlier holders: what they had left was cleaned up, and the next holder need not look at it."""
         for descriptor in self._descriptors:
             self._sign(descriptor, ())
 
     def _take_all(self) -> list[Finding]:
-        """Take all claims, or none: then return who has those that are in use."""
+        """Take all claims, or none, and return who holds them."""
         self.findings.clear()
         self._descriptors.clear()
         with ExitStack() as opened:
@@ -176,7 +176,7 @@ class HeldClaims:
             return refusals
 
     def _overlapping(self) -> Iterator[Finding]:
-        """Yield who has claimed the whole graph of a robot of ours, or a robot of a graph that we have claimed."""
+        """Yield who has claimed the whole graph of one of our robots, or a robot on a graph of ours."""
         names: set[str] = set()
         with suppress(StorageError):  # of a user without a home folder: told where a claim is to be held
             names.update(unquote(path.name) for path in _files())
@@ -189,12 +189,12 @@ class HeldClaims:
                     yield Finding.error("claims", problem, fix)
 
     def _who_has(self, claim: str) -> tuple[str, str]:
-        """Return who has a claim that is none of ours, or has something left, and what to do; or nothing."""
+        """Return in words who holds a claim of others, or has left something there, and what to do; empty if nobody."""
         holder, is_held = _looked_at(_path_of(claim))
         return (holder.in_words(), _HAVE_IT_WAIT) if is_held else self._who_is_left(holder)
 
     def _who_is_left(self, before: ClaimHolder) -> tuple[str, str]:
-        """Return of whom something goes on that had a claim before, and what to do; or nothing."""
+        """Return in words which earlier holder still has processes, and what to do; empty if none."""
         for root in before.roots_but(self._signature.folder):
             if self._goes_on(Path(root)):
                 return f"what is left of {before.left_in_words(root)}, which was killed", _AWAIT_ITS_END
@@ -209,7 +209,7 @@ class HeldClaims:
             self.findings.append(Finding.warning("claims", problem, "Mend what the system names."))
 
     def _hold(self, claim: str, opened: ExitStack, looked_at: ClaimHolder | None = None) -> Iterator[Finding]:
-        """Lock the file of a claim; yield who has it where somebody has, or has something left: not so `looked_at`."""
+        """Lock the file of a claim; yield who holds it, or has left something, unless that is `looked_at`."""
         try:
             path = _path_of(claim)
             path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -228,7 +228,7 @@ class HeldClaims:
         before = _holder(descriptor)
         earlier = before.roots_but(self._signature.folder)
         if earlier and before != looked_at:
-            # That takes a while, in which others are not to be refused for our sake: who is started again, say.
+            # Looking takes a while: the lock is released meanwhile, so that others are not refused because of us.
             fcntl.lockf(descriptor, fcntl.LOCK_UN)
             who, fix = self._who_is_left(before)
             if who:
@@ -237,16 +237,16 @@ class HeldClaims:
                 yield from self._hold(claim, opened, before)
             return
         self._descriptors.append(descriptor)
-        # Those who have perhaps left something are looked at again until that was seen to: we may be refused, or die.
+        # Earlier holders stay in the file until `forget_earlier`: this process may die before it cleans up.
         self._sign(descriptor, [each for each in earlier if _is_folder(each)][:_MOST_EARLIER])
 
     def _sign(self, descriptor: int, before: Sequence[str]) -> None:
-        with suppress(OSError):  # on a full disk nobody learns who holds it, and others are kept out all the same
+        with suppress(OSError):  # on a full disk the holder is not named, but others are kept out all the same
             sign(descriptor, replace(self._signature, since=utc_now(), before=before))
 
 
 def _is_folder(path: str) -> bool:
-    """Whether that is a folder here; it is not where the system cannot tell, as of a share that does not answer."""
+    """Return whether a path is a folder; False where the system cannot tell, as for a share that does not answer."""
     with suppress(OSError, ValueError):
         return bool(path) and Path(path).is_dir()
     return False
@@ -263,7 +263,7 @@ def _path_of(claim: str) -> Path:
 def _locked(descriptor: int, kind: int) -> bool:
     """Lock the file of a claim, and return whether nobody else holds the claim.
 
-    Who merely looks has a shared lock for a moment; that refuses nobody.
+    Looking at a claim takes a shared lock for a moment, which must refuse nobody.
     """
     for _ in range(_TRIES):
         if try_lock(descriptor, kind):

@@ -1,8 +1,8 @@
-"""What JSON that was read has to look like: declared once as TypedDicts, checked wherever it comes from a disk.
+"""Checking JSON that was read against its declared shape, a TypedDict.
 
-A file of an experiment may be damaged, of another tool, or prepared by a stranger. Readers index it as its shape says,
-so a value that has another type must be named here: the file, the place in it, what is there and what should be.
-Keys that a shape does not have are let pass, as a later version may write them.
+A file of an experiment may be damaged, of another tool, or prepared by an attacker. Readers rely on its shape, so any
+other value is reported here: the file, the place in it, what is there and what should be. Keys that a shape does not
+have are ignored, as a later version may write them.
 """
 
 # Without `from __future__ import annotations`: a TypedDict would not see which of its keys are required.
@@ -19,19 +19,19 @@ from robot_runner.core.errors import Finding
 
 #: A moment in UTC or with its offset, as ISO 8601 has it.
 Moment = NewType("Moment", str)
-#: One value of a run: a measure, a treatment, an answer.
+#: The value of a measure, a treatment, or an answer.
 Scalar = bool | int | float | str | None
-#: What an order comes from; many draw one of 128 bits, as numpy does.
+#: The seed of an order; NumPy's have 128 bits.
 Seed = NewType("Seed", int)
 
-#: Nobody reads more than this.
+#: Further faults are not listed.
 _MOST_FAULTS = 20
 _SHOWN = 60
 _LONGEST_TEXT = 10_000
-#: Ours have less than ten levels; beyond some hundred, Python's own functions fail on them.
+#: Deeper nesting is refused: ours has less than ten levels, and Python's functions fail at some hundred.
 DEEPEST = 64
 _LARGEST_COUNT = 2**63
-#: As a measure's value: as far as a float goes.
+#: The largest integer as a measure's value: that of a float.
 _MOST_BITS_OF_VALUE = 1024
 #: pandas knows moments between 1677 and 2262.
 _MOMENT = re.compile(r"(?:19|20|21)\d\d-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d{1,9})?(?:Z|[+-]\d\d:\d\d)")
@@ -46,30 +46,30 @@ _WORDS = {
     NoneType: "null",
 }
 
-#: Looks at a value of the right type, knows its place, and adds what is wrong.
+#: Checks a value of the right type at a place, and appends faults.
 _Look = Callable[[Any, str, list[str]], None]
 
 
 class _Shape(NamedTuple):
-    """The types that a value may have as JSON is read, with what looks further into each."""
+    """The shape in words, and the Python types that a value of it may have, each with a further check or None."""
 
     words: str
     looks: Mapping[type, _Look | None]
 
 
 def parsed_json(text: str) -> Any:
-    r"""Return the value that JSON has. Half a surrogate pair, which no file can take, becomes text: `\ud800`.
+    r"""Parse JSON. Half a surrogate pair, which UTF-8 cannot encode, becomes its escape as text: `\ud800`.
 
     Raises:
-        ValueError: it is no JSON, or names a key twice, so that two readers could read two things.
-        RecursionError: it is nested too deeply for any reader.
+        ValueError: it is no JSON, or has a key twice, which readers resolve differently.
+        RecursionError: it is nested too deeply.
     """
     value = _decode(text)
     return _encodable(value) if "\\ud" in text or "\\uD" in text else value
 
 
 def with_short_texts(value: Any) -> Any:
-    """Return JSON in which no text is longer than anybody reads, so that the file can be read again.
+    """Return JSON data with long texts shortened, so that the file stays within the limits of its readers.
 
     Example:
         >>> with_short_texts({"problem": "x" * 20_000})["problem"][-30:]
@@ -85,7 +85,7 @@ def with_short_texts(value: Any) -> Any:
 
 
 def finite(value: Any) -> Any:
-    """Return plain data in which a number that JSON does not have, such as the limit `inf`, is its name.
+    """Return plain data with numbers that JSON does not have, such as infinity, replaced by their names.
 
     Example:
         >>> finite({"limits": (0.5, float("inf"))})
@@ -119,11 +119,11 @@ _decode = json.JSONDecoder(object_pairs_hook=_unique_keys).decode
 
 
 def faults_of(value: Any, shape: Any) -> list[str]:
-    """Return what is wrong with a value: nothing, or a line for each place, up to a sensible number.
+    """Return the faults of a value, a line each, `_MOST_FAULTS` at most.
 
     Args:
         value: as `json` read it.
-        shape: a TypedDict, or what stands in one: `str`, `list[...]`, `dict[str, ...]`, `... | None`, `Moment`, `Any`.
+        shape: a TypedDict, or a type in one: `str`, `list[...]`, `dict[str, ...]`, `... | None`, `Moment`, `Any`.
 
     Example:
         >>> faults_of({"runs": [{"run": 7}]}, dict[str, list[dict[str, str]]])
@@ -159,7 +159,7 @@ def _shown(value: Any) -> str:
 
 @cache
 def _compiled(shape: Any) -> _Shape:
-    """Return what is looked at, made once from a declaration."""
+    """Return the check of a declared shape; cached."""
     if shape in _NAMED:
         return _NAMED[shape]
     if is_typeddict(shape):
@@ -233,7 +233,7 @@ def _value_in_reach(value: int, place: str, faults: list[str]) -> None:
 
 
 def levels_of(value: Any) -> Iterator[list[Any]]:
-    """Yield what the mappings and lists of each level hold, the outermost first; without recursion, whatever it is."""
+    """Yield the contents of the mappings and lists of each level, the outermost first, without recursion."""
     level = [value]
     while held := [each for each in level if isinstance(each, dict | list)]:
         level = [each for one in held for each in (one.values() if isinstance(one, dict) else one)]
@@ -241,7 +241,7 @@ def levels_of(value: Any) -> Iterator[list[Any]]:
 
 
 def _not_too_deep(value: Any, place: str, faults: list[str]) -> None:
-    """Look at what has no declared shape: it may be nested, within reason."""
+    """Check that a value without a declared shape is not nested too deeply."""
     for depth, level in enumerate(levels_of(value)):
         if depth == DEEPEST:
             if len(faults) < _MOST_FAULTS:

@@ -1,4 +1,4 @@
-"""What the journal tells of runs: which were executed, in which order, left out and why, or changed by hand since."""
+"""Runs by the journal: which were executed, in which order, excluded and why, or changed by hand since."""
 
 from __future__ import annotations
 
@@ -41,29 +41,29 @@ def _last_ends(journal: Path) -> dict[str, str]:
 
 #: In the manifest's design: the runs that were done before the first execution, in a table of the user's own.
 DONE_BEFORE = "done_before"
-#: What helps, for who only looks at the results.
+#: The fix for a reader of results, who does not execute the experiment.
 _RESTORE_JOURNAL = "Restore journal.jsonl from a backup, or have it synchronised; the rows stay as they are."
 _MOST_NAMED = 8
 
 
 def unrecorded_runs(done: Iterable[str], ended: Container[str], manifest: Mapping[str, Any]) -> list[str]:
-    """Return the runs that are done by the run table, and of which the journal has no end: it is older, or missing.
+    """Return the runs that are done by the run table and have no end in the journal, which is older, or missing.
 
     Args:
         done: the runs that are done by the table.
-        ended: those of which the journal has an end.
-        manifest: tells which runs a user has declared to be done, which is no fault.
+        ended: the runs that have an end in the journal.
+        manifest: lists runs that a user's own table had as done, which are left out.
     """
     design = manifest.get("design") or {}
     if design.get("source") != "config" and DONE_BEFORE not in design:
-        return []  # of a table of the user's own, earlier versions did not note what was done in it
+        return []  # a user's own table, of an earlier version that did not list them
     declared = {each["run"] for each in manifest.get("table_deviations") or () if each["column"] == STATUS}
     known = declared.union(design.get(DONE_BEFORE) or ())
     return [run_id for run_id in done if run_id not in ended and run_id not in known]
 
 
 def unrecorded_in_words(runs: Sequence[str], journal: Path) -> str:
-    """Return in words that the journal lacks the end of runs that are done, and what is lost with it."""
+    """Return a problem: the journal lacks the end of runs that are done, and what is lost with it."""
     is_are, them, their = ("is", "it", "its") if len(runs) == 1 else ("are", "them", "their")
     older = f"it is older than the table, or {their} status was written by hand"
     return (
@@ -76,15 +76,15 @@ def unrecorded_in_words(runs: Sequence[str], journal: Path) -> str:
 def unrecorded_findings(
     journal: Path, done: Iterable[str], ended: Container[str], manifest: Mapping[str, Any]
 ) -> Iterator[Finding]:
-    """Yield a warning where runs are done of which the journal has no end, as `unrecorded_runs` tells."""
+    """Yield a warning if there are `unrecorded_runs`."""
     if found := unrecorded_runs(done, ended, manifest):
         yield Finding.warning(str(journal), unrecorded_in_words(found, journal), _RESTORE_JOURNAL)
 
 
 def executed_order(journal: Path) -> list[str]:
-    """Return the ids of the runs that were begun, in the order in which the last attempt at each was.
+    """Return the ids of the runs that were begun, in the order of their last attempts.
 
-    Warm-up runs are passed over: they come before each session, whatever the table's order.
+    Warm-up runs are left out: they come before each session, whatever the table's order.
 
     Raises:
         StorageError: the journal cannot be read.
@@ -98,7 +98,7 @@ def executed_order(journal: Path) -> list[str]:
 
 
 def moved_runs(table: Sequence[str], executed: Sequence[str]) -> tuple[str, ...]:
-    """Return the fewest runs that had to change places for the order of the table to become the executed one.
+    """Return the smallest set of runs that were moved to turn the order of the table into the executed one.
 
     Example:
         >>> moved_runs(["r_1", "r_2", "r_3", "r_4"], ["r_3", "r_1", "r_2"])
@@ -106,7 +106,7 @@ def moved_runs(table: Sequence[str], executed: Sequence[str]) -> tuple[str, ...]
     """
     place_of = {run_id: place for place, run_id in enumerate(table)}
     places = [place_of[run_id] for run_id in executed if run_id in place_of]
-    # The longest part that ascends stayed where it was (patience sorting: Aldous and Diaconis 1999, section 2).
+    # All but a longest increasing subsequence (patience sorting: Aldous and Diaconis 1999, section 2).
     tops: list[int] = []
     depth: list[int] = []
     for place in places:
@@ -123,7 +123,7 @@ def moved_runs(table: Sequence[str], executed: Sequence[str]) -> tuple[str, ...]
 
 
 def moved_in_words(moved: Sequence[str], executed: Sequence[str]) -> str:
-    """Say how many runs were executed out of the table's order; nothing where none was.
+    """Return in words how many runs were executed out of the table's order; empty where none was.
 
     Example:
         >>> moved_in_words(["r_3"], ["r_3", "r_1", "r_2"])
@@ -135,13 +135,13 @@ def moved_in_words(moved: Sequence[str], executed: Sequence[str]) -> str:
     return f"{len(moved):,} of the {runs} that were executed came out of this order: {listed(moved)}"
 
 
-#: The records that `ExcludedRuns.take` looks at.
+#: The kinds of records that `ExcludedRuns.take` uses.
 EXCLUSION_KINDS = frozenset({"excluded", "included", "deviation"})
 
 
 @dataclass(frozen=True, slots=True)
 class ExcludedRun:
-    """A run that is left out.
+    """An excluded run.
 
     Attributes:
         at: when it was excluded (UTC).
@@ -154,11 +154,11 @@ class ExcludedRun:
 
 @dataclass(slots=True)
 class ExcludedRuns:
-    """What the journal tells of runs that are left out.
+    """The excluded runs by the journal.
 
     Attributes:
-        present: those that are left out at present, by id.
-        were_any: whether any run was ever left out: then the run table has a column for it.
+        present: those that are excluded now, by id.
+        were_any: whether any run was ever excluded: then the run table has a column for it.
 
     Example:
         >>> runs = ExcludedRuns()
@@ -172,7 +172,7 @@ class ExcludedRuns:
 
     @classmethod
     def read(cls, journal: Path) -> ExcludedRuns:
-        """Read a journal; one that does not exist tells of none.
+        """Read a journal, which need not exist.
 
         Raises:
             StorageError: it cannot be read.
@@ -183,7 +183,7 @@ class ExcludedRuns:
         return runs
 
     def take(self, record: Mapping[str, Any]) -> None:
-        """Take a record of the journal into account, the oldest first; other kinds change nothing."""
+        """Take a record of the journal into account, the oldest first; kinds not in `EXCLUSION_KINDS` are ignored."""
         match record["kind"]:
             case "excluded":
                 self._set(record["run"], str(record["reason"]), record["at"])
@@ -193,7 +193,7 @@ class ExcludedRuns:
                 self._set(record["run"], str(record["is"]), record["at"])
 
     def reason(self, run_id: str) -> str | None:
-        """Return why a run is left out; None where it is not."""
+        """Return why a run is excluded; None where it is not."""
         found = self.present.get(run_id)
         return found.reason if found else None
 
@@ -209,7 +209,7 @@ _SETTLE = "Execute the config again: nothing is executed that is done, and each 
 
 
 def edited_findings(journal: Path, table: Path, rows: RunTableRows) -> Iterator[Finding]:
-    """Yield a warning where treatments or measures of done runs are not what the journal has, or changes on record.
+    """Yield a warning where treatments or measures of done runs differ from the journal and its recorded changes.
 
     Args:
         journal: the experiment's history.
@@ -223,7 +223,7 @@ def edited_findings(journal: Path, table: Path, rows: RunTableRows) -> Iterator[
     for record in read_journal(journal, kinds={"table_written"}):
         written = record.get("sha256", "")
     if digest_of(table) == written:
-        return  # as nearly always: nothing else of the journal is read
+        return  # nearly always, without reading more of the journal
     known: dict[str, dict[str, str]] = {}
     for record in read_journal(journal, kinds={"attempt_started", "attempt_finished", "deviation"}):
         match record["kind"]:
@@ -254,7 +254,7 @@ def _edited(rows: RunTableRows, place: int, known: dict[str, dict[str, str]]) ->
 
 
 def _is_alike(text: str, cell: Any) -> bool:
-    """Whether a cell is what it was, in other digits (`11.0` for 11) at most."""
+    """Return whether a cell has the same value, perhaps in other digits (`11.0` for 11)."""
     if text in {measure_text(cell), str(cell)}:
         return True
     try:

@@ -1,6 +1,6 @@
-"""The shapes of the JSON files of an experiment's folder: what their readers rely on.
+"""The shapes of the JSON files of an experiment's folder, on which their readers rely.
 
-What a version wrote once stays valid, so a key is required only where every version has written it.
+Files of earlier versions stay valid, so a key is required only where every version has written it.
 """
 
 # Without `from __future__ import annotations`: a TypedDict would not see which of its keys are required.
@@ -177,7 +177,7 @@ class HolderFile(TypedDict):
 
 
 class RequestFile(TypedDict):
-    """What a second terminal leaves for the orchestrator."""
+    """A request of a second terminal to the orchestrator."""
 
     command: str
     answers: NotRequired[dict[str, str]]

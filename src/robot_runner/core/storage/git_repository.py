@@ -1,4 +1,4 @@
-"""What git tells of a folder: the commit that is checked out, and what was changed since. Asking changes nothing."""
+"""The state of a git repository: the commit that is checked out, and the changes since. Nothing is changed."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from typing import Any
 
 #: How long git may take to answer, s: on a cold disk and a large repository it has to look at every file.
 _PATIENCE = 30.0
-#: A longer diff is not kept, bytes: it is known by its hash alone.
+#: Of a longer diff only the hash is kept, bytes.
 LARGEST_DIFF = 1 << 20
-#: Ask nobody for a password, take no lock for what is only looked at, speak English.
+#: No questions for passwords, no locks for reading, messages in English.
 _ENVIRONMENT = {
     "GIT_TERMINAL_PROMPT": "0",
     "GIT_OPTIONAL_LOCKS": "0",
     "GIT_SSH_COMMAND": "ssh -o BatchMode=yes -o ConnectTimeout=10",
     "LC_ALL": "C",
 }
-#: Where git itself is executed by a hook, it says so in these: they would have us look at another repository.
+#: Variables that git sets for its hooks; with them, git would look at another repository.
 _FOREIGN = ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_OBJECT_DIRECTORY", "GIT_PREFIX")
 _LOGIN = re.compile(r"(?<=://)[^/@]*@")
 
@@ -33,8 +33,8 @@ class RepositoryState:
         commit: the hash of the commit.
         branch: the branch; empty where none is checked out.
         origin: where it was cloned from, without a name or a password; empty where that is not known.
-        is_dirty: whether files that git keeps were changed since that commit. Those that it does not keep count not:
-            results are often written into the repository of their config.
+        is_dirty: whether tracked files were changed since that commit. Untracked ones do not count: results are often
+            written into the repository of their config.
     """
 
     commit: str
@@ -94,9 +94,9 @@ def without_login(url: str) -> str:
 
 
 def uncommitted_changes(folder: Path | str) -> bytes:
-    """Return the changes since the commit that is checked out, as `git apply` takes them; nothing where git is silent.
+    """Return the changes since the commit that is checked out, for `git apply`; empty where git fails.
 
-    No program is executed that the repository names for showing differences, and no habit of the user counts.
+    Diff programs that the repository names are not executed, and the user's git configuration does not matter.
     """
     words = ("diff", "HEAD", "--binary", "--no-color", "--no-ext-diff", "--no-textconv", "--unified=3")
     prefixes = ("--src-prefix=a/", "--dst-prefix=b/")

@@ -1,4 +1,4 @@
-"""The one way to open a file of an experiment folder, which a stranger may have prepared.
+"""The one way to open a file of an experiment folder, which an attacker may have prepared.
 
 Folders come by git, tar and shared disks. So below the experiment's folder no symbolic link is followed, neither in
 place of a file nor of a folder on the way to it; only regular files are opened, so that a named pipe or a device is not
@@ -80,11 +80,11 @@ _WRITING = os.O_WRONLY | os.O_RDWR
 
 
 class DamagedFileError(StorageError):
-    """A file that was opened does not hold what it should: no text, no JSON, too much of it, or nested too deeply."""
+    """The content of a file is no text, no JSON, too large, or nested too deeply."""
 
 
 def require_file(path: Path, root: Path | None = None) -> None:
-    """Let only a regular file pass that is reached without links, for a library that opens it by its name.
+    """Require a regular file that is reached without links, for a library that opens it by its name.
 
     Raises:
         MissingFileError: there is none.
@@ -125,14 +125,14 @@ def open_text(path: Path, root: Path | None = None) -> TextIO:
 
 
 def read_bytes(path: Path, root: Path | None = None, *, limit: int = TEXT_LIMIT) -> bytes:
-    """Return what a file holds.
+    """Return the bytes of a file.
 
     Raises:
-        StorageError: as `open_to_read` says.
+        StorageError: as `open_to_read`.
     """
     with open_to_read(path, root, limit=limit) as file, storage_errors(path, "read"):
         size = os.fstat(file.fileno()).st_size
-        content = file.read(size + 1)  # memory is taken for as much as is asked for
+        content = file.read(size + 1)  # not `limit`, as that much memory would be allocated
         if len(content) > size:
             content += file.read(limit + 1 - len(content))
     if len(content) > limit:  # it has grown since
@@ -141,10 +141,10 @@ def read_bytes(path: Path, root: Path | None = None, *, limit: int = TEXT_LIMIT)
 
 
 def read_text(path: Path, root: Path | None = None, *, limit: int = TEXT_LIMIT, errors: str = "strict") -> str:
-    """Return the text that a file holds (UTF-8, with or without a byte order mark).
+    """Return the text of a file (UTF-8, with or without a byte order mark).
 
     Raises:
-        StorageError: as `open_to_read` says; or it is no UTF-8.
+        StorageError: as `open_to_read`; or it is no UTF-8.
     """
     try:
         return read_bytes(path, root, limit=limit).decode("utf-8-sig", errors)
@@ -153,10 +153,10 @@ def read_text(path: Path, root: Path | None = None, *, limit: int = TEXT_LIMIT, 
 
 
 def read_json(path: Path, root: Path | None = None, *, limit: int = JSON_LIMIT) -> Any:
-    """Return the value that a JSON file holds.
+    """Return the value of a JSON file.
 
     Raises:
-        StorageError: as `open_to_read` says; or it is no JSON, or nested too deeply.
+        StorageError: as `open_to_read`; or it is no JSON, or nested too deeply.
     """
     content = read_bytes(path, root, limit=limit)
     try:
@@ -175,7 +175,7 @@ def read_declared(path: Path, what: str, shape: Any, *, newest: int, fix: str, l
 
     Raises:
         MissingFileError: there is none.
-        StorageError: it cannot be read, its format is newer, or it is not as the shape says: each fault is named.
+        StorageError: it cannot be read, its format is newer, or its shape is another one: each fault is named.
     """
     try:
         value = read_json(path, limit=limit)
@@ -190,10 +190,10 @@ def read_declared(path: Path, what: str, shape: Any, *, newest: int, fix: str, l
 
 
 def read_blocks(path: Path, root: Path | None = None, *, longest: int = LINE_LIMIT) -> Iterator[bytes]:
-    """Yield a file in blocks of whole lines; the last line of all may lack its end.
+    """Yield a file in blocks of whole lines; the last line of the file may lack its end.
 
     Raises:
-        StorageError: as `open_to_read` says; or a line is longer than that many bytes.
+        StorageError: as `open_to_read`; or a line has more than `longest` bytes.
     """
     rest = b""
     with open_to_read(path, root) as file, storage_errors(path, "read"):
@@ -219,13 +219,13 @@ def open_to_append(path: Path, root: Path | None = None) -> BinaryIO:
 
 
 def open_to_fill(path: Path, root: Path | None = None) -> BinaryIO:
-    """Open a file to write it anew from its beginning; its old content is gone. `open_to_write` keeps it until the end.
+    """Open a file, emptied, to write it in place; `open_to_write` keeps the old content until the end.
 
     Raises:
         StorageError: it is no regular file inside the folder, another user's by a hard link, or cannot be written.
     """
     file = _opened(path, root, os.O_WRONLY | os.O_CREAT, "wb", -1)
-    file.truncate()  # only now that it was looked at
+    file.truncate()  # only after it was checked
     return file
 
 
@@ -253,17 +253,17 @@ def open_to_write(
 ) -> Iterator[BinaryIO]:
     """Write a file beside `path`, flush it to the disk, and rename it over `path` when the block ends.
 
-    Where anything fails, what stood at `path` is intact and nothing is left beside it. A link that stands there is
-    refused: neither what it points to nor the link itself is replaced.
+    Where anything fails, the file at `path` is intact and nothing is left beside it. A link at `path` is refused:
+    neither its target nor the link itself is replaced.
 
     Args:
         path: the file.
         root: the experiment's folder.
         mode: the file's permissions, of which the umask takes its part; 0 for those of the experiment's folder.
-        is_lasting: whether it survives a power failure from then on; one of many files that can be made again need not.
+        is_lasting: whether it is flushed, to survive a power failure; many files that can be made again need not be.
 
     Raises:
-        StorageError: there stands no regular file, or it cannot be written.
+        StorageError: at `path` is something else than a regular file, or it cannot be written.
     """
     with refusals(path, root, "written") as (top, (*folders, name)):
         with (
@@ -279,7 +279,7 @@ def open_to_write(
 def _beside(path: Path, folder: int, name: str, mode: int, is_lasting: bool) -> Iterator[BinaryIO]:
     _look_at(path, folder, name)
     # In the same folder: renaming across file systems is neither possible nor atomic.
-    beside = f".{name}.{threading.get_native_id()}.tmp"  # no two threads of the machine have one number
+    beside = f".{name}.{threading.get_native_id()}.tmp"  # unique among the threads of the machine
     _unlink(beside, folder)  # left by a thread of this number that was killed, or planted: O_EXCL follows no link
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _FILE
     try:
@@ -306,10 +306,10 @@ def replace(path: Path, content: str | bytes, root: Path | None = None, *, is_la
 
 
 def remove(path: Path, root: Path | None = None) -> bool:
-    """Remove a file, or the link that stands in its place, and return whether it was there.
+    """Remove a file, or a link in its place, and return whether it was there.
 
     Raises:
-        StorageError: the way to it leads over a link or outside, or the system refuses.
+        StorageError: the path leads over a link or outside, or the system refuses.
     """
     with (
         suppress(MissingFileError),
@@ -321,13 +321,13 @@ def remove(path: Path, root: Path | None = None) -> bool:
 
 
 def _opened(path: Path, root: Path | None, flags: int, kind: str, buffering: int) -> BinaryIO:
-    # By an opener, so that the file knows its name, as messages of libraries show it.
+    # By an opener, so that the file has its name, which messages of libraries show.
     opener = lambda *_: open_descriptor(path, root, flags)  # noqa: E731
     return cast("BinaryIO", open(path, kind, buffering, opener=opener))
 
 
 def _open_regular(path: Path, folder: int, name: str, flags: int, mode: int) -> int:
-    _look_at(path, folder, name)  # before it is opened, since opening a device or a pipe has effects
+    _look_at(path, folder, name)  # first, since opening a device or a pipe has effects
     descriptor = os.open(name, flags | _FILE, mode, dir_fd=folder)
     try:
         found = os.fstat(descriptor)

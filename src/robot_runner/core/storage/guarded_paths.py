@@ -1,7 +1,7 @@
-"""The way to a file or folder of an experiment: without links below the experiment's folder, and never out of it.
+"""Folders of an experiment: reached without links below the experiment's folder, and never outside it.
 
-`guarded_files` opens files by it; here are the folders. Each is reached from the one above it, by descriptors, so that
-nothing on the way can be exchanged for a link after it was looked at.
+`guarded_files` opens files in them. Each folder is opened relative to the descriptor of the one above it, so that none
+on the way can be replaced by a link after it was checked.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ class MissingFileError(StorageError):
 
 
 def make_folder(path: Path, root: Path) -> None:
-    """Make a folder inside the experiment's, and those on the way to it; one that is there is no fault.
+    """Make a folder inside the experiment's, and those above it; it may exist.
 
     Raises:
-        StorageError: a part of the way is a link or no folder, or the system refuses.
+        StorageError: a part of the path is a link or no folder, or the system refuses.
     """
     if path != root:
         with refusals(path, root, "made") as (top, parts), folder_inside(top, parts, make=True):
@@ -47,10 +47,10 @@ def make_folder(path: Path, root: Path) -> None:
 
 
 def make_experiment_folder(root: Path) -> None:
-    """Make the folder of an experiment: its owner's alone, since raw data may be private.
+    """Make the folder of an experiment, for its owner alone, since raw data may be private.
 
-    Where the folder above hands its group on (`chmod g+s`), a group shares it on purpose, and gets what the user's
-    umask leaves to it. A folder that is there keeps its permissions.
+    Where the folder above passes its group on (`chmod g+s`), a group shares it on purpose, and gets the rights that the
+    user's umask allows. An existing folder keeps its permissions.
 
     Raises:
         StorageError: it cannot be made.
@@ -88,7 +88,7 @@ def folder_inside(root: Path, folders: Sequence[str], *, make: bool = False) -> 
 
 @contextmanager
 def refusals(path: Path, root: Path | None, action: str) -> Iterator[tuple[Path, tuple[str, ...]]]:
-    """Take a path apart into the experiment's folder and the parts below it; say what the system refuses."""
+    """Yield the experiment's folder and the parts of a path below it; an OSError becomes a `StorageError`."""
     top = root or path.parent
     try:
         yield top, parts_below(path, top)
@@ -97,7 +97,7 @@ def refusals(path: Path, root: Path | None, action: str) -> Iterator[tuple[Path,
 
 
 def parts_below(path: Path, root: Path) -> tuple[str, ...]:
-    """Return the names of the folders on the way from the experiment's folder to a file, and the file's own.
+    """Return the parts of a path below the experiment's folder.
 
     Raises:
         StorageError: the path leads out of the experiment's folder.
@@ -120,7 +120,7 @@ def rights_of(root: Path) -> int:
 
 
 def refusal_of(path: Path, root: Path, action: str, error: OSError) -> StorageError:
-    """Return the error for something that the system refuses; it names a link that is in the way."""
+    """Return the error for an OSError; where a part of the path is a link, it names that."""
     if error.errno in {errno.ELOOP, errno.ENOTDIR}:
         below = path.relative_to(root)
         for part in (*reversed(below.parents[:-1]), below):
@@ -135,5 +135,5 @@ def refusal_of(path: Path, root: Path, action: str, error: OSError) -> StorageEr
 
 
 def kind_of(mode: int) -> str:
-    """Return in words what stands there, by the mode that `os.stat` gives."""
+    """Return the kind of a file in words, by its `st_mode`."""
     return _KINDS.get(stat.S_IFMT(mode), "something else")

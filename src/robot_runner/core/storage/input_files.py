@@ -1,7 +1,7 @@
-"""Files that an experiment reads beside its code, such as a room or a bag: named, and found again in a replication.
+"""Files that an experiment reads beside its code, such as a room or a bag: kept, and found again in a replication.
 
-The experiment's folder keeps copies of them below its config, and an index that says which is which. Where a package is
-executed again, plugins find the copy by the name that the config gives the original.
+The experiment's folder has copies of them below its config, and an index. Where a package is executed again, plugins
+read the copy in place of the path that the config names.
 """
 
 # Without `from __future__ import annotations`: a TypedDict would not see which of its keys are required.
@@ -25,29 +25,29 @@ from robot_runner.core.words import listed
 
 #: The name of the index, beside the config.
 INDEX = "input_files.json"
-#: Names the index in use to this process and to those that it starts, such as a fresh interpreter for a run.
+#: The environment variable with the folder of the index in use, for this process and those that it starts.
 _VARIABLE = "ROBOT_RUNNER_INPUT_FILES"
-#: Names the folder of the copies that are read, where it is another one.
+#: The environment variable with the folder of the copies, where it is another one.
 _WORKING = "ROBOT_RUNNER_WORKING_FILES"
-#: What is larger is no part of an experiment's folder, which people send to each other, bytes. A copy is compared with
-#: its original whenever the experiment goes on, and no more than this is read of one file.
+#: Larger inputs are not copied, bytes: people send experiment folders to each other, and a copy is compared with its
+#: original at each resumption.
 _LARGEST = TEXT_LIMIT
-#: What is larger takes a minute or more to read for a checksum alone, bytes.
+#: Of larger inputs there is no checksum, bytes: reading them takes a minute or more.
 _LARGEST_SUMMED = 16 << 30
-#: Of an input of more files nothing is kept, and only their size is compared.
+#: Inputs with more files are not copied, and only their size is compared.
 _MOST_FILES = 5000
-#: Where those are kept that lie outside the folder of the config.
+#: The folder for copies of files that are outside the folder of the config.
 _ELSEWHERE = "elsewhere"
 
 
 @dataclass(frozen=True, slots=True)
 class InputFile:
-    """A file or folder that a plugin reads, or the link to a robot, as the config names it.
+    """A file or folder that a plugin or the link to a robot reads.
 
     Attributes:
-        path: as it is named; of a folder, all that is in it is meant.
-        others: the files that it needs in their places relative to it, as a model needs its meshes; of a folder, those
-            files of it that are read.
+        path: as the config names it; a folder stands for all that is in it.
+        others: files that it needs at their relative paths, as a model needs its meshes; for a folder, the files in it
+            that are read.
 
     Example:
         >>> InputFile(Path("rover.xml"), (Path("meshes/wheel.stl"),)).path.name
@@ -59,11 +59,11 @@ class InputFile:
 
 
 class KeptInput(TypedDict):
-    """What the index says of one input: where it was, its copy, and how to know it again where there is none.
+    """An input in the index: where it was, its copy, and size and checksum to recognise it where there is no copy.
 
-    `below` is its place in the folder of the config, by which paths that the config makes of its own name it; `others`
-    are the files that it needs, relative to the folder that it is in; `programs` the copies that can be executed, which
-    neither a folder of ours nor a package tells of its files.
+    `below` is its path in the folder of the config, for paths that the config computes from its own; `others` are the
+    files that it needs, relative to its folder; `programs` the copies that are executable, as neither our folders nor a
+    package keep that permission.
     """
 
     named: str
@@ -81,7 +81,7 @@ class _Index(TypedDict):
 
 
 def read_index(folder: Path) -> list[KeptInput]:
-    """Return what the index in a folder of configs says; nothing where there is none.
+    """Return the index in a folder of configs; empty where there is none.
 
     Raises:
         StorageError: it cannot be read, or is not such an index.
@@ -108,7 +108,7 @@ def shown_input(each: KeptInput) -> str:
 
 @contextmanager
 def kept_copies(folder: Path, working: Path | None = None) -> Iterator[None]:
-    """While it lasts, have `input_file` find the copies that a folder of configs keeps, or those in `working`."""
+    """Let `input_file` find the copies in a folder of configs, or those in `working`, for a while."""
     own = {_VARIABLE: str(folder.resolve()), _WORKING: str((working or folder).resolve())}
     before = {name: os.environ.get(name) for name in own}
     os.environ.update(own)
@@ -122,7 +122,7 @@ def kept_copies(folder: Path, working: Path | None = None) -> Iterator[None]:
 
 
 def copy_kept(folder: Path, target: Path) -> None:
-    """Copy what a folder of configs keeps, so that programs may write beside it and into it: a package stays as it is.
+    """Copy the inputs that a folder of configs keeps, so that programs may write there without changing a package.
 
     Raises:
         StorageError: something cannot be read or written.
@@ -142,7 +142,7 @@ def copy_kept(folder: Path, target: Path) -> None:
 
 
 def copies_in(folder: Path) -> set[Path]:
-    """Return the files in a folder of configs that are there since the experiment reads them: no part of its code.
+    """Return the files in a folder of configs that are copies of inputs, and so no part of its code.
 
     Raises:
         StorageError: the index cannot be read.
@@ -159,7 +159,7 @@ def _copies_of(each: KeptInput, folder: Path) -> list[Path]:
 
 
 def input_file(path: Path) -> Path:
-    """Return the path to read a file from that a config names: its copy if a package is executed again, else itself.
+    """Return the path from which to read an input: its copy if a package is executed again, else the path itself.
 
     A `~` at its beginning stands for the home folder.
 
@@ -187,14 +187,14 @@ def _copies(folder: Path, working: Path) -> Mapping[str, Path]:
     for each in read_index(folder):
         copy = _copy_of(each, working)
         if copy is not None:
-            # In a package, the home folder of its authors is called `~`.
+            # In a package, `~` stands for the home folder of its authors.
             found |= {each["named"]: copy, str(_expanded(Path(each["at"]))): copy}
             found |= {str(folder / each["below"]): copy} if each["below"] is not None else {}
     return found
 
 
 def _copy_of(each: KeptInput, folder: Path) -> Path | None:
-    """Return the copy of an input; None where there is none, as a package leaves out what is called like a secret."""
+    """Return the copy of an input; None where there is none, as a package leaves out files with names of secrets."""
     copy = None if each["kept"] is None else folder / each["kept"]
     return copy if copy is not None and copy.exists() else None
 
@@ -203,12 +203,12 @@ def _copy_of(each: KeptInput, folder: Path) -> Path | None:
 
 
 def kept_contents(inputs: Sequence[InputFile], beside: Path, kept: Path) -> dict[Path, bytes]:
-    """Return what to keep of the inputs of an experiment, by the place in its folder; the index is one of them.
+    """Return the files to keep for the inputs of an experiment, the index included: contents by path.
 
     Args:
         inputs: what it reads.
         beside: the folder of its config.
-        kept: the folder of configs in its own.
+        kept: the folder of configs in the experiment's folder.
 
     Raises:
         StorageError: a file that is there cannot be read.
@@ -229,7 +229,7 @@ def kept_contents(inputs: Sequence[InputFile], beside: Path, kept: Path) -> dict
 
 
 def _kept_of(entry: KeptInput, path: Path, members: Sequence[Path], beside: Path) -> dict[Path, Path]:
-    """Return the files of an input of which copies are kept, by their places, and note in its entry where it is."""
+    """Return the files of an input to copy, each with the path of its copy, and complete its entry in the index."""
     at = Path(entry["at"])
     entry["below"] = at.relative_to(beside).as_posix() if at.is_relative_to(beside) else None
     if not fits(members):
@@ -242,12 +242,12 @@ def _kept_of(entry: KeptInput, path: Path, members: Sequence[Path], beside: Path
 
 
 def fits(members: Collection[Path]) -> bool:
-    """Return whether copies of so many files, as large as they are, are kept of one input."""
+    """Return whether the files of an input are few and small enough to be copied."""
     return len(members) <= _MOST_FILES and sum(member.stat().st_size for member in members) <= _LARGEST
 
 
 def input_changes(inputs: Sequence[InputFile], kept: Path) -> Iterator[Finding]:
-    """Yield which files are others than those that the experiment read before, by the index in a folder of configs.
+    """Yield an error for each input that has changed since it was read before, by the index in a folder of configs.
 
     Raises:
         StorageError: the index cannot be read, or a file that is there.
@@ -279,7 +279,7 @@ def _change_in_words(was: KeptInput, each: InputFile, kept: Path) -> str:
 
 
 def _changes_in(path: Path, members: Sequence[Path], copy: Path, copies: Sequence[Path]) -> list[str]:
-    """Return which of the files of an input are not as their copies are."""
+    """Return in words which files of an input differ from their copies."""
     found = {os.path.relpath(member, path.parent): member for member in members}
     known = {os.path.relpath(member, copy.parent): member for member in copies}
     changed = [name for name in found.keys() & known if _file_digest(found[name]) != _file_digest(known[name])]
@@ -317,11 +317,11 @@ def _described(each: InputFile, path: Path, members: Sequence[Path]) -> KeptInpu
 
 
 def _digest(path: Path, members: Sequence[Path]) -> str:
-    """Return the SHA-256 of a file; of several, that of the list of theirs, as `sha256sum` would print it."""
+    """Return the SHA-256 of a file; of several, that of the list of their checksums as `sha256sum` prints it."""
     if list(members) == [path]:
         return _file_digest(path)
     lines = (f"{_file_digest(each)}  {os.path.relpath(each, path.parent)}\n" for each in members)
-    return hashlib.sha256("".join(lines).encode("utf-8", "surrogateescape")).hexdigest()  # a name may be any bytes
+    return hashlib.sha256("".join(lines).encode("utf-8", "surrogateescape")).hexdigest()  # names may be any bytes
 
 
 def _file_digest(path: Path) -> str:
@@ -330,10 +330,9 @@ def _file_digest(path: Path) -> str:
 
 
 def _places(path: Path, members: Sequence[Path], beside: Path) -> tuple[Path, Path]:
-    """Return the folder that all files of an input are in, and where below the kept config that folder is to be.
+    """Return the common folder of all files of an input, and the folder of their copies, below the kept config.
 
-    What lies below the folder of the config has the same place below the kept config, where paths that the config
-    makes of its own find it.
+    Files below the folder of the config keep their relative paths, so that paths that the config computes lead there.
     """
     own = path if path == beside else path.parent  # the folder of the config may be the input itself
     base = Path(os.path.commonpath([own, *(member.parent for member in members)]))
@@ -348,12 +347,12 @@ def _expanded(path: Path) -> Path:
 
 
 def _absolute(path: Path) -> Path:
-    # Without links being followed: a link below the folder of the config has its place there.
+    # Not `resolve`: a link below the folder of the config counts as being there.
     return Path(os.path.normpath(_expanded(path).absolute()))
 
 
 def missing_inputs(folder: Path) -> Iterator[Finding]:
-    """Yield which files a package leaves out and this machine lacks, or has otherwise, by the folder of its config.
+    """Yield a warning for each input without a copy in a package that is missing or different on this machine.
 
     Raises:
         StorageError: the index cannot be read.

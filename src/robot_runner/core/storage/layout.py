@@ -1,7 +1,7 @@
-"""The names of an experiment's files and folders, known here alone; and how each attempt at a run begins with none.
+"""The names of an experiment's files and folders, known here alone; logs of runs, and files of earlier attempts.
 
-Making a folder or a file costs a file system more than all else that is recorded of a run. So a run has a folder only
-if something is kept in it, and what it prints goes to one log that is renamed into its folder when the run has ended.
+Making a folder or a file costs more than all else that is recorded of a run. So a run has a folder only if something is
+kept in it, and it prints to one log that is renamed into its folder when the run has ended.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from robot_runner.core.storage.system_refusals import storage_errors
 _RUNS = "runs"
 _MANIFEST = "manifest.json"
 _LOG = "log.txt"
-#: Among earlier attempts, those at a run that is not known: no run can be called so.
+#: The folder for logs of unknown runs among earlier attempts: no run can have this name.
 _UNKNOWN = "unknown run"
 
 
 class _Member:
-    """What lies right below an experiment's folder, by its name: an attribute of `ExperimentFolder`."""
+    """A file or folder right below an experiment's folder, as an attribute of `ExperimentFolder`."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -44,7 +44,7 @@ class ExperimentFolder:
         root: the experiment's folder.
         runs_name: the folder in it that holds a folder for each run; empty where they stand in the root itself, as the
             earlier tools had them.
-        slot: the number of the slot of this machine that a run is executed at, from 1: each has files of its own.
+        slot: the slot of this machine at which a run is executed, from 1: each has files of its own.
 
     Example:
         >>> from pathlib import Path
@@ -68,41 +68,41 @@ class ExperimentFolder:
     journal = _Member("journal.jsonl")
     #: The circumstances: host, versions, seed, what was set by hand.
     manifest = _Member(_MANIFEST)
-    #: The config file and the local modules that it imports, as executed.
+    #: The config file, the local modules that it imports, and its inputs, as executed.
     config = _Member("config")
-    #: What was registered before the first run, where anything was.
+    #: The registration before the first run, if there was one.
     registration = _Member("registration.json")
     #: The report, with its tables and figures; made anew whenever it is asked for.
     report = _Member("report")
-    #: What was printed while revisions of a repository were built.
+    #: The logs of building revisions of a repository.
     revisions = _Member("revisions")
-    #: What software under test writes that goes on through all runs: a folder for each start of each subject.
+    #: Files of software under test of `per="experiment"`: a folder for each start of each subject.
     subjects = _Member("subjects")
-    #: What attempts before the last one left behind.
+    #: Files of attempts before the last one.
     earlier_attempts = _Member("earlier_attempts")
-    #: Run tables that the journal did not agree with, numbered.
+    #: Run tables that differed from the journal, numbered.
     earlier_tables = _Member("earlier_tables")
     #: Configs that were executed before the config changed, numbered.
     earlier_configs = _Member("earlier_configs")
     #: Held by the process that executes the experiment.
     lock = _Member(".lock")
-    #: What a second terminal tells the orchestrator.
+    #: A request of a second terminal to the orchestrator.
     control = _Member(".control")
-    #: There while the experiment is to pause between two runs.
+    #: Exists while the experiment is to pause between two runs.
     pause = _Member(".pause")
-    #: There once the experiment is to stop as by Ctrl-C, until it was seen.
+    #: Exists from a request to stop, as by Ctrl-C, until the orchestrator takes it.
     stop = _Member(".stop")
     #: The processes that may outlive the run that started them.
     outliving = _Member(".outliving")
 
     def __post_init__(self) -> None:
-        # Made once: they are asked for in every run, and making a path takes longer than all else there.
+        # Made once: every run asks for them, and making a path is slow.
         object.__setattr__(self, "runs", self.root / self.runs_name)
         object.__setattr__(self, "current_log", self.root / f"current_log{self._of_slot}.txt")
 
     @property
     def _of_slot(self) -> str:
-        """What the names of a slot's files end in; those of the first one have nothing."""
+        """The suffix of a slot's files; empty for the first slot."""
         return "" if self.slot == 1 else f"_{self.slot}"
 
     def at_slot(self, slot: int) -> ExperimentFolder:
@@ -119,7 +119,7 @@ class ExperimentFolder:
 
     @classmethod
     def found_at(cls, root: Path) -> ExperimentFolder:
-        """Return the folder of an experiment that is there already, whichever way it keeps its runs."""
+        """Return the folder of an existing experiment, of ours or of an earlier tool."""
         keeps_runs_in_root = (root / _MANIFEST).exists() and not (root / _RUNS).exists()
         return cls(root, "" if keeps_runs_in_root else _RUNS)
 
@@ -134,12 +134,12 @@ class ExperimentFolder:
 
     @property
     def standing_by(self) -> Path:
-        """Locked by the process that stands by to make the systems of a run safe; it has that process's id."""
+        """Locked by the standby of a run; it contains that process's id."""
         return self.root / f".standing_by{self._of_slot}"
 
     @property
     def to_make_safe(self) -> Path:
-        """There from the beginning of a run until its systems are safe: which run it is, and what it has commanded."""
+        """Exists from the beginning of a run until its systems are safe, see `SystemsFile`."""
         return self.root / f".to_make_safe{self._of_slot}"
 
     def run(self, run_id: str) -> Path:
@@ -147,7 +147,7 @@ class ExperimentFolder:
         return self.runs / run_id
 
     def log(self, run_id: str) -> Path:
-        """Return the file that takes everything that a run's callbacks printed, once it has ended."""
+        """Return the log of a run that has ended: all that its callbacks printed."""
         return self.run(run_id) / _LOG
 
     def refused(self, run_id: str) -> Path:
@@ -184,7 +184,7 @@ class LazyLog(io.TextIOBase):
         self._file: io.TextIOWrapper | None = None
 
     def writable(self) -> bool:
-        """Say that it can be written to."""
+        """Return True."""
         return True
 
     def write(self, text: str) -> int:
@@ -192,17 +192,17 @@ class LazyLog(io.TextIOBase):
         return self._opened().write(text)
 
     def flush(self) -> None:
-        """Hand what was written to the system."""
+        """Flush the log, if it was opened."""
         if self._file is not None:
             self._file.flush()
 
     def fileno(self) -> int:
-        """Return its descriptor, for programs that are to print into it."""
+        """Return its descriptor, for programs that print to it."""
         return self._opened().fileno()
 
     @property
     def buffer(self) -> Any:
-        """The stream beneath it, for who prints bytes."""
+        """The binary stream beneath it."""
         return self._opened().buffer
 
     def close(self) -> None:
@@ -222,7 +222,7 @@ class LazyLog(io.TextIOBase):
 
 
 def keep_log(folder: ExperimentFolder, run_id: str) -> None:
-    """Move what a run printed into its folder, without secrets of the environment; one that printed nothing has no log.
+    """Move the log of a run into its folder, with secrets of the environment masked; an empty log is not kept.
 
     Raises:
         StorageError: it cannot be moved.
@@ -231,10 +231,10 @@ def keep_log(folder: ExperimentFolder, run_id: str) -> None:
 
 
 def keep_unknown_log(folder: ExperimentFolder) -> Path | None:
-    """Put away what was printed by a run that nobody knows any more, or the next one would go on with its log.
+    """Move away the log of a run that the journal does not know, so that the next run does not append to it.
 
     Returns:
-        where it is now; None where nothing was printed.
+        where it is now; None where it is empty.
 
     Raises:
         StorageError: it cannot be moved.
@@ -244,7 +244,7 @@ def keep_unknown_log(folder: ExperimentFolder) -> Path | None:
 
 
 def _keep_log(folder: ExperimentFolder, kept: Path) -> bool:
-    """Move what was printed last, if anything was; return whether it was."""
+    """Move the current log unless it is empty; return whether it was moved."""
     with storage_errors(kept, "written"):
         if has_printed := _size(folder.current_log) > 0:
             make_folder(kept.parent, folder.root)
@@ -254,7 +254,7 @@ def _keep_log(folder: ExperimentFolder, kept: Path) -> bool:
 
 
 def remove_half_written(folder: ExperimentFolder) -> None:
-    """Remove what a killed process has written by half; call it where only this process can write these files.
+    """Remove half-written temporary files of a killed process; the caller must hold the experiment's lock.
 
     Raises:
         StorageError: it cannot be removed.
@@ -265,7 +265,7 @@ def remove_half_written(folder: ExperimentFolder) -> None:
 
 
 def drop_empty_log(folder: ExperimentFolder) -> None:
-    """Remove the log of the run that is being executed, once none is; one that holds something stays."""
+    """Remove the current log, if it is empty, once no run is executed any more."""
     if _size(folder.current_log) == 0:
         folder.current_log.unlink(missing_ok=True)
 
@@ -290,7 +290,7 @@ def _size(path: Path) -> int:
 
 
 def put_earlier_attempt_away(folder: ExperimentFolder, run_id: str, attempt: int) -> None:
-    """Keep the folder that an earlier attempt at a run left behind, so that the next one begins without any.
+    """Move the folder of an earlier attempt at a run away, so that the next one begins without files.
 
     Raises:
         StorageError: it cannot be moved.
@@ -304,7 +304,7 @@ def put_earlier_attempt_away(folder: ExperimentFolder, run_id: str, attempt: int
 
 
 def next_in(folder: Path, root: Path) -> Path:
-    """Return the place for what is kept next in a folder whose members are numbered; the folder is made if missing.
+    """Return the next free path in a folder with numbered members; the folder is made if missing.
 
     Raises:
         StorageError: it cannot be made.
@@ -314,12 +314,12 @@ def next_in(folder: Path, root: Path) -> Path:
 
 
 def runs_put_away(folder: ExperimentFolder) -> list[str]:
-    """Return the runs of which earlier attempts were put away."""
+    """Return the runs whose earlier attempts were moved away."""
     return [path.name for path in folder.earlier_attempts.iterdir()] if folder.earlier_attempts.exists() else []
 
 
 def put_attempt_back(folder: ExperimentFolder, run_id: str, attempt: int) -> bool:
-    """Put the last attempt at a run back that was put away, where no other one has begun since; return whether it was.
+    """Move the folder of a run's last attempt back, if no other attempt has begun since; return whether it was moved.
 
     Raises:
         StorageError: it cannot be moved.
@@ -333,7 +333,7 @@ def put_attempt_back(folder: ExperimentFolder, run_id: str, attempt: int) -> boo
 
 
 def _free(wanted: Path) -> Path:
-    # The table may have been edited so that attempts are counted anew: what is kept is never overwritten.
+    # Attempts may be counted from 1 again, after edits of the table: nothing is ever overwritten.
     number = 1
     path = wanted
     while path.exists():
@@ -342,7 +342,7 @@ def _free(wanted: Path) -> Path:
     return path
 
 
-#: As the XDG Base Directory Specification (0.8) has them.
+#: The defaults of the XDG Base Directory Specification (0.8).
 _FOLDERS = {"XDG_STATE_HOME": "~/.local/state", "XDG_CACHE_HOME": "~/.cache"}
 
 
@@ -357,8 +357,7 @@ def home_folder() -> Path | None:
 def user_folder(variable: str) -> Path:
     """Return our folder in the user's for state (`XDG_STATE_HOME`) or for caches (`XDG_CACHE_HOME`).
 
-    A relative path in the variable is passed over, as its specification has it: it would be another folder in each
-    place from which somebody starts us, and none would know of the others.
+    A relative path in the variable is ignored, as its specification says: it would depend on the current folder.
 
     Raises:
         StorageError: the user has no home folder, as in some containers.

@@ -1,4 +1,4 @@
-"""Who executes an experiment, known to all; and what a second terminal asks of it: to go on, to pause, to stop."""
+"""The lock of the process that executes an experiment; and requests of a second terminal to go on, pause or stop."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ class Holder:
 
 
 class ExperimentLock:
-    """Keeps a second orchestrator out. The system lets go of it when the process dies, however it dies.
+    """Keeps a second orchestrator out. The system releases it when the process dies, however it dies.
 
-    A POSIX record lock: unlike `flock` it is not inherited by the runs that are forked from the holder. Nobody but the
-    folder's owner, or the group that may write in it, can hold it, see `lock_files`.
+    A POSIX record lock: unlike `flock` it is not inherited by the runs that are forked from the holder. Only the
+    folder's owner, or a group that may write in it, can hold it, see `lock_files`.
     """
 
     def __init__(self, path: Path) -> None:
@@ -46,7 +46,7 @@ class ExperimentLock:
 
     def __enter__(self) -> Self:
         self._take()
-        # Held open, so that no other folder is mistaken for it: one that is made anew may get its number.
+        # Kept open: otherwise a folder that is made anew could get the same inode number.
         try:
             self._folder = open_folder(self._path.parent, [])
         except OSError as error:
@@ -71,7 +71,7 @@ class ExperimentLock:
         self._descriptor = descriptor
 
     def successor(self) -> str:
-        """Return, in words, what stands in the place of what was locked; empty where nothing that keeps us out does."""
+        """Return, in words, what has replaced the locked folder or its execution; empty where nothing has."""
         if is_at(self._descriptor, self._path):
             return ""
         if holder_of(self._path) is not None:
@@ -80,7 +80,7 @@ class ExperimentLock:
 
     @property
     def _has_folder(self) -> bool:
-        """Whether the experiment's folder is still the one whose lock was taken; it may be reached through a link."""
+        """Return whether the experiment's folder is still the one whose lock was taken."""
         try:
             return os.path.samestat(os.fstat(self._folder), os.stat(self._path.parent))  # noqa: PTH116 - as it is held
         except OSError as error:
@@ -89,15 +89,14 @@ class ExperimentLock:
     def look_after(self, journal: Journal) -> list[Finding]:
         """Check that the locked file is still the one that others see, and take the lock again if it is not.
 
-        Somebody may have removed it, by hand or by `git clean`, and so let a second orchestrator in. Asked before each
-        run, it finds that out at the latest after the run that was executed meanwhile, once that is recorded.
+        A user or `git clean` may have removed it, and so let a second orchestrator in. Called before each run.
 
         Returns:
-            what there is to tell.
+            a warning if the lock was taken again.
 
         Raises:
-            ExecutionError: another process executes the experiment, or has since the file was removed; or the folder
-                was moved or removed.
+            ExecutionError: another process executes the experiment, or has done so since the file was removed; or the
+                folder was moved or removed.
             StorageError: it cannot be locked.
         """
         self.refuse_other_folder(journal)
@@ -116,12 +115,12 @@ class ExperimentLock:
         return [Finding.warning(where, f"{problem}: it is locked anew", "Leave that file alone: it keeps others out.")]
 
     def refuse_other_folder(self, journal: Journal) -> None:
-        """Check that nobody has moved or removed the experiment: a run that goes on may have made its folder anew.
+        """Check that the experiment was not moved or removed: a run in flight may have made a new folder at its path.
 
-        Its journal and the files of its runs would be in two folders, or those of earlier runs gone without a word.
+        Otherwise journal and files of runs would be in two folders, or those of earlier runs gone silently.
 
         Raises:
-            ExecutionError: somebody has.
+            ExecutionError: it was.
         """
         where = str(self._path.parent)
         if there := journal.moved_to:
@@ -155,18 +154,18 @@ class ExperimentLock:
 
 
 _UNKNOWN = Holder(0, "unknown", "")
-#: The locks that this process holds, by their descriptors; a process that is forked from it holds none of them.
+#: The locks that this process holds, by descriptor; forked processes do not inherit them.
 _HELD: dict[int, Holder] = {}
 
 
 def _own_holder(path: Path) -> Holder | None:
-    """Return this process where it holds the lock: it must not open the file, as closing it would let go of that."""
+    """Return the holder if it is this process, which must not open the file: closing it would release the lock."""
     own = (held for held, holder in _HELD.items() if holder.pid == os.getpid() and is_at(held, path))
     return next(map(_HELD.__getitem__, own), None)
 
 
 def holder_of(path: Path) -> Holder | None:
-    """Return who holds the lock at this moment, or None; nothing is changed by asking."""
+    """Return who holds the lock at this moment, or None, without changing anything."""
     if own := _own_holder(path):
         return own
     try:
@@ -191,13 +190,13 @@ def _refusal(path: Path, holder: Holder) -> ExecutionError:
     )
 
 
-#: What somebody is asked before a run, or in it: the run, and the step; empty where it is whether the run may start.
+#: A question to the operator: the run, and the step, which is empty where the question is whether the run may start.
 Asked = tuple[str, str]
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """That a person says to go on, the answers (texts by the names of the questions), and what the person was asked."""
+    """A request to go on, with the answers (texts by name of the question), and the question that it answers."""
 
     answers: Mapping[str, str] = field(default_factory=dict)
     asked: Asked | None = None
@@ -205,12 +204,12 @@ class Request:
 
 #: The one command that the control file may hold.
 _CONTINUE = "continue"
-#: A longer request is none of ours.
+#: A longer file is no request of ours.
 _MOST_BYTES = 64 * 1024
 
 
 def send_continue(control: Path, answers: Mapping[str, str] | None = None, asked: Asked | None = None) -> None:
-    """Tell the orchestrator to go on, with answers, by name, to what was asked (None where that is not known).
+    """Tell the orchestrator to go on, with answers by name; `asked` is the question, None where that is not known.
 
     Raises:
         StorageError: the experiment's folder cannot be written.
@@ -220,23 +219,23 @@ def send_continue(control: Path, answers: Mapping[str, str] | None = None, asked
 
 
 def take_request(control: Path, asked: Asked | None = None) -> Request | None:
-    """Return the request that was left, and remove it; None if there is none, or it cannot be read.
+    """Return the request, and remove it; None if there is none, or it cannot be read.
 
     Args:
         control: the file for the request.
-        asked: what is asked; a request that answers another question is left in place. None takes every request.
+        asked: the open question; a request that answers another one is left in place. None takes every request.
     """
     try:
         text = read_bytes(control, limit=_MOST_BYTES)
     except MissingFileError:
         return None
-    except StorageError:  # nothing that we wrote
+    except StorageError:  # no file of ours
         remove(control)
         return None
     request = _understood(text)
     if request is not None and asked is not None and request.asked not in {None, asked}:
         return None
-    return request if remove(control) else None  # else who has left it has taken it back meanwhile
+    return request if remove(control) else None  # else it was taken back meanwhile
 
 
 def _understood(text: bytes) -> Request | None:
@@ -250,11 +249,11 @@ def _understood(text: bytes) -> Request | None:
         return None
 
 
-# Requests to pause and to stop: each a file of its own, so that it lasts until it is taken back and no command is lost.
+# Requests to pause and to stop: each is a file of its own, which exists until it is taken back.
 
 
 def leave_request(path: Path) -> None:
-    """Ask the orchestrator to pause before the next run, or to stop as by Ctrl-C: which one, the file says.
+    """Ask the orchestrator to pause before the next run, or to stop as by Ctrl-C, by the name of the file.
 
     Raises:
         StorageError: the experiment's folder cannot be written.
@@ -263,14 +262,14 @@ def leave_request(path: Path) -> None:
 
 
 def is_requested(path: Path) -> bool:
-    """Return whether a pause is asked for, or lasts; or whether the orchestrator is asked to stop.
+    """Return whether there is a request to pause or to stop, by the name of the file.
 
-    A folder that cannot be read counts as no request: the next record that is to be written there fails, and says why.
+    A folder that cannot be read counts as no request: the next record to be written there fails, and says why.
     """
     return os.path.isfile(path)  # noqa: PTH113 - that of a path raises what the system refuses, before Python 3.14
 
 
 def forget_requests(*paths: Path) -> None:
-    """Take requests back: a paused experiment goes on, and what was seen or is of no use any longer is removed."""
+    """Remove requests to pause or to stop: a paused experiment goes on."""
     for path in paths:
         remove(path)

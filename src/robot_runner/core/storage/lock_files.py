@@ -1,8 +1,8 @@
-"""Files that processes of an experiment lock, so that nobody else can: another local user must not block its owner.
+"""Lock files of an experiment that other local users cannot lock, and so cannot use to block its owner.
 
-Whoever can open a file can lock it. So these files are their owner's alone, or a group's that may write in the
-experiment's folder. Earlier versions made them readable for everybody, and a stranger may have one open since then:
-such a file is replaced, not narrowed.
+Whoever can open a file can lock it. So these files are for their owner alone, or for a group that may write in the
+experiment's folder. Earlier versions made them readable for everybody, and another user may have one open since then:
+such a file is replaced, as a change of its permissions would come too late.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from robot_runner.core.storage.declared_shapes import faults_of
 from robot_runner.core.storage.guarded_files import open_descriptor
 from robot_runner.core.storage.guarded_paths import rights_of
 
-#: Nobody signs with more: who has a claim names folders, and a path may have 4096 bytes.
+#: The longest signature that is read: the holder of a claim names folders, and a path may have 4096 bytes.
 _MOST_BYTES = 128 * 1024
 _OWNER, _GROUP = 0o600, 0o060
-#: How often a lock is tried that somebody else replaces at the same moment, and how long to wait between, s.
+#: How often a lock is tried that another process replaces at the same moment, and how long to wait between, s.
 _TRIES, _BETWEEN = 50, 0.01
 
 
@@ -38,13 +38,13 @@ def open_to_lock(path: Path, root: Path) -> int:
     wanted = _wanted(root)
     descriptor = open_descriptor(path, root, mode=wanted)
     found = os.fstat(descriptor)
-    if found.st_uid == os.geteuid() and wanted & ~found.st_mode:  # the umask took the group's rights
+    if found.st_uid == os.geteuid() and wanted & ~found.st_mode:  # the umask has removed the group's rights
         _set_rights(descriptor, stat.S_IMODE(found.st_mode) | wanted)
     return descriptor
 
 
 def was_open_to_strangers(path: Path, root: Path) -> bool:
-    """Return whether others than those who may write in the experiment's folder can open the file, and so lock it."""
+    """Return whether users who may not write in the experiment's folder can open the file, and so lock it."""
     try:
         return bool(stat.S_IMODE(path.lstat().st_mode) & 0o077 & ~_wanted(root))
     except FileNotFoundError:
@@ -54,8 +54,8 @@ def was_open_to_strangers(path: Path, root: Path) -> bool:
 def lock_exclusively(path: Path) -> int | None:
     """Lock a file with a POSIX record lock, and return its descriptor; None where another process of ours holds it.
 
-    Only exclusive locks count, since they take the right to write. Whoever may merely read the file can hold a shared
-    one: then the file is replaced by one that strangers cannot open.
+    Only exclusive locks count, since they need the right to write. Users with the right to read can hold a shared lock:
+    then the file is replaced by one that they cannot open.
 
     Raises:
         StorageError: the file cannot be opened, or its file system offers no locks.
@@ -77,7 +77,7 @@ def lock_exclusively(path: Path) -> int | None:
             return taken
         if taken is not None:
             os.close(taken)
-        time.sleep(_BETWEEN)  # it was replaced by another process of ours meanwhile: look again
+        time.sleep(_BETWEEN)  # another process of ours has replaced it meanwhile
     return None
 
 
@@ -90,10 +90,10 @@ def is_held_exclusively(descriptor: int, path: Path) -> bool:
 
 
 def _put_in_place(path: Path, old: int) -> int | None:
-    """Put a new, locked file in place of one that a stranger can lock, and return its descriptor.
+    """Replace a lock file that other users can lock by a new, locked one, and return its descriptor.
 
-    Nobody of ours can lock the old file exclusively meanwhile: the caller holds a shared lock, or it is not used at
-    all. Of several who do this at once, the one that locks the new file goes on; the others get None.
+    No process of ours can lock the old file exclusively meanwhile: the caller holds a shared lock, or it is not in use.
+    Of several processes that do this at once, the one that locks the new file wins; the others get None.
     """
     new = path.with_name(f"{path.name}.new")
     descriptor = open_to_lock(new, path.parent)
@@ -113,7 +113,7 @@ def _narrowed(descriptor: int, path: Path) -> int:
 
 
 def _set_rights(descriptor: int, mode: int) -> None:
-    """Change a file's permissions where its file system has any: on FAT, say, all files have the same."""
+    """Change a file's permissions, where its file system has any (FAT has none)."""
     try:
         os.fchmod(descriptor, mode)
     except OSError as error:
@@ -123,12 +123,12 @@ def _set_rights(descriptor: int, mode: int) -> None:
 
 def _strangers_may_write(descriptor: int, path: Path) -> bool:
     if os.stat(path.parent).st_mode & (stat.S_IWOTH | stat.S_ISVTX) == stat.S_IWOTH:  # noqa: PTH116 - as `rights_of`
-        return False  # all may remove the file here, so a lock that all may take adds no risk
+        return False  # everybody may remove the file here anyway
     return bool(os.fstat(descriptor).st_mode & 0o022 & ~_wanted(path.parent))
 
 
 def try_lock(descriptor: int, kind: int) -> bool:
-    """Lock a file, `fcntl.LOCK_EX` or `fcntl.LOCK_SH`; return whether no other process kept us from it.
+    """Lock a file, `fcntl.LOCK_EX` or `fcntl.LOCK_SH`, without waiting; return whether that succeeded.
 
     Raises:
         OSError: its file system offers no locks.
@@ -143,7 +143,7 @@ def try_lock(descriptor: int, kind: int) -> bool:
 
 
 def sign(descriptor: int, signature: Any) -> None:
-    """Write into a file that is locked who holds it, a dataclass.
+    """Write the holder, a dataclass, into a locked file.
 
     Raises:
         OSError: the disk is full.
@@ -153,7 +153,7 @@ def sign(descriptor: int, signature: Any) -> None:
 
 
 def signature_of(descriptor: int, shape: Any) -> dict[str, Any] | None:
-    """Return who holds a locked file, by the keys of a TypedDict; None if the file is not signed (yet)."""
+    """Return the holder in a locked file, by the keys of a TypedDict; None if it has none (yet)."""
     try:
         said = json.loads(os.pread(descriptor, _MOST_BYTES, 0))
     except (ValueError, RecursionError):
@@ -174,11 +174,11 @@ def _try(descriptor: int, kind: int, path: Path) -> bool:
 
 
 def is_at(descriptor: int, path: Path) -> bool:
-    """Return whether an open file is the one that stands at `path`."""
+    """Return whether an open file is the one at `path`."""
     try:
         return os.path.samestat(os.fstat(descriptor), path.lstat())
     except OSError as error:
-        if error.errno in {errno.ENOENT, errno.ESTALE}:  # the latter where another machine has removed it
+        if error.errno in {errno.ENOENT, errno.ESTALE}:  # ESTALE: another machine has removed it
             return False
         raise
 

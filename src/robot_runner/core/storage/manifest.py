@@ -1,4 +1,4 @@
-"""The circumstances of an experiment: host, system, versions of all that is installed, seed, what was set by hand."""
+"""`manifest.json`: reading and writing it, and describing host, system, installed packages and programs for it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from robot_runner.core.storage.guarded_files import (
     replace,
 )
 
-#: What is compared with the config, or reproduces it: a treatment may be called as a password is.
+#: Keys whose values are compared with the config, and so are not masked: a treatment may be equal to a password.
 _COMPARED = frozenset(
     {"experiment_name", "config", "design", "seed", "analysis", "registration", "repeat_until", "plugins"}
 )
@@ -36,7 +36,7 @@ _RESTORE = "Restore it from a backup."
 
 
 def describe_host() -> dict[str, Any]:
-    """Return what this machine is: system, processor, cores, memory (bytes), and how its frequency is governed."""
+    """Return system, processor, cores, memory (bytes) and frequency governor of this machine."""
     return {
         "system": platform.system(),
         "release": platform.release(),
@@ -49,7 +49,7 @@ def describe_host() -> dict[str, Any]:
 
 
 def describe_software() -> dict[str, Any]:
-    """Return the versions of Python, Robot Runner and the system, and of every package of Python and of the system."""
+    """Return the versions of Python, Robot Runner, the system, and of all packages of Python and of the system."""
     return {
         "python": platform.python_version(),
         "implementation": sys.implementation.name,
@@ -61,7 +61,7 @@ def describe_software() -> dict[str, Any]:
 
 
 def write_manifest(path: Path, manifest: Mapping[str, Any]) -> None:
-    """Write the manifest, whole or not at all; secrets of the environment are hidden, but for what resuming compares.
+    """Write the manifest, whole or not at all; secrets of the environment are masked, except in `_COMPARED`.
 
     Raises:
         StorageError: the folder cannot be written.
@@ -72,7 +72,7 @@ def write_manifest(path: Path, manifest: Mapping[str, Any]) -> None:
 
 
 def is_damaged(path: Path) -> bool:
-    """Return whether a file that is there cannot be any version's manifest: empty, torn, or something else."""
+    """Return whether an existing file can be the manifest of no version: it is empty, torn, or something else."""
     try:
         manifest = read_json(path)
     except DamagedFileError:
@@ -86,8 +86,8 @@ def read_manifest(path: Path) -> dict[str, Any]:
     """Return the manifest of an experiment folder.
 
     Raises:
-        StorageError: there is none, it does not parse, its format is newer than this version knows, or it is not as a
-            manifest is.
+        StorageError: there is none, it does not parse, its format is newer than this version knows, or its shape is
+            not that of a manifest.
     """
     try:
         manifest: dict[str, Any] = read_declared(path, "manifest", Manifest, newest=FORMAT, fix=_RESTORE)
@@ -99,13 +99,13 @@ def read_manifest(path: Path) -> dict[str, Any]:
 
 
 def last_execution(manifest: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return what a manifest has of the last time that its experiment was executed; nothing where it was not."""
+    """Return the last execution in a manifest; empty where there was none."""
     found: Mapping[str, Any] = (manifest.get("executions") or [{}])[-1]
     return found
 
 
 def _packages() -> dict[str, str]:
-    # The names of the folders tell name and version; reading each package's metadata would take a hundred times longer.
+    # From the names of the folders; reading each package's metadata would take a hundred times longer.
     found: dict[str, str] = {}
     for folder in reversed([Path(entry or ".") for entry in sys.path]):
         for info in folder.glob("*.dist-info"):
@@ -125,7 +125,7 @@ def _processor() -> str:
 
 
 def _governor() -> str | None:
-    """Return the policy by which Linux sets the processor's frequency; several where its cores differ."""
+    """Return the CPU frequency governor of Linux; several where cores differ."""
     found = set()
     for path in Path("/sys/devices/system/cpu").glob("cpu[0-9]*/cpufreq/scaling_governor"):
         with suppress(OSError):
@@ -140,9 +140,9 @@ def _memory_bytes() -> int | None:
         return None
 
 
-#: Where Debian and its descendants (Ubuntu, Raspberry Pi OS) note what is installed: deb822 paragraphs.
+#: The installed packages of Debian and its derivatives (Ubuntu, Raspberry Pi OS): deb822 paragraphs.
 _STATUS = Path("/var/lib/dpkg/status")
-#: A paragraph says in its first fields whether its package is installed.
+#: How much of a paragraph is searched for the fields that are needed, which come first.
 _HEAD = 400
 _DEADLINE_S = 20.0
 
@@ -161,7 +161,7 @@ def installed_system_packages(status: Path = _STATUS) -> dict[str, str]:
     """Return the versions of the system's packages, by name; nothing on a system that has no `dpkg`.
 
     Args:
-        status: where `dpkg` notes what is installed; read here, as starting `dpkg-query` takes ten times as long.
+        status: the database of `dpkg`; read directly, as starting `dpkg-query` takes ten times as long.
     """
     try:
         paragraphs = status.read_bytes().split(b"\n\n")
@@ -182,10 +182,7 @@ def _field(paragraph: bytes, name: bytes) -> str:
 
 
 def described_programs(paths: Iterable[str]) -> dict[str, dict[str, str | None]]:
-    """Return what each program is, by its absolute path: its package and version, and the SHA-256 of its file.
-
-    No program is executed for it: one that measures might begin to.
-    """
+    """Return package, version and SHA-256 of each program, by its absolute path, without executing it."""
     real = {path: os.path.realpath(path) for path in paths}
     owners = _owners(set(real.values()))
     versions = installed_system_packages() if owners else {}
@@ -201,7 +198,7 @@ def described_programs(paths: Iterable[str]) -> dict[str, dict[str, str | None]]
 
 def _owners(files: set[str]) -> dict[str, str]:
     """Return the package of each file that `dpkg` knows."""
-    # Packages that are older than the merger of /bin with /usr/bin list the shorter path.
+    # Packages from before the merger of /bin with /usr/bin list the shorter path.
     listed = {path: file for file in files for path in (file, file.removeprefix("/usr"))}
     if not listed:
         return {}

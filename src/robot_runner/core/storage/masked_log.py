@@ -1,7 +1,7 @@
-"""The log of a run without what the environment keeps secret: hidden as it is printed, and once more when it is kept.
+"""Masking secrets of the environment in the log of a run.
 
-What Python prints is hidden as it is written. What a program that a run started prints goes to the file by itself: it
-is hidden when the run has ended, before the log gets its name.
+What Python prints is masked as it is written. Programs of a run print to the file directly: that is masked when the run
+has ended, before the log is moved into the run's folder.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ class MaskedText(io.TextIOWrapper):
     """
 
     def write(self, text: str) -> int:
-        """Write a text, secrets replaced; return how long it was."""
+        """Write a text with secrets replaced; return the length of the original."""
         super().write(without_environment_secrets(text))
         return len(text)
 
 
 def mask_log(path: Path, root: Path) -> None:
-    """Replace in a file what the environment keeps secret; a file without any stays as it is.
+    """Mask secrets of the environment in a file; a file without any is not written.
 
     Raises:
         StorageError: it cannot be read or written.
@@ -56,6 +56,6 @@ def mask_log(path: Path, root: Path) -> None:
 
 
 def _lines(file: BinaryIO) -> Iterator[bytes]:
-    """Yield a file in blocks of whole lines, as far as lines are not longer than a block."""
+    """Yield a file in blocks of whole lines; a line that is longer than a block is split."""
     while block := file.read(_BLOCK):
         yield block + file.readline(_BLOCK)

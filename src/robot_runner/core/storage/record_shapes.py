@@ -1,6 +1,6 @@
-"""The shapes of the journal's records, by their kinds: what those who read it rely on.
+"""The shapes of the journal's records, by kind, on which its readers rely.
 
-What a version wrote once stays valid, so a key is required only where every version has written it.
+Records of earlier versions stay valid, so a key is required only where every version has written it.
 """
 
 # Without `from __future__ import annotations`: a TypedDict would not see which of its keys are required.
@@ -82,7 +82,7 @@ class _Reading(TypedDict):
 
 
 class ClockFacts(TypedDict):
-    """What a plugin tells of another computer's clock: the manifest sums it up."""
+    """The offset of another computer's clock, which the manifest summarises."""
 
     host: str
     before: _Reading
@@ -111,7 +111,7 @@ class _Gate(_OfRun):
 
 
 class _Waited(Record):
-    run: NotRequired[str]  # a host that was started anew is awaited between two runs
+    run: NotRequired[str]  # absent where a host is awaited after its reboot, between two runs
     attempt: NotRequired[int]
     owner: NotRequired[str]
     condition: str
@@ -257,7 +257,7 @@ class _Prepared(Record):
     treatments: dict[str, Any]
 
 
-#: By kind; a record of a kind that is not here is one of a later version, or nobody relies on it.
+#: By kind; a kind that is not here is of a later version, or has no reader.
 RECORDS: dict[str, Any] = {
     "answered": _Asked,
     "asked": _Asked,

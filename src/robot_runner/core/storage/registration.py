@@ -1,4 +1,4 @@
-"""The registration of a study: what was fixed before its first run, in one file with a checksum of its content."""
+"""The registration of a study: a file with what was fixed before its first run, and a checksum of its content."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from robot_runner.core.words import enumerated
 FORMAT = 1
 
 _SUM = "sha256"
-#: A registration has some kilobytes; what is larger is something else.
+#: A larger file, bytes, is no registration, which has some kilobytes.
 _LARGEST = 16 << 20
 
 
@@ -51,16 +51,16 @@ class Registration:
 
     @property
     def seed(self) -> int:
-        """What the order of the runs comes from."""
+        """The seed of the order of runs."""
         return int(self.content["seed"])
 
     def facts(self) -> dict[str, Any]:
-        """Return what the manifest says of it."""
+        """Return its facts for the manifest."""
         return {"file": self.path.name, "registered_at": self.registered_at, _SUM: self.sha256}
 
 
 def checksum_of(content: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of a registration: of all but the checksum, as JSON with sorted keys and without blanks.
+    """Return the SHA-256 of a registration without its checksum, as JSON with sorted keys and without blanks.
 
     Example:
         >>> checksum_of({"a": 1, "sha256": "whatever"}) == checksum_of({"a": 1})
@@ -85,7 +85,7 @@ def write_registration(path: Path, content: Mapping[str, Any]) -> Registration:
 
 
 def read_registration(path: Path) -> Registration:
-    """Read a registration; one whose content was changed is read as well, and says so.
+    """Read a registration; see `is_intact` for one whose content was changed.
 
     Raises:
         StorageError: there is no such file, it cannot be read, or it is no registration that this version knows.
@@ -101,7 +101,7 @@ def read_registration(path: Path) -> Registration:
 
 
 def _is_comparable(content: Mapping[str, Any]) -> bool:
-    """Return whether everything in a registration that is compared has the shape that comparing takes."""
+    """Return whether all parts of a registration that are compared have the expected shape."""
     nothing: dict[str, Any] = {"design": {}, "analysis": None, "repeat_until": None, "measures": []}
     try:
         for now in (content, nothing):
@@ -115,7 +115,7 @@ def _is_comparable(content: Mapping[str, Any]) -> bool:
 _FIX = "Restore the file from where it was deposited, or register again before the first run."
 
 
-# What is other than it was registered.
+# How a study differs from its registration.
 
 
 def differences(registered: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:
@@ -123,7 +123,7 @@ def differences(registered: Mapping[str, Any], now: Mapping[str, Any]) -> Iterat
 
     Args:
         registered: the content of the registration.
-        now: `design`, `seed`, `analysis`, `repeat_until` and `measures` likewise; what it lacks is not compared.
+        now: `design`, `seed`, `analysis`, `repeat_until` and `measures` likewise; missing keys are not compared.
     """
     if "design" in now:
         yield from _design_differences(registered["design"], now["design"])
@@ -140,7 +140,7 @@ def differences(registered: Mapping[str, Any], now: Mapping[str, Any]) -> Iterat
 
 
 def repeated_in_words(recorded: Mapping[str, Any] | None) -> str:
-    """Return how often combinations are repeated, from what is recorded of `repeat_until`."""
+    """Return in words how often combinations are repeated, by the recorded `repeat_until`."""
     return rule_in_words(*rules_of_mapping(recorded)) or "as often as is planned"
 
 
@@ -158,7 +158,7 @@ def _design_differences(registered: Mapping[str, Any], now: Mapping[str, Any]) -
             yield f"{words}: {_shown(now.get(name))}, and {_shown(registered.get(name))} was registered"
 
 
-#: What else a design has, in words.
+#: Further keys of a design, in words.
 _DESIGN_WORDS = {
     "repetitions": "repetitions",
     "shuffle": "whether the order is randomised",
@@ -191,13 +191,13 @@ def _plan_differences(registered: Mapping[str, Any] | None, now: Mapping[str, An
 
 
 def _full(plan: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
-    """Return a plan with all of its choices: one that an earlier version wrote lacks those that it did not know."""
+    """Return a plan with defaults for choices that an earlier version, which wrote it, did not have."""
     if plan is None:
         return None
     try:
         every = {"doubtful": Doubtful.KEEP.value, **AnalysisPlan.of_mapping(plan).as_mapping()}
         return json.loads(json.dumps(every))  # type: ignore[no-any-return]
-    except DesignError:  # of another version: it is compared as it stands
+    except DesignError:  # of another version: it is compared as it is
         return plan
 
 

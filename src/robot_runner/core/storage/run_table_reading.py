@@ -44,10 +44,10 @@ if TYPE_CHECKING:
     from robot_runner.core.storage.layout import ExperimentFolder
 
 
-# The first line of a run table's file: which heading belongs to which column, in any order.
+# The first line of a run table's file: the headings, in any order.
 
 _DELIMITERS = (",", ";", "\t")
-_HEADINGS_ENOUGH = 1 << 16  # characters that tell a delimiter; less than the `csv` module's limit for a cell
+_HEADINGS_ENOUGH = 1 << 16  # characters from which the delimiter is found; below the `csv` module's limit for a cell
 
 # As in the paper's Fig. 3, as people write them, and as the earlier tools did.
 _PROGRESS = {
@@ -66,8 +66,8 @@ class Headings:
     """Where the columns of a layout stand in a file.
 
     Attributes:
-        places: the place of each column that is there, counted from 0, by its name in the layout.
-        extras: the columns that are a user's own, in the order of the file; they are in `places` as well.
+        places: the index of each column that the file has, by its name in the layout.
+        extras: a user's own columns, in the order of the file; they are in `places`, too.
         width: how many cells a row has.
         cells: the headings as they stand in the file.
     """
@@ -79,7 +79,7 @@ class Headings:
 
 
 def delimiter_of(first_line: str, layout: TableLayout) -> str:
-    """Return what stands between the cells: the delimiter that makes most of the layout's headings appear."""
+    """Return the delimiter by which most of the layout's headings are found."""
     known = {layout.spelling.heading(name).casefold() for name in layout.columns} | set(_PROGRESS)
 
     def recognised(delimiter: str) -> int:
@@ -93,7 +93,7 @@ def match_headings(cells: Sequence[str], layout: TableLayout, findings: TableFin
     """Match the first line of a file with the columns of a layout."""
     trimmed = [cell.strip() for cell in cells]
     while trimmed and not trimmed[-1]:
-        trimmed.pop()  # what a spreadsheet leaves behind a deleted column
+        trimmed.pop()  # a spreadsheet leaves empty headings of deleted columns
     names = _names(trimmed, layout)
     places: dict[str, int] = {}
     for place, name in enumerate(names):
@@ -113,9 +113,9 @@ def match_headings(cells: Sequence[str], layout: TableLayout, findings: TableFin
 
 
 def _names(trimmed: Sequence[str], layout: TableLayout) -> list[str]:
-    """Return the column that each heading means; factors and measures are taken as they are written."""
+    """Return the column of each heading; names of factors and measures must match exactly."""
     named = [layout.spelling.name(heading) for heading in trimmed]
-    # A user's own column `id` beside a `__run_id` is a column of its own.
+    # A user's column `id` beside a `__run_id` is not the run id.
     taken = {*named, *(_PROGRESS[name] for name in named if name in _EARLIER)}
     names = []
     for name in named:
@@ -125,30 +125,30 @@ def _names(trimmed: Sequence[str], layout: TableLayout) -> list[str]:
     return names
 
 
-_ROWS_AT_ONCE = 500  # what fits into a processor's cache; ten times as many take twice as long
+_ROWS_AT_ONCE = 500  # they fit into a processor's cache; ten times as many take twice as long
 _NO_DEFAULTS: Mapping[str, Any] = MappingProxyType({})
-#: More than a million runs of two measures and every stamp, bytes; read within a gigabyte even without a line's end.
+#: The largest file that is read, bytes: more than a million runs, within a gigabyte of memory.
 LARGEST = 300_000_000
-_LONGEST_CELL = 1 << 27  # the module's own limit of 128 KiB is less than what we write
+_LONGEST_CELL = 1 << 27  # the limit of the `csv` module, 128 KiB, is less than what we write
 
 
 def read_run_table(path: Path, layout: TableLayout, planned: Sequence[PlannedRun] = ()) -> RunTableRows:
     """Read a run table.
 
-    Columns may stand in any order, under the layout's headings (or `ID` and `Status`, as in the paper's Fig. 3), with
-    commas, semicolons or tabs between the cells. What is not there is filled in: runs are numbered, to do, and without
-    time stamps and measures. Columns that the layout does not have are kept as `extras`.
+    Columns may be in any order, under the layout's headings (or `ID` and `Status`, as in the paper's Fig. 3), separated
+    by commas, semicolons or tabs. Missing columns get defaults: runs are numbered, to do, and without time stamps and
+    measures. Columns that the layout does not have are kept as `extras`.
 
     Args:
         path: the file.
-        layout: the columns that the table is to have, and what their cells are read as.
-        planned: the plan that the table may have been made from: rows that are as planned refer to it.
+        layout: the expected columns and their types.
+        planned: the plan from which the table may have been made: rows that are as planned refer to it.
 
     Returns:
-        The rows; their `warnings` tell what looked odd.
+        The rows, with `warnings`.
 
     Raises:
-        StorageError: it cannot be read, or is no run table of this layout; `findings` lists everything that is wrong.
+        StorageError: it cannot be read, or is no run table of this layout; `findings` lists all problems.
     """
     with _opened(path) as file:
         return run_table_in(file, path, layout, planned)
@@ -175,7 +175,7 @@ def run_table_in(file: TextIO, path: Path, layout: TableLayout, planned: Sequenc
 
 
 def digest_of(path: Path) -> str:
-    """Return the SHA-256 of the file of a run table, in hexadecimal digits, as the journal has it of what was written.
+    """Return the SHA-256 of the file of a run table, in hexadecimal digits, as the journal records it.
 
     Raises:
         StorageError: it cannot be read.
@@ -229,7 +229,7 @@ class _Reading:
         self._extras: tuple[str, ...] = ()
 
     def read(self, file: TextIO, delimiter: str) -> RunTableRows:
-        """Read the whole file, then refuse it with everything that is wrong, or return its rows."""
+        """Read the whole file; return its rows, or raise with all problems."""
         lines = csv.reader(file, delimiter=delimiter, strict=True)
         rows: list[RunRow] = []
         first_cells: Sequence[str] = ()
@@ -255,7 +255,7 @@ class _Reading:
             self._decoders.setdefault(name, TextDecoder(name, self._findings, is_stamp=False))
         cells = list(zip(*chunk.rows, strict=True))
         count = len(chunk.rows)
-        # In the order of the file, as its findings are.
+        # In the order of the file, so that findings are, too.
         found = {name: self._decoders[name].read(cells[place], chunk) for name, place in headings.places.items()}
 
         def combined(names: Sequence[str], defaults: Mapping[str, Any] = _NO_DEFAULTS) -> list[tuple[Any, ...]]:
@@ -267,7 +267,7 @@ class _Reading:
         treatments = combined(self._layout.factor_names, defaults)
         run_ids = found.get(RUN_ID) or list(map(numbered_run_id, numbers))
         repetitions: Sequence[int] = [1] * count
-        if self._layout.has_repetition:  # else a column of that name is a factor or a user's own
+        if self._layout.has_repetition:  # else a column of that name is a factor, or a user's
             repetitions = found.get(REPETITION) or self._repetitions.counted(treatments)
         marks = {name: found[name] for name in self._layout.marks if name in found}
         batches = marks.get(BATCH) or [1] * count
@@ -292,7 +292,7 @@ class _Reading:
     def _kept(
         self, headings: Headings, cells: Sequence[Sequence[str]], count: int
     ) -> Iterable[Mapping[str, str] | None]:
-        """Return the text that each row keeps as it is: a user's own columns, and what no treatment is written as."""
+        """Return the texts that each row keeps: a user's columns, and treatments that would be written differently."""
         odd = [factor for factor in self._factors if factor.kept]
         if not headings.extras and not odd:
             return repeat(None, count)
@@ -325,7 +325,7 @@ class _Reading:
     def _take(self, lines: CsvReader, rows: list[list[str]], first_line: int, *, most: int) -> bool:
         """Take some rows; return whether the file breaks off in a row that is no CSV."""
         try:
-            rows.extend(islice(lines, most))  # what comes before an error is kept
+            rows.extend(islice(lines, most))  # rows before an error are kept
         except csv.Error as error:
             line = RowChunk(rows, first_line).lines[-1]
             fix = "Put the cell between double quotes, and double those inside it."
@@ -334,7 +334,7 @@ class _Reading:
         return False
 
     def _fitting(self, chunk: RowChunk, width: int) -> RowChunk:
-        """Return the rows that have a cell for each heading. None is ever shifted to fit."""
+        """Return the rows that have a cell for each heading; others are errors, as shifting cells would be a guess."""
         if {*map(len, chunk.rows)} <= {width}:
             return chunk
         fitting = []
@@ -361,13 +361,13 @@ def _are_as_planned(
         return False
     if [(run.repetition, run.batch) for run in runs] != list(marks):
         return False
-    # By identity, as rows hold the factors' own treatments, some of which have no equality.
+    # By identity, as rows hold the factors' own objects, which need not be comparable.
     planned = chain.from_iterable(run.combination.treatments for run in runs)
     return all(map(is_, planned, chain.from_iterable(treatments)))
 
 
 def _sharing_empty(rows: list[tuple[Any, ...]]) -> Iterable[tuple[Any, ...]]:
-    """Return the rows; those without any value are one object, as most are before the experiment has ended."""
+    """Return the rows; those without values share one object, to save memory."""
     nothing = (None,) * len(rows[0])
     return [nothing if row == nothing else row for row in rows]
 

@@ -1,4 +1,4 @@
-"""The run table in memory, a row for each run, and how it is written to `run_table.csv`."""
+"""The run table in memory, a row for each run, and writing it to `run_table.csv`."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from robot_runner.core.storage.cells import CellValue, RunStatus, checked_measur
 from robot_runner.core.storage.safe_write import write_beside_and_rename
 from robot_runner.core.storage.table_columns import FactorColumn, TableLayout
 
-_ROWS_AT_ONCE = 500  # what fits into a processor's cache
-#: Where a row has what the columns of `MARKS` hold.
+_ROWS_AT_ONCE = 500  # they fit into a processor's cache
+#: The attribute of a row for each column of `MARKS`.
 _MARKS = {BATCH: "run.batch", WARM_UP: "run.is_warm_up"}
 _NUMBERED = re.compile(r"r_([1-9][0-9]{0,17})")
 
@@ -34,9 +34,9 @@ class RunRow:
         status: how far it has come.
         stamps: when its events were emitted, in the order of the layout's `stamps`; None where that is not known.
         measures: its measures, in the order of the layout's `measures`; None where a value is missing.
-        kept: text that the file is to hold as it was read, by heading: a user's own columns, and cells of factors that
-            would be written in another way; None where there is none.
-        excluded: why the run is left out; None where it is not.
+        kept: texts that are written as they were read, by heading: a user's own columns, and cells of factors that
+            would be written in another way; None where there are none.
+        excluded: why the run is excluded; None where it is not.
     """
 
     __slots__ = ("excluded", "kept", "measures", "run", "stamps", "status")
@@ -59,12 +59,12 @@ class RunRow:
 
 
 class RunTableRows:
-    """All rows of a run table. They are counted from 0, in the order of execution. One writer.
+    """All rows of a run table, in the order of execution; `place` counts them from 0.
 
     Attributes:
         layout: which columns there are.
         warnings: what looked odd when the table was read.
-        has_file: whether the file that it was read from has the same columns, as they would be written.
+        has_file: whether the file from which it was read has the columns in the form in which we write them.
 
     Example:
         >>> from robot_runner.core.design.factor import Factor
@@ -85,14 +85,7 @@ class RunTableRows:
         *,
         has_file: bool = False,
     ) -> None:
-        """Put rows together.
-
-        Args:
-            layout: which columns there are.
-            rows: their stamps and measures are those of the layout.
-            warnings: what looked odd when the table was read.
-            has_file: whether the file that it was read from has the same columns, as they would be written.
-        """
+        """Make a table; `rows` have the stamps and measures of `layout`."""
         self.layout = layout
         self.warnings = tuple(warnings)
         self.has_file = has_file
@@ -108,7 +101,7 @@ class RunTableRows:
             return cls(layout, map(RunRow, plan, *map(repeat, (RunStatus.TODO, *_nothing(layout)))))
 
     def with_plan(self, plan: Iterable[PlannedRun], layout: TableLayout) -> RunTableRows:
-        """Return the rows of a plan that has grown: what is known of runs is kept, new ones are still to do."""
+        """Return the rows of a plan that has grown: present runs stay as they are, new ones are to do."""
         known = {row.run.run_id: row for row in self._rows}
         rows = []
         for run in plan:
@@ -143,7 +136,7 @@ class RunTableRows:
         stamps = zip(*(row.stamps for row in self._rows if row.stamps != no_stamps), strict=True)
         measures = zip(*(row.measures for row in self._rows if row.measures != no_measures), strict=True)
         found: dict[str, tuple[Any, ...]] = dict.fromkeys((*self.layout.stamps, *self.layout.measures), ())
-        found.update(zip(self.layout.stamps, stamps, strict=False))  # there are no columns where no run has a value
+        found.update(zip(self.layout.stamps, stamps, strict=False))  # `stamps` is empty where no run has a value
         found.update(zip(self.layout.measures, measures, strict=False))
         return found
 
@@ -160,7 +153,7 @@ class RunTableRows:
         """Return the place of a run, or None where there is no such run."""
         numbered = _NUMBERED.fullmatch(run_id)
         if numbered and (place := int(numbered[1]) - 1) < len(self) and self.run_id(place) == run_id:
-            return place  # as in every planned table, which so needs no memory for an index
+            return place  # as in every planned table, which needs no index then
         if self._places is None:
             self._places = {row.run.run_id: place for place, row in enumerate(self._rows)}
         return self._places.get(run_id)
@@ -182,15 +175,15 @@ class RunTableRows:
         return self._rows[place].status
 
     def count(self, status: RunStatus) -> int:
-        """Return how many runs have this status, at no cost that grows with the table."""
+        """Return how many runs have this status, at a cost that does not grow with the table."""
         return self._counts[status]
 
     def excluded(self, place: int) -> str | None:
-        """Return why the run at `place` is left out; None where it is not."""
+        """Return why the run at `place` is excluded; None where it is not."""
         return self._rows[place].excluded
 
     def exclude(self, run_id: str, reason: str | None) -> None:
-        """Leave a run out, or with None take it in again; the layout has the column for it.
+        """Exclude a run, or with None include it again; the layout must have the column for it.
 
         Raises:
             StorageError: there is no such run.
@@ -198,7 +191,7 @@ class RunTableRows:
         self._rows[self.index_of(run_id)].excluded = reason
 
     def to_do_again(self) -> RunTableRows:
-        """Return the same runs, all still to be executed: without a user's own columns, which tell of how they went."""
+        """Return the same runs, all to do, without a user's own columns, which may be about how they went."""
         for place, row in enumerate(self._rows):
             self.clear(self.run_id(place))
             row.excluded = None
@@ -226,7 +219,7 @@ class RunTableRows:
         stamps: Mapping[str, str | None] | None = None,
         measures: Mapping[str, CellValue] | None = None,
     ) -> None:
-        """Change what is known of one run; all of it, or nothing where any of it cannot be.
+        """Change the row of one run; nothing is changed where this raises.
 
         Args:
             run_id: the run.
@@ -236,7 +229,7 @@ class RunTableRows:
 
         Raises:
             StorageError: there is no such run or time-stamp column.
-            MeasureError: there is no such measure, or its value is none that the run table can hold.
+            MeasureError: there is no such measure, or the run table cannot hold its value.
         """
         row = self._rows[self.index_of(run_id)]
         stamps, measures = stamps or {}, measures or {}
@@ -253,7 +246,7 @@ class RunTableRows:
             self._change(row, status)
 
     def clear(self, run_id: str) -> None:
-        """Forget what an attempt at a run left behind: it is to do again, without time stamps and measures.
+        """Set a run back: it is to do again, without time stamps and measures.
 
         Raises:
             StorageError: there is no such run.
@@ -264,7 +257,7 @@ class RunTableRows:
         self._change(row, RunStatus.TODO)
 
     def take_former(self, run_id: str, measures: Mapping[str, CellValue]) -> None:
-        """Have columns that are no measures any more hold what an attempt yielded for them, and nothing of another one.
+        """Set the columns of former measures to the values of this attempt, or to nothing.
 
         Raises:
             StorageError: there is no such run.
@@ -275,7 +268,7 @@ class RunTableRows:
             row.kept = others | {name: measure_text(measures[name]) for name in former if name in measures}
 
     def cells(self) -> Iterator[list[Sequence[Any]]]:
-        """Yield the cells of some rows at a time, in the order of the layout, as `csv_text` takes them."""
+        """Yield the cells of the rows in chunks, in the order of the layout, for `csv_text`."""
         texts = {column.name: _texts_by_treatment(column) for column in self.layout.factors}
         for start in range(0, len(self), _ROWS_AT_ONCE):
             rows = self._rows[start : start + _ROWS_AT_ONCE]
@@ -295,7 +288,7 @@ class RunTableRows:
         return values
 
     def _with_kept(self, row: RunRow, cells: Sequence[Any]) -> Sequence[Any]:
-        """Return the cells of a row with those that are to stand as they were read."""
+        """Return the cells of a row, with its kept texts."""
         kept = row.kept or {}
         return [kept.get(name, cell) for name, cell in zip(self._sources, cells, strict=True)]
 
@@ -321,7 +314,7 @@ class RunTableRows:
 
 
 def _nothing(layout: TableLayout) -> tuple[tuple[None, ...], tuple[None, ...]]:
-    """Return the stamps and the measures of a run that has none; rows share them."""
+    """Return empty stamps and measures, which rows share."""
     return (None,) * len(layout.stamps), (None,) * len(layout.measures)
 
 
@@ -330,7 +323,7 @@ def _replaced(names: Sequence[str], values: tuple[Any, ...], changed: Mapping[st
 
 
 def _sources(layout: TableLayout) -> dict[str, tuple[str, int | str | None]]:
-    """Return where a row holds the value of each column, by heading: an attribute, and what to look up in it."""
+    """Return where a row has the value of each column, by heading: an attribute, and an index or key in it, or None."""
     return {
         RUN_ID: ("run.run_id", None),
         STATUS: ("status", None),
@@ -345,7 +338,7 @@ def _sources(layout: TableLayout) -> dict[str, tuple[str, int | str | None]]:
 
 
 def _texts_by_treatment(column: FactorColumn) -> dict[int, str]:
-    """Return the text of each treatment by its identity: rows hold the factor's own objects, which need no hash."""
+    """Return the text of each treatment by its `id`: rows hold the factor's own objects, which need not be hashable."""
     factor = column.factor
     return {} if factor is None else dict(zip(map(id, factor.treatments), factor.texts, strict=True))
 
@@ -371,9 +364,9 @@ def write_run_table(path: Path, rows: RunTableRows) -> str:
 
 
 def table_text(rows: RunTableRows) -> Iterator[str]:
-    r"""Yield the run table as CSV in pieces: UTF-8, commas, lines that end in `\n`, an empty cell for what is missing.
+    r"""Yield the run table as CSV in pieces: commas, lines that end in `\n`, empty cells for missing values.
 
-    The columns stand in the order of the layout, see `TableLayout`.
+    The columns are in the order of the layout, see `TableLayout`.
     """
     yield csv_text([rows.layout.headings])
     yield from map(csv_text, rows.cells())

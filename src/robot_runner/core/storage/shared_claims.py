@@ -1,10 +1,9 @@
-"""Claims that other users of this machine see, in a folder where everybody may make files, and remove their own alone.
+"""Claims that other users of this machine see: locked files in a folder where only owners can remove their files.
 
-Each user has an empty file there for each claim, and a shared `flock` on it while an experiment of theirs goes on.
-What the experiment forks holds that, too: it is let go of once the last of these processes has died, however it dies.
-Who claims something locks their own file first, and looks at those of others then, so that of two at once never both go
-on. Nothing of another user is followed, written, or believed but that its owner is who the name says; so another user
-can do no more than keep us out, and is named then.
+Each user has an empty file there for each claim, with a shared `flock` while an experiment of theirs goes on. Forked
+processes inherit it: it is released once the last of them has died, however it dies. A process locks its own user's
+file first and then looks at those of others, so that of two at the same time never both go on. Of another user's file
+only owner and lock are looked at: so another user can do no more than keep us out, and is named then.
 """
 
 from __future__ import annotations
@@ -23,35 +22,32 @@ from urllib.parse import quote, unquote
 from robot_runner.core.storage.lock_files import is_at
 from robot_runner.core.storage.system_refusals import user_name
 
-#: Where all users of a machine may make files: the first one that is there, so that all choose the same.
+#: Folders where all users of a machine may make files; the first existing one is used, so that all use the same.
 _FOLDERS = (Path("/run/lock"), Path("/tmp"))  # noqa: S108 - shared on purpose, see above
-#: Names another one, as for users in containers of their own; empty, no other user is kept out.
+#: The variable that names another folder, as for users in different containers; if empty, no other user is kept out.
 _VARIABLE = "ROBOT_RUNNER_LOCKS"
 _PREFIX = "robot-runner-claim."
-#: A file's name may have 255 bytes, with the user's number.
+#: The longest claim in a file's name, bytes: with the user's number, the name may have 255.
 _MOST_BYTES = 200
-#: Others may look whether it is held.
+#: Others may read it, to see whether it is locked.
 _MODE = 0o644
-#: O_NONBLOCK has a meaning for pipes alone, which somebody may have put there.
+#: O_NONBLOCK matters only if somebody has put a pipe there.
 _FLAGS = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-#: How often a file is tried that somebody merely looks at, and how long to wait between, s.
+#: How often a lock is tried that another process may have for a moment to look at it, and how long to wait between, s.
 _TRIES, _BETWEEN = 50, 0.01
 
 
-#: What this process holds, and those that are forked from it: each descriptor, and which file that is.
+#: The files that this process and its forks hold: descriptor, and device and inode.
 _held: dict[int, tuple[int, int]] = {}
 
 
 def held_against_users() -> list[int]:
-    """Return the descriptors that a program has to inherit, so that it holds these claims as well until it ends.
-
-    What is forked holds them in any case.
-    """
+    """Return the descriptors that a program has to inherit to hold these claims, too; forks hold them in any case."""
     return [descriptor for descriptor, file in _held.items() if _file_of(descriptor) == file]
 
 
 def hold_inherited(descriptors: Iterable[int]) -> None:
-    """Take down what this program has inherited, so that what it starts in its turn can inherit it as well."""
+    """Remember the descriptors that this program has inherited, to pass them on in its turn."""
     for descriptor in descriptors:
         if (file := _file_of(descriptor)) is not None:
             os.set_inheritable(descriptor, False)  # noqa: FBT003 - the system's own signature
@@ -67,7 +63,7 @@ def _file_of(descriptor: int) -> tuple[int, int] | None:
 
 
 def may_be_one(claim: str, other: str) -> bool:
-    """Return whether two claims may be about one robot: one that is named without its namespace is a whole graph.
+    """Return whether two claims may be about one robot: a claim without a namespace is about a whole graph.
 
     Example:
         >>> [may_be_one(each, "robot:domain 0/alice") for each in ("robot:domain 0", "robot:domain 0/bob")]
@@ -79,12 +75,12 @@ def may_be_one(claim: str, other: str) -> bool:
 
 
 def hold_against_users(claim: str, opened: ExitStack) -> Iterator[str]:
-    """Hold a claim against other users of this machine until `opened` is closed, and yield who of them has it.
+    """Hold a claim against other users of this machine until `opened` is closed, and yield those who hold it.
 
-    Where all users have no folder in common, nobody is kept out, and nothing is done.
+    Where the machine has no folder for all users, nothing is done.
 
     Raises:
-        OSError: the file cannot be made or locked, or the folder that the environment names is no such one.
+        OSError: the file cannot be made or locked, or the folder that the environment names is not suitable.
     """
     folder = _folder()
     if folder is None:
@@ -110,7 +106,7 @@ def _folder() -> Path | None:
 
 
 def _is_everybodys(folder: Path) -> bool:
-    """Return whether a folder is the system's, and everybody may make files in it, but nobody remove another's."""
+    """Return whether a folder is root's, and everybody may make files in it, but not remove another user's."""
     try:
         found = folder.lstat()
     except OSError:
@@ -120,7 +116,7 @@ def _is_everybodys(folder: Path) -> bool:
 
 
 def _hold(path: Path, opened: ExitStack) -> str:
-    """Hold our own file; return who keeps us from it, if somebody does."""
+    """Lock our own file; return who prevents that, or empty."""
     for _ in range(_TRIES):
         try:
             descriptor = os.open(path, os.O_RDONLY | os.O_CREAT | _FLAGS, _MODE)
@@ -134,7 +130,7 @@ def _hold(path: Path, opened: ExitStack) -> str:
         if found.st_uid != os.geteuid() or not stat.S_ISREG(found.st_mode):
             held.close()
             return f"{user_name(found.st_uid)}, who has put {path} in our place"
-        if stat.S_IMODE(found.st_mode) != _MODE:  # the umask took others' right to look
+        if stat.S_IMODE(found.st_mode) != _MODE:  # the umask has removed others' right to read
             os.fchmod(descriptor, _MODE)
         if _flock(descriptor, fcntl.LOCK_SH) and is_at(descriptor, path):  # else it was removed meanwhile
             opened.callback(_let_go, descriptor, path)
@@ -147,7 +143,7 @@ def _hold(path: Path, opened: ExitStack) -> str:
 
 
 def _let_go(descriptor: int, path: Path) -> None:
-    """Let go of our own file, and remove it where nothing else holds it: what we have started may still do."""
+    """Release our own file, and remove it unless a process that we have started still holds it."""
     _held.pop(descriptor, None)
     os.close(descriptor)
     with suppress(OSError):
@@ -160,7 +156,7 @@ def _let_go(descriptor: int, path: Path) -> None:
 
 
 def _holder(path: Path, user: str) -> Iterator[str]:
-    """Yield who holds the file of another user, if somebody does; what is not that user's own file tells nothing."""
+    """Yield who holds the file of another user, if anybody does; a file that is not that user's own is ignored."""
     try:
         descriptor = os.open(path, os.O_RDONLY | _FLAGS)
     except OSError:
@@ -178,7 +174,7 @@ def _is_held(descriptor: int) -> bool:
         if _flock(descriptor, fcntl.LOCK_EX):
             fcntl.flock(descriptor, fcntl.LOCK_UN)
             return False
-        if _flock(descriptor, fcntl.LOCK_SH):  # else somebody else looks as we do
+        if _flock(descriptor, fcntl.LOCK_SH):  # else another process looks at it, as we do
             fcntl.flock(descriptor, fcntl.LOCK_UN)
             return True
         time.sleep(_BETWEEN)
@@ -194,7 +190,7 @@ def _flock(descriptor: int, kind: int) -> bool:
 
 
 def _locker(descriptor: int) -> str:
-    """Return who has locked a file, in words; empty where the system does not tell (`man 5 proc_locks`)."""
+    """Return in words which process has locked a file; empty where the system does not say (`man 5 proc_locks`)."""
     found = os.fstat(descriptor)
     inode = f"{os.major(found.st_dev):02x}:{os.minor(found.st_dev):02x}:{found.st_ino}"
     with suppress(OSError, ValueError, IndexError):

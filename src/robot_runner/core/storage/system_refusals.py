@@ -1,4 +1,4 @@
-"""What the system refuses of a file or folder, as an error with a fix; and both flushed where it lets us."""
+"""An OSError about a file or folder as a `StorageError` with a fix; and flushing both to the disk."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 from robot_runner.core.errors import StorageError
 
-#: Of a stick that was pulled out, a disk that fails, a network folder whose server or helper (FUSE) has gone.
+#: Errors of a USB stick that was pulled out, a failing disk, or a network folder whose server or FUSE process is gone.
 GONE = frozenset(
     {errno.EIO, errno.ENODEV, errno.ENXIO, errno.ENOTCONN, errno.ESTALE, errno.EHOSTDOWN, errno.EHOSTUNREACH}
 )
@@ -29,12 +29,12 @@ _FIXES = {
     **dict.fromkeys(GONE, "See that its disk or network folder is there again, and sound; then try again."),
 }
 
-#: Of file systems that have no way to flush something: FUSE, networks, the pseudo-files of some containers.
+#: Errors of file systems that cannot flush: FUSE, networks, pseudo-files of some containers.
 _CANNOT_FLUSH = frozenset({errno.EINVAL, errno.ENOTSUP, errno.ENOSYS})
 
 
 def fsync_file(descriptor: int) -> None:
-    """Flush an open file or folder to the disk, where its file system has a way to.
+    """Flush an open file or folder to the disk, where its file system can.
 
     Raises:
         OSError: it cannot be flushed.
@@ -47,7 +47,7 @@ def fsync_file(descriptor: int) -> None:
 
 
 def fsync_folder(folder: Path) -> None:
-    """Flush a folder to the disk, so that what was made or renamed in it is still there after a power cut.
+    """Flush a folder to the disk, so that files made or renamed in it survive a power failure.
 
     Raises:
         OSError: it cannot be opened or flushed.
@@ -60,7 +60,7 @@ def fsync_folder(folder: Path) -> None:
 
 
 def storage_error(path: Path, action: str, error: OSError) -> StorageError:
-    """Return the error to raise where the system refused a file."""
+    """Return the error for an OSError; `action` completes "the file cannot be ..."."""
     reason = error.strerror or str(error)
     fix = _FIXES.get(error.errno or 0, "Mend what the system names, then try again.")
     if error.errno == errno.ENOSPC and _lacks_inodes(path.parent):
@@ -73,7 +73,7 @@ def storage_error(path: Path, action: str, error: OSError) -> StorageError:
 
 @contextmanager
 def storage_errors(path: Path, action: str) -> Iterator[None]:
-    """While this lasts, an OSError becomes a `StorageError`; `action` completes "the file cannot be ..."."""
+    """Turn an OSError into a `StorageError`; `action` completes "the file cannot be ..."."""
     try:
         yield
     except OSError as error:
@@ -81,7 +81,7 @@ def storage_errors(path: Path, action: str) -> Iterator[None]:
 
 
 def _lacks_inodes(folder: Path) -> bool:
-    """Return whether a disk that refuses another file has room: then `df` shows nothing, and `df -i` does."""
+    """Return whether a disk that refuses another file has space but no inodes (`df -i`)."""
     try:
         found = os.statvfs(folder)
     except OSError:
@@ -90,7 +90,7 @@ def _lacks_inodes(folder: Path) -> bool:
 
 
 def _whose(path: Path) -> str:
-    """Return in words whose a file is, or the folder that is there to hold it, where it is not ours."""
+    """Return in words the owner of a file, or of the existing folder above it, where it is another user; else empty."""
     for each in (path, *path.parents):
         with suppress(OSError):
             owner = each.lstat().st_uid
@@ -99,7 +99,7 @@ def _whose(path: Path) -> str:
 
 
 def user_name(user: int) -> str:
-    """Return the name of a user, or the number where there is no name."""
+    """Return the name of a user, or the number if it has none."""
     import pwd  # noqa: PLC0415 - of errors alone
 
     try:

@@ -1,4 +1,4 @@
-"""Which columns a run table has, what is known of each, and how its file spells headings and statuses."""
+"""The columns of a run table, their descriptions, and how its file spells headings and statuses."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import DesignError, Finding
 from robot_runner.core.storage.cells import RunStatus
 
-# How the file of a run table spells what it holds: the headings, and the words for how far a run has come.
+# How the file of a run table spells headings and statuses.
 
 _OWN_WORDS = MappingProxyType({status: status.value for status in RunStatus})
 
 
 @dataclass(frozen=True, slots=True)
 class TableSpelling:
-    """How the file of a run table spells what it holds; in memory, columns have the names of Robot Runner.
+    """How the file of a run table spells headings and statuses; in memory, columns have the names of Robot Runner.
 
     Attributes:
-        headings: the heading of a column, by its name; a column that is not here is headed by its name.
+        headings: the heading of a column, by its name; other columns have their names as headings.
         status_words: the word for each status. Two statuses may share a word: the journal tells them apart.
         has_stamps: whether there are columns for the events' time stamps.
-        blank_is_missing: whether a blank stands for a missing value, as nothing does.
+        blank_is_missing: whether a cell with a blank is a missing value, too, as an empty one.
 
     Example:
         >>> spelling = TableSpelling(headings={"run_id": "__run_id"})
@@ -42,11 +42,11 @@ class TableSpelling:
     blank_is_missing: bool = False
 
     def heading(self, name: str) -> str:
-        """Return what stands at the head of a column."""
+        """Return the heading of a column."""
         return self.headings.get(name, name)
 
     def name(self, heading: str) -> str:
-        """Return the name of the column that has this heading; a heading that is not known is a name."""
+        """Return the name of the column with this heading; an unknown heading is a name."""
         return next((name for name, known in self.headings.items() if known == heading), heading)
 
     def tells_apart(self, one: RunStatus, other: RunStatus) -> bool:
@@ -56,7 +56,7 @@ class TableSpelling:
 
 OWN_SPELLING = TableSpelling()
 
-#: As the earlier tools wrote it: a run is done or to do, nothing else.
+#: The spelling of the earlier tools, in which a run is either done or to do.
 EARLIER_SPELLING = TableSpelling(
     headings=MappingProxyType({RUN_ID: "__run_id", STATUS: "__done"}),
     status_words=MappingProxyType(dict.fromkeys(RunStatus, "TODO") | {RunStatus.DONE: "DONE"}),
@@ -66,7 +66,7 @@ EARLIER_SPELLING = TableSpelling(
 
 
 def spelling_of_headings(headings: Mapping[str, str]) -> TableSpelling:
-    """Return the spelling of a file in which some columns are headed by something else than their names.
+    """Return the spelling of a file in which some columns have other headings than their names.
 
     Example:
         >>> spelling_of_headings({"run_id": "__run_id"}).status_words[RunStatus.FAILED]
@@ -76,7 +76,7 @@ def spelling_of_headings(headings: Mapping[str, str]) -> TableSpelling:
     return replace(EARLIER_SPELLING if is_earlier else OWN_SPELLING, headings=headings)
 
 
-# Which columns a run table has, in which order, and what their cells are read as.
+# The columns of a run table, their order and types.
 
 
 class ColumnRole(Enum):
@@ -94,7 +94,7 @@ class ColumnRole(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColumnDescription:
-    """What one column of the run table holds.
+    """The description of one column of the run table.
 
     Attributes:
         name: the heading.
@@ -103,10 +103,10 @@ class ColumnDescription:
         title: what it is, in a few words.
         description: what it is, in a sentence.
         unit: SI symbol, `%` for percentages, `1` for counts and ratios, empty where there is none.
-        owner: the plugin that yields it, or `config`; empty for what Robot Runner itself fills.
+        owner: the plugin that yields it, or `config`; empty for columns that Robot Runner fills.
         origin: `measured`, `simulated`, `estimated`, several of them with `, ` between, or None.
         findings: what is odd about its values.
-        heading: what stands at its head in the file, where that is not its name.
+        heading: its heading in the file, where that is not its name.
         doubts: why values are doubtful, or missing: the reasons, by run.
 
     Example:
@@ -127,8 +127,7 @@ class ColumnDescription:
     doubts: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: MappingProxyType({}))
 
 
-#: What stands in the run table of how a run was planned, beside its combination and repetition. A table has those of
-#: these columns that its design needs.
+#: Columns on how a run was planned, beside its combination and repetition. A table has those that its design needs.
 MARKS: Mapping[str, ColumnDescription] = MappingProxyType(
     {
         BATCH: ColumnDescription(
@@ -155,10 +154,10 @@ class FactorColumn:
 
     Attributes:
         name: the heading.
-        factor: whose treatments the cells are matched with; None where they are not known (a folder read without its
-            config), so that each cell goes by its looks.
-        default: the treatment of all runs of a file that lacks the column, as it is older than the factor.
-        has_default: whether there is one; if not, a file must have the column.
+        factor: with whose treatments the cells are matched; None where they are not known (a folder read without its
+            config), so that each cell is read by `plain_value`.
+        default: the treatment of all runs of a file without the column, which is older than the factor.
+        has_default: whether there is a default; otherwise a file must have the column.
     """
 
     name: str
@@ -171,21 +170,20 @@ class FactorColumn:
 class TableLayout:
     """The columns of a run table.
 
-    They stand in the order of the paper's Fig. 3: progress, time stamps, factors, measures; a user's own columns come
-    last. The first heading is `run_id` in lower case, not `ID`: spreadsheets take a file that begins with `ID` for a
-    SYLK file and refuse it.
+    They are in the order of the paper's Fig. 3: progress, time stamps, factors, measures; a user's own columns come
+    last. The first heading is `run_id`, not `ID`: spreadsheets take a file that begins with `ID` for a SYLK file and
+    refuse it.
 
     Attributes:
         factors: the factors' columns.
         measures: the measures' columns.
         has_repetition: whether there is a column `Repetition` after the factors.
-        has_exclusions: whether there is a column `excluded` after the status: some run was left out at some time.
-        marks: the columns after that which tell how a run was planned, of those in `MARKS`.
+        has_exclusions: whether there is a column `excluded` after the status, as some run was once excluded.
+        marks: the columns of `MARKS` that it has, after that.
         stamps: the events' time-stamp columns.
         extras: columns that a user added; kept as text.
-        former_measures: those of `extras` that held a measure when runs were executed before; an attempt leaves nothing
-            in them of earlier ones.
-        types: the type of columns in the run table's schema, by name, for reading cells that could be several things.
+        former_measures: those of `extras` that were measures in earlier executions; a new attempt clears them.
+        types: the type of columns in the run table's schema, by name, for cells that could be read in several ways.
         spelling: how the file spells headings and statuses.
 
     Raises:
@@ -238,7 +236,7 @@ class TableLayout:
 
     @classmethod
     def of_schema(cls, schema: Sequence[ColumnDescription]) -> TableLayout:
-        """Return the layout of a run table whose config is not at hand: treatments go by their looks and types."""
+        """Return the layout of a run table without its config: treatments are read by the types of the schema."""
         named = {role: tuple(each.name for each in schema if each.role is role) for role in ColumnRole}
         return cls(
             tuple(map(FactorColumn, named[ColumnRole.FACTOR])),
@@ -254,7 +252,7 @@ class TableLayout:
 
     @property
     def headings(self) -> list[str]:
-        """What stands at the head of the columns in the file, in order."""
+        """The headings in the file, in order."""
         return list(map(self.spelling.heading, self.columns))
 
     @property
@@ -269,7 +267,7 @@ class TableLayout:
 
     @property
     def exclusion(self) -> tuple[str, ...]:
-        """The heading of why runs are left out, where the table has it."""
+        """The heading of exclusions, where the table has it."""
         return (EXCLUDED,) if self.has_exclusions else ()
 
     @property
@@ -280,7 +278,7 @@ class TableLayout:
 
 
 def former_measures(schema: Iterable[ColumnDescription], layout: TableLayout) -> tuple[ColumnDescription, ...]:
-    """Return the columns of a schema that hold, or once held, a measure for which a layout has no column any more."""
+    """Return the columns of a schema that are, or once were, measures and that the layout does not have any more."""
     there = set(layout.columns)
     return tuple(
         replace(column, role=ColumnRole.EXTRA)

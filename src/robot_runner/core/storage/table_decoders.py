@@ -1,4 +1,4 @@
-"""From the cells of a run table's file to values: one decoder a kind of column, and what is wrong with the cells."""
+"""Decoding the cells of a run table's file: one decoder for each kind of column, and their findings."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from robot_runner.core.storage.cells import (
 )
 from robot_runner.core.storage.table_columns import ColumnDescription, FactorColumn
 
-# What is wrong with a run table's file: every problem, with its line and column, up to a sensible number.
+# The problems of a run table's file, each with its line and column.
 
-#: A table that was saved wrongly has one problem in each row: a million would help no one.
+#: Further problems are counted, not listed: a table that was saved wrongly has one in each row.
 _MOST = 50
 
 
 class TableFindings:
-    """Gathers the problems of one file. A fix that takes long to find is looked for only if it is listed.
+    """Gathers the problems of one file. A fix that is a function is called only if the problem is listed.
 
     Example:
         >>> from pathlib import Path
@@ -49,23 +49,23 @@ class TableFindings:
     def error(
         self, problem: str, fix: str | Callable[[], str], *, line: int | None = None, column: str | None = None
     ) -> None:
-        """Note what keeps the table from being used."""
+        """Add an error, which keeps the table from being used."""
         self._note(Severity.ERROR, problem, fix, line, column)
 
     def warning(self, problem: str, fix: str | Callable[[], str], *, line: int, column: str) -> None:
-        """Note what looks odd."""
+        """Add a warning."""
         self._note(Severity.WARNING, problem, fix, line, column)
 
     @property
     def warnings(self) -> tuple[Finding, ...]:
-        """What looks odd, and how much more of it there is than is listed."""
+        """The warnings, and how many more there are than are listed."""
         return self._listed(Severity.WARNING)
 
     def raise_errors(self) -> None:
-        """Refuse the table if anything keeps it from being used.
+        """Raise an error with all errors and warnings, if there is an error.
 
         Raises:
-            StorageError: it carries every error and every warning.
+            StorageError: there is one.
         """
         if self._found[Severity.ERROR]:
             raise StorageError.of_findings((*self._listed(Severity.ERROR), *self.warnings))
@@ -92,13 +92,13 @@ class TableFindings:
 
 
 _LINE_END = re.compile(r"\r\n|\r|\n")
-_MOST_REPETITIONS = 1 << 32  # more are a slip
-# A whole number among floats is no mistake, and the schema of an experiment that broke off may be older than the table.
+_MOST_REPETITIONS = 1 << 32  # a larger number is a mistake
+# Types that fit a column, too: integers among floats; `any`, as the schema may be older than the table after a kill.
 _TYPES = {"number": (int, float), "integer": (int, float), "boolean": (bool,)}
 
 
 class RowChunk:
-    """Some rows of a file, with the lines on which they begin (worked out only where there is something to say)."""
+    """Some rows of a file, with the lines on which they begin (computed only for findings)."""
 
     def __init__(self, rows: list[list[str]], first_line: int) -> None:
         self.rows = rows
@@ -111,7 +111,7 @@ class RowChunk:
         return list(accumulate(heights, initial=self._first_line))
 
     def without_blank_rows(self) -> RowChunk:
-        """Return the rows that have anything in them."""
+        """Return the rows that have a cell with content."""
         if all(map(any, self.rows)):
             return self
         return self.only([place for place, row in enumerate(self.rows) if any(row)])
@@ -124,26 +124,26 @@ class RowChunk:
 
 
 class CellDecoder(Protocol):
-    """Reads the cells of one column, chunk by chunk: many cells at once take a tenth of the time of one by one."""
+    """Decodes the cells of one column in chunks, which is ten times faster than one by one."""
 
     def read(self, cells: Sequence[str], chunk: RowChunk) -> Sequence[Any]:
         """Return the value of each of the column's cells in the rows of `chunk`."""
 
 
 class RunIdDecoder:
-    """The runs' ids: each one different, and fit to name a folder."""
+    """The runs' ids: unique, and valid as names of folders."""
 
     def __init__(self, findings: TableFindings) -> None:
         self._findings = findings
         self._count = 0
         self._is_numbered = True
-        self._seen: set[str] = set()  # in one case of letters: some file systems know no other
+        self._seen: set[str] = set()  # casefolded, as some file systems ignore case
         self._empty: list[int] = []
 
     def read(self, cells: Sequence[str], chunk: RowChunk) -> list[str]:
-        """Return ids; those of a planned table (`r_1`, `r_2`, ...) need no further look.
+        """Return ids; those of a planned table (`r_1`, `r_2`, ...) need no check.
 
-        Runs without one are numbered: that holds where no run has one, else `check` refuses them.
+        Runs without an id are numbered, which is right if none has one; else `check` refuses them.
         """
         before, self._count = self._count, self._count + len(cells)
         numbered = list(map(numbered_run_id, range(before + 1, self._count + 1)))
@@ -157,7 +157,7 @@ class RunIdDecoder:
         return [cell.strip() or number for cell, number in zip(cells, numbered, strict=True)]
 
     def check(self) -> None:
-        """Say which runs have no id where others have one."""
+        """Add an error for each run without an id, where others have one."""
         for line in self._empty if self._seen else ():
             fix = "Give it an id, or leave the whole column empty: runs are numbered then."
             self._findings.error("the run has no id", fix, line=line, column=RUN_ID)
@@ -206,7 +206,7 @@ class FactorDecoder:
 
     Attributes:
         name: the heading.
-        kept: texts that the file is to hold on, as their values would be written in another way.
+        kept: texts that are kept as they were read, as their values would be written in another way.
     """
 
     def __init__(
@@ -224,7 +224,7 @@ class FactorDecoder:
         self._findings = findings
         self._decimal_comma = decimal_comma
         known = column.factor.treatments if column.factor is not None else ()
-        #: Spreadsheets, pandas and the earlier tools write a treatment None so.
+        #: Spreadsheets, pandas and the earlier tools write a treatment None as an empty cell.
         self._empty_is_none = empty_is_none and any(treatment is None for treatment in known)
         self._kind = kind
         self._known: dict[str, Any] = {}
@@ -241,7 +241,7 @@ class FactorDecoder:
         return list(map(self._known.__getitem__, cells))
 
     def _is_treatment(self, text: str) -> bool:
-        """Return whether `text` stands for a treatment; remember it as one or as what it is by its looks."""
+        """Return whether `text` stands for a treatment; remember its value."""
         if self._factor is not None:
             place = treatment_position(self._factor, text, decimal_comma=self._decimal_comma)
             if place is not None:
@@ -283,14 +283,14 @@ class RepetitionDecoder:
         """Return the number of each run among those of its combination, where the file has no such column."""
         numbers = []
         for treatments in combinations:
-            which = tuple(map(id, treatments))  # a treatment need not be hashable; each is one object
+            which = tuple(map(id, treatments))  # treatments need not be hashable; each is one object
             self._seen[which] = number = self._seen.get(which, 0) + 1
             numbers.append(number)
         return numbers
 
 
 class MarkDecoder:
-    """How each run was planned: in which batch, or whether it only warms up; an empty cell is as in most runs."""
+    """How each run was planned: in which batch, or whether it only warms up; an empty cell is the usual value."""
 
     def __init__(self, column: ColumnDescription, findings: TableFindings) -> None:
         self._column = column
@@ -323,7 +323,7 @@ class MeasureDecoder:
         self._typed = partial(typed_values, kind=kind, decimal_comma=decimal_comma)
 
     def read(self, cells: Sequence[str], chunk: RowChunk) -> list[CellValue]:
-        """Return values, and say which are not of the column's type."""
+        """Return values; one that is not of the column's type is a warning."""
         if self._blank_is_missing:
             cells = ["" if cell.isspace() else cell for cell in cells]
         values = self._typed(cells)
@@ -339,7 +339,7 @@ class MeasureDecoder:
 
 
 class TextDecoder:
-    """Text that is carried as it is: time stamps, and a user's own columns."""
+    """Texts that are kept unchanged: time stamps, and a user's own columns."""
 
     def __init__(self, name: str, findings: TableFindings, *, is_stamp: bool) -> None:
         self._name = name
@@ -347,7 +347,7 @@ class TextDecoder:
         self._is_stamp = is_stamp
 
     def read(self, cells: Sequence[str], chunk: RowChunk) -> Sequence[str | None]:
-        """Return text, and say which is no time stamp where all are to be."""
+        """Return texts; in a column of time stamps, another text is a warning."""
         if not any(cells):
             return [None] * len(cells)
         if has_odd := self._is_stamp and not are_stamps(list(filter(None, cells))):

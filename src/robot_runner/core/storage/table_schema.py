@@ -1,6 +1,6 @@
-"""`run_table.schema.json`: type, unit, meaning and owner of each column; and the other parts of a data package.
+"""`run_table.schema.json`: type, unit, meaning and owner of each column; and descriptions of a data package.
 
-https://specs.frictionlessdata.io/data-package/
+A Table Schema in a Data Package of Frictionless Data, https://specs.frictionlessdata.io/data-package/
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ def write_schema(path: Path, fields: Sequence[ColumnDescription]) -> None:
         "missingValues": [""],
         "primaryKey": [next((field.heading or RUN_ID for field in fields if field.name == RUN_ID), RUN_ID)],
     }
-    # What a callback warns of may hold a picture.
+    # The text of a callback's warning may contain a picture.
     text = json.dumps(with_short_texts(schema), indent=2, ensure_ascii=False) + "\n"
     replace_file(path, text)
 
 
 def read_schema(path: Path) -> tuple[ColumnDescription, ...]:
-    """Return what the schema says of each column, in order.
+    """Return the descriptions of the columns, in order.
 
     Raises:
         StorageError: there is none, or it is no schema of a run table.
@@ -108,10 +108,10 @@ def _no_schema(path: Path, reason: str) -> StorageError:
     return StorageError(problem, where=str(path), fix=_SCHEMA_FIX)
 
 
-# What the run table's columns hold: from the table itself, and from what is known of its measures.
+# The description of columns: from the table itself, and from what is known of its measures.
 
 
-#: The column that says which runs are left out.
+#: The column of exclusions.
 EXCLUSION = ColumnDescription(
     name=EXCLUDED,
     role=ColumnRole.PROGRESS,
@@ -124,7 +124,7 @@ EXCLUSION = ColumnDescription(
 def describe_columns(
     rows: RunTableRows, known: Mapping[str, ColumnDescription] | None = None
 ) -> tuple[ColumnDescription, ...]:
-    """Describe each column of a run table, by its values and what else is known, by heading, for its schema."""
+    """Describe each column of a run table for its schema; `known` has what its values do not tell, by heading."""
     recorded = rows.recorded()
     words = {status: rows.layout.spelling.status_words[status] for status in RunStatus}
     described = [
@@ -166,9 +166,9 @@ def _other_heading(rows: RunTableRows, name: str) -> str:
 
 
 def type_of_values(values: Iterable[Any]) -> str:
-    """Return the type of a column that holds these values; `any` where no single one fits, or there are no values."""
+    """Return the type of a column with these values; `any` where no single type fits, or there are none."""
     present = [value for value in values if value is not None]
-    kinds = set(map(_plain_kind, set(map(type, present))))  # few types among many values
+    kinds = set(map(_plain_kind, set(map(type, present))))  # there are few types among many values
     if float in kinds and not all(math.isfinite(value) for value in present if isinstance(value, float)):
         return "any"
     return next((name for name, fitting in _FITTING if kinds and kinds <= fitting), "any")
@@ -186,7 +186,7 @@ def _plain_kind(kind: type) -> type:
     for plain in (bool, float):
         if issubclass(kind, plain):
             return plain
-    return int if issubclass(kind, Integral) else str  # an object stands in the table as its text
+    return int if issubclass(kind, Integral) else str  # an object is written as its text
 
 
 def _stamp(name: str, texts: Iterable[str | None]) -> ColumnDescription:
@@ -250,7 +250,7 @@ def data_package(experiment: str, resources: list[dict[str, Any]]) -> dict[str, 
 
 
 def file_resource(path: str, size: int, sha256: str) -> dict[str, Any]:
-    """Return what is said of any file: its path below the data package (with `/`), bytes, and SHA-256.
+    """Return the resource of a file: its path below the data package (with `/`), bytes, and SHA-256.
 
     Example:
         >>> file_resource("runs.csv", 3, "00")["hash"]
@@ -266,7 +266,7 @@ def file_resource(path: str, size: int, sha256: str) -> dict[str, Any]:
 
 
 def table_resource(path: str, size: int, sha256: str, *, schema: str | None) -> dict[str, Any]:
-    """Return what is said of a table in CSV; `schema` is the path of its Table Schema."""
+    """Return the resource of a table in CSV; `schema` is the path of its Table Schema."""
     tabular = {"profile": "tabular-data-resource", "mediatype": "text/csv", "encoding": "utf-8"}
     return file_resource(path, size, sha256) | tabular | ({"schema": schema} if schema else {})
 

@@ -1,1 +1,1 @@
-"""Writes a config file of an earlier tool in our own spelling; comments and layout stay as they are."""
+"""Convert a config file of an earlier tool to our own spelling; comments and layout are kept."""

@@ -1,4 +1,4 @@
-"""The methods of a config: their events, and CodeCarbon's decorators."""
+"""Convert the methods of a config: their subscriptions, and CodeCarbon's decorators."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _INDENT = 4
 
 @dataclass(frozen=True, slots=True)
 class CallbackNames:
-    """What the methods of a config are called afterwards.
+    """The names of a config's methods after the conversion.
 
     Attributes:
         renamed: the new name of a method, by its old one.
-        is_by_name: whether every callback is subscribed by its name alone.
-        heard: the events that are heard, each by the name of its callback.
+        is_by_name: whether all callbacks are subscribed by their names alone.
+        heard: the events with a callback, each by the name of its callback.
     """
 
     renamed: dict[str, str]
@@ -38,12 +38,12 @@ class CallbackNames:
 
 
 def named_callbacks(session: Session, config: ast.ClassDef, inherited: Inherited) -> CallbackNames:
-    """Name each callback after its event, where events and callbacks belong together one to one.
+    """Name each callback after its event, if events and callbacks correspond one to one.
 
     Args:
-        session: what the config subscribed when it was loaded.
-        config: the class; what it subscribes under a condition stays subscribed so.
-        inherited: what it has from converted classes: their methods have their names already.
+        session: has the subscriptions of the loaded config.
+        config: the class; conditional subscriptions are kept.
+        inherited: the members of converted base classes, which have their new names already.
     """
     own = {method.name for method in _methods(config)}
     always = [statement for method in _methods(config) for statement in method.body if _subscribes(statement)]
@@ -65,12 +65,12 @@ def named_callbacks(session: Session, config: ast.ClassDef, inherited: Inherited
         renamed |= {name: event.callback_name for event, name in heard if name != event.callback_name}
     for method in own & set(EVENTS_BY_CALLBACK) - set(inherited.methods):
         if method not in names:
-            renamed[method] = f"_{method}"  # its name would subscribe it now
+            renamed[method] = f"_{method}"  # its old name would now subscribe it
     return CallbackNames(renamed, is_by_name, frozenset(event.callback_name for event in events))
 
 
 def remove_subscriptions(config: ast.ClassDef, edits: Edits) -> list[ast.stmt]:
-    """Remove the subscriptions of a class, and an `__init__` in which nothing else is done; return what is gone."""
+    """Remove the subscriptions of a class, and an `__init__` with nothing else; return the removed statements."""
     removed: list[ast.stmt] = []
     for method in _methods(config):
         found = [statement for statement in method.body if _subscribes(statement)]
@@ -94,7 +94,7 @@ def remove_subscriptions(config: ast.ClassDef, edits: Edits) -> list[ast.stmt]:
 
 
 def convert_lists_of_callbacks(config: ast.ClassDef, edits: Edits) -> None:
-    """Write an entry for each callback where a fork took lists of them; what is in them is converted already."""
+    """Write an entry for each callback instead of a fork's lists; the elements are converted already."""
     for call in nodes(config, ast.Call):
         match call.func:
             case ast.Attribute(value=ast.Name(id=name), attr=attr) as func if name == _CONTROLLER and attr == _OF_FORK:
@@ -107,7 +107,7 @@ def convert_lists_of_callbacks(config: ast.ClassDef, edits: Edits) -> None:
 
 
 def convert_continue(config: ast.ClassDef, names: CallbackNames, inherited: Inherited, edits: Edits) -> None:
-    """Have the callback of `continue` return True: it has asked the user itself. So has `before_experiment`."""
+    """Make the callbacks of `continue` and `before_experiment` return True, as the config asks the user itself."""
     methods = {names.renamed.get(method.name, method.name): method for method in _methods(config)}
     asking, before = methods.get("continue_experiment"), methods.get("before_experiment")
     is_asked_by_base = "continue_experiment" in inherited.heard
@@ -124,26 +124,26 @@ def convert_continue(config: ast.ClassDef, names: CallbackNames, inherited: Inhe
 
 
 def _return_true(method: ast.FunctionDef, statement: str, edits: Edits) -> None:
-    """Have a method return True wherever it ends, whatever it returned: the earlier tools did not look at that."""
+    """Make a method always return True: the earlier tools ignored its value."""
     for each in walk_bodies(method.body):
         match each:
             case ast.Return(value=None | ast.Constant()):
                 edits.replace(each, "return True")
-            case ast.Return(value=ast.expr() as value):  # which may be what asks the user
+            case ast.Return(value=ast.expr() as value):  # evaluated still, as it may ask the user
                 edits.insert(edits.start_of(value), "(")
                 edits.insert(edits.end_of(value), ", True)[1]")
     if not isinstance(method.body[-1], ast.Return):
-        is_in_line = method.body[0].lineno == method.lineno  # of a method that is written in one
+        is_in_line = method.body[0].lineno == method.lineno  # a method on one line
         following = f"; {statement}" if is_in_line else f"\n{' ' * method.body[0].col_offset}{statement}"
         edits.insert(edits.end_of(method.body[-1]), following)
 
 
-#: What a config says that does not hear an event of which it has inherited a callback.
+#: The docstring of a method that overrides an inherited callback to which the config did not subscribe.
 NOTHING = "Do nothing: the class that this one derives from hears the event, and this one does not."
 
 
 def leave_unheard(config: ast.ClassDef, names: CallbackNames, inherited: Inherited, edits: Edits) -> None:
-    """Override the inherited callbacks that would be called by their names, and were not subscribed."""
+    """Override inherited callbacks that were not subscribed, since their names would subscribe them."""
     own = {names.renamed.get(method.name, method.name) for method in _methods(config)}
     indent = " " * config.body[0].col_offset
     for name in EVENTS_BY_CALLBACK:
@@ -153,7 +153,7 @@ def leave_unheard(config: ast.ClassDef, names: CallbackNames, inherited: Inherit
 
 
 def taken_over(where: str, config: ast.ClassDef, names: CallbackNames, inherited: Inherited) -> Iterator[Finding]:
-    """Yield the callbacks that would take the place of an inherited one that their class calls by its name."""
+    """Yield an error for each callback that would override an inherited one that the class calls by its name."""
     called = {node.attr for _, node in attributes_of(config, {"self"})}
     for name, callback in names.renamed.items():
         before = {old for old, now in inherited.methods.items() if now == callback}
@@ -166,7 +166,7 @@ def taken_over(where: str, config: ast.ClassDef, names: CallbackNames, inherited
 
 
 def convert_rows_of_before_run(config: ast.ClassDef, session: Session, edits: Edits) -> None:
-    """Have a `before_run` that took the row take the context."""
+    """Make a `before_run` with a row as its parameter take the context."""
     heard = session.callbacks_of(RobotRunnerEvents.BEFORE_RUN)
     for method in _methods(config):
         for argument in method.args.args[1:2] if method.name in heard else ():
@@ -177,12 +177,12 @@ def convert_rows_of_before_run(config: ast.ClassDef, session: Session, edits: Ed
                 edits.insert(edits.start_of(first), f"{argument.arg} = context.combination\n{indent}")
 
 
-#: What no cell holds: the earlier tools wrote it as its text.
+#: Literals that no cell can hold; the earlier tools wrote their texts.
 _DISPLAYS = (ast.List, ast.Tuple, ast.Set, ast.Dict, ast.ListComp, ast.SetComp, ast.DictComp)
 
 
 def write_values_as_text(config: ast.ClassDef, session: Session, edits: Edits) -> None:
-    """Have lists and the like that are given for a measure become the texts that the earlier tools wrote."""
+    """Convert lists and the like that are values of measures to the texts that the earlier tools wrote."""
     heard = session.callbacks_of(RobotRunnerEvents.POPULATE_RUN_DATA)
     columns = {column for model in session.models for column in model.get_data_columns()}
     for method in _methods(config):
@@ -198,7 +198,7 @@ def write_values_as_text(config: ast.ClassDef, session: Session, edits: Edits) -
 
 
 def order_findings(session: Session) -> Iterator[Finding]:
-    """Yield where the order of the events differs from the earlier tool's."""
+    """Yield warnings where the order of the events differs from the earlier tool's."""
     heard = {each.event for each in session.subscriptions}
     is_robot_runner = session.recognised.dialect.class_name == "RobotRunnerConfig"
     if is_robot_runner and {RobotRunnerEvents.STOP_RUN, RobotRunnerEvents.POPULATE_RUN_DATA} <= heard:
@@ -225,9 +225,9 @@ _PLUGIN = "CodeCarbon"
 _HOME = "robot_runner.plugins.profilers"
 _COUNTRY = "country_iso_code"
 _INTERVAL = "measure_power_secs"
-#: What our profiler has no use for: its columns, and that its tracker may ask the internet.
+#: Arguments that our profiler does not have: its columns, and permission to use the internet.
 _OF_WRAPPER = {"data_columns", "online"}
-#: What CodeCarbon's columns are called by our profiler, the one of the plugin's first version among them.
+#: Our profiler's names of CodeCarbon's columns, including one of the plugin's first version.
 _MEASURES = {
     "__co2_emissions": "Emissions",
     "codecarbon__emissions": "Emissions",
@@ -239,12 +239,12 @@ _OF_CODECARBON = "codecarbon__"
 
 
 def convert_decorators(converted: ConvertedFile, config: ast.ClassDef, columns: Sequence[str]) -> None:
-    """Remove the decorators, from the tree as well, and have the config list the profiler and its columns.
+    """Remove the decorators, also from the tree, and add the profiler and its columns to the config.
 
     Args:
         converted: the file.
         config: its config class.
-        columns: those that the run table had.
+        columns: the columns of the run table before.
     """
     plugins = {each.bound_as: plugin_of(f"{each.module}.{each.name}") for each in imports_of(converted.tree)}
     names = {bound for bound, plugin in plugins.items() if plugin is not None and plugin.ours == _PLUGIN}
@@ -279,12 +279,12 @@ def _list_profiler(converted: ConvertedFile, config: ast.ClassDef, settings: Map
 
 
 def is_told_as_of_codecarbon(column: str, columns: Sequence[str]) -> bool:
-    """Return whether a column was CodeCarbon's, and its measure is among the new columns or has none."""
+    """Return whether a column was CodeCarbon's, and its measure either is a new column or does not exist."""
     return _MEASURES[column] in columns if column in _MEASURES else column.startswith(_OF_CODECARBON)
 
 
 def _list_columns(converted: ConvertedFile, config: ast.ClassDef, columns: Sequence[str]) -> None:
-    """Have the run table's columns name those of the profiler, and say what became of each earlier one."""
+    """Replace the run table's columns by the profiler's, with findings on each earlier one."""
     ours = {name: _MEASURES[name] for name in columns if name in _MEASURES}
     names = ", ".join(f'"{each}"' for each in dict.fromkeys(ours.values()))
     keywords = [keyword for call in nodes(converted.tree, ast.Call) for keyword in call.keywords]
@@ -299,7 +299,7 @@ def _list_columns(converted: ConvertedFile, config: ast.ClassDef, columns: Seque
                     converted.refuse(listed.lineno, problem, "Call the config's otherwise, then convert.")
                 converted.edits.insert(converted.edits.end_of(last), f", {names}")
             case _:
-                pass  # that there is no such column is found where the new config is loaded
+                pass  # loading the new config reports a missing column
     told = [f"{name} is {measure} now" for name, measure in ours.items()]
     told += [
         f"{name} has no column any more, and stands in emissions.json of each run"
@@ -312,7 +312,7 @@ def _list_columns(converted: ConvertedFile, config: ast.ClassDef, columns: Seque
 
 
 def _root(decorator: ast.expr) -> str:
-    """Return the name that a decorator begins with: `tracker` of `@tracker.start(country="NLD")`."""
+    """Return the first name of a decorator: `tracker` for `@tracker.start(country="NLD")`."""
     while isinstance(decorator, ast.Call | ast.Attribute):
         decorator = decorator.func if isinstance(decorator, ast.Call) else decorator.value
     return decorator.id if isinstance(decorator, ast.Name) else ""

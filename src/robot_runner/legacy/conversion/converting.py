@@ -1,4 +1,4 @@
-"""From the text of a config file of an earlier tool to that of one of ours."""
+"""Convert the text of a config file of an earlier tool to our own spelling."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ from robot_runner.legacy.syntax import Edits, classes_of, nodes
 
 
 def check_neighbours(experiment: Experiment, tree: ast.Module, written: Collection[str | Path]) -> Iterator[Finding]:
-    """Yield which modules that a config imports are written for the earlier tool themselves: they come first.
+    """Yield an error for each imported module that uses the earlier tool itself, and so must be converted first.
 
-    Those that are `written`, files or their names, are converted with it.
+    Those in `written`, files or their names, are converted with the config.
     """
     modules = {*experiment.local_modules, *imported_files(tree)}
     for module in sorted(each for each in modules if not {each, each.name} & set(written)):
@@ -65,12 +65,12 @@ class Conversion:
     """A config file in our own spelling.
 
     Attributes:
-        text: the file.
-        before: the experiment of the file that was converted.
-        findings: what a user should look at.
-        beside: the texts of modules that the file imports and that are to stand beside it, by their files' names.
-        bases: the texts of the files whose config classes it derives from, by where they are to be written.
-        originals: the files that are converted, which are never written over.
+        text: the text of the new file.
+        before: the experiment of the original file.
+        findings: for the user to check.
+        beside: the texts of imported modules to write beside it, by the names of their files.
+        bases: the texts of the files of its base classes, by the paths to write.
+        originals: the original files, which are never overwritten.
     """
 
     text: str
@@ -82,19 +82,19 @@ class Conversion:
 
 
 def convert(path: Path, folder: Path | None = None, name: str = "") -> Conversion:
-    """Convert a config file of an earlier tool, and the files whose config classes it derives from.
+    """Convert a config file of an earlier tool, and the files of its base classes.
 
     Args:
         path: the file.
-        folder: where everything is to be written; each beside its original, if left out.
-        name: what the converted file is to be called there.
+        folder: the folder for all new files; if left out, each is beside its original.
+        name: the name of the converted file in this folder.
 
     Raises:
-        ConfigError: the file is none, cannot be loaded, or uses what has no counterpart here.
+        ConfigError: the file is not such a config, cannot be loaded, or uses something without a counterpart here.
     """
     recognised = recognise(path)
     if recognised is None:
-        read_source(path)  # which refuses what is no config at all
+        read_source(path)  # refuses a file that is not a config
         fix = f"Execute it: robot-runner {shlex.quote(str(path))}"
         raise ConfigError("the config is written in our own spelling already", where=str(path), fix=fix)
     with load_apart():
@@ -105,14 +105,14 @@ def convert(path: Path, folder: Path | None = None, name: str = "") -> Conversio
 
 
 def new_file(original: Path, folder: Path | None) -> Path:
-    """Return where a converted file is written: in a folder, or beside its original under a name of its own."""
+    """Return the path of a converted file: in the folder, or beside its original with another name."""
     if folder is not None and (folder / original.name).resolve() != original.resolve():
         return folder / original.name
     return original.with_name(f"{original.stem}_converted.py")
 
 
 class _Chain:
-    """A config and the files that it derives from, the farthest first: each has its names from those before it."""
+    """A config and the files of its base classes, the farthest first: each gets names from those before it."""
 
     def __init__(self, recognised: Recognised, experiment: Experiment, folder: Path | None, name: str) -> None:
         self._recognised = recognised
@@ -125,10 +125,10 @@ class _Chain:
         self._beside: dict[str, str] = {}
 
     def converted(self) -> Conversion:
-        """Return what all files become.
+        """Convert all files.
 
         Raises:
-            ConfigError: one of them uses what has no counterpart here.
+            ConfigError: a file uses something without a counterpart here.
         """
         dialect = self._recognised.dialect
         with self._experiment.config.executing_nothing() as session:
@@ -152,7 +152,7 @@ class _Chain:
         file = recognised.path
         new = new_file(file, self._folder)
         if self._folder is not None and self._folder.resolve() == self._recognised.path.parent.resolve():
-            # The old config is to go on importing the old file.
+            # Another name, so that the old config still imports the old file.
             new = self._folder / f"{file.stem}_converted.py"
         while new.name in self._taken and self._folder is not None:
             new = new.with_name(f"{new.stem}_base.py")
@@ -179,9 +179,9 @@ class _Chain:
         return Inherited.together(self._parts[base] for base in base_files(file, config_class))
 
     def _by_itself(self, base: Path) -> Experiment:
-        """Return the experiment that a base is by itself; where it is none, or hears nothing, the one derived from it.
+        """Return the experiment of a base file; that of the derived config if the base has none or no subscriptions.
 
-        It then becomes the same file, whichever config it is converted with.
+        So the converted base is the same, whichever config it is converted with.
         """
         experiment = prepare(base, is_for_here=False).experiment
         if experiment is None or not isinstance(experiment.config, EarlierExperiment):
@@ -191,14 +191,14 @@ class _Chain:
 
 
 class _Converting:
-    """One file.
+    """The conversion of one file.
 
     Attributes:
-        file: what it becomes.
-        config: its config class, as it was.
-        class_name: what that is called now.
+        file: the converted file.
+        config: its original config class.
+        class_name: the new name of the class.
         members: the new names of its methods.
-        text: with all changes, once it is converted.
+        text: the new text, once it is converted.
     """
 
     def __init__(
@@ -224,7 +224,7 @@ class _Converting:
         self.members = self._callbacks.renamed | {"create_run_table_model": "create_run_table"}
 
     def classes(self) -> dict[str, str]:
-        """Return what the config classes in the file are called now, its own and those that it imports."""
+        """Return the new names of the file's config classes, its own and imported ones."""
         imported = {name: self.file.names.get(name, name) for name in self.file.classes if name.isidentifier()}
         return imported | {self.config.name: self.class_name}
 
@@ -260,7 +260,7 @@ class _Converting:
         own = [self._edits.edited(each) for each in arguments]
         parents = [self.file.names.get(each, each) for each in own]
         parents = [each for each in parents if each != "ExperimentConfig"]
-        if not self._inherited.files:  # which derive from it
+        if not self._inherited.files:  # else the base files derive from it
             parents.insert(0, "ExperimentConfig")
             self.file.ours.add("ExperimentConfig")
         self._edits.replace_span(start, header_end, f"class {self.class_name}({', '.join(parents)})")
@@ -280,7 +280,7 @@ class _Converting:
                 self._edits.replace_span(end, self._edits.end_of(member), f".{names[member.attr]}")
 
     def _owners(self, config: ast.ClassDef) -> set[str]:
-        """Return by what the members of the class, and of those that it derives from, are reached."""
+        """Return the names of objects and classes that have the members of the class and its bases."""
         owners = {"self", "cls", config.name, *self.file.classes}
         for node in self._tree.body:
             match node:

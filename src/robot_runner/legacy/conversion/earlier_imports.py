@@ -1,4 +1,4 @@
-"""The imports of a config: what it has of the earlier tool, and what it imports instead."""
+"""Convert the imports of a config from the earlier tool's modules to ours."""
 
 from __future__ import annotations
 
@@ -33,30 +33,30 @@ _OURS = {
     "RunnerEvents": "RobotRunnerEvents",
     "BaseError": "RobotRunnerError",
 }
-#: What a name becomes that stands in annotations only, and has no counterpart.
+#: Replaces a name without a counterpart that occurs only in annotations.
 _ANYTHING = "object"
-#: The modules of the earlier tools' profilers that need nothing of the tools around them.
+#: The modules of the earlier tools' profilers that do not need the rest of the tools.
 _KEPT_HOMES = ("command_line", "data_source", "nvidia", "pico")
-#: The door by which a converted config imports from them.
+#: The public module from which converted configs import these profilers.
 _KEPT = "robot_runner.plugins.earlier"
 
 
 @dataclass(slots=True)
 class ConvertedFile:
-    """What a file becomes.
+    """A file that is being converted.
 
     Attributes:
-        path: where it is now.
-        tree: its syntax tree, as far as it is converted by changes to its text.
-        edits: these changes.
+        path: the original file.
+        tree: its syntax tree.
+        edits: the edits of its text.
         names: the new name of each name that the file imports.
-        outputs: the names under which the file prints.
-        events: the names under which it has the events.
-        classes: the names under which it has converted config classes of other files, `base.Common` among them.
-        ours: what the converted file imports from `robot_runner`.
-        profilers: what it imports from modules of profilers, by module.
-        beside: modules of the clone's own that are to be written beside the converted file, by their files' names.
-        findings: what has no counterpart.
+        outputs: its names of the tool's class for printing.
+        events: its names of the class of events.
+        classes: its names of converted config classes of other files, such as `base.Common`.
+        ours: the names that the converted file imports from `robot_runner`.
+        profilers: the names that it imports from modules of profilers, by module.
+        beside: the texts of the clone's own modules to write beside the converted file, by the names of their files.
+        findings: on names and statements without a counterpart.
     """
 
     path: Path
@@ -72,7 +72,7 @@ class ConvertedFile:
     findings: list[Finding] = field(default_factory=list)
 
     def import_lines(self) -> str:
-        """Return the import lines that take the place of the earlier tool's."""
+        """Return the import lines that replace the earlier tool's."""
         ours = sorted(self.ours, key=str.casefold)
         block = f"from robot_runner import {', '.join(ours)}\n"
         if len(block) > _WIDTH:
@@ -81,20 +81,20 @@ class ConvertedFile:
         return (block if ours else "") + "".join(others)
 
     def text_with_imports(self, lines: list[int]) -> str:
-        """Return the text with all changes; the new imports stand where the first of these lines is."""
+        """Return the edited text, with the new imports at the first of these lines."""
         self.edits.insert(self.edits.line_start(min(lines, default=1)), self.import_lines())
         return self.edits.applied()
 
     def refuse(self, line: int, problem: str, fix: str) -> None:
-        """Refuse what stands in a line."""
+        """Add an error for a line."""
         self.findings.append(Finding.error(f"{self.path}:{line}", problem, fix))
 
     def refuse_whole_module(self, line: int, problem: str) -> None:
-        """Refuse what is not imported by its name."""
+        """Add an error for an import of a whole module."""
         self.refuse(line, problem, "Import its names: from ... import ...")
 
     def take(self, line: int, module: str, alias: ast.alias) -> None:
-        """Take over a name that the file has of one of the tool's modules; one that it does not use is left out."""
+        """Convert an imported name of one of the tool's modules; an unused one is removed."""
         bound = alias.asname or alias.name
         types = names_of_types(self.tree)
         if alias.name == "*" or bound in used_names(self.tree) or (bound in types and alias.name in _OURS):
@@ -105,9 +105,9 @@ class ConvertedFile:
 
 
 def convert_imports(converted: ConvertedFile) -> list[int]:
-    """Remove the earlier tool's import lines; the new ones are put in place by `ConvertedFile.import_lines`.
+    """Remove the earlier tool's import lines; `ConvertedFile.import_lines` has the new ones.
 
-    Returns the lines where they were.
+    Returns the numbers of the removed lines.
     """
     lines = []
     for node in nodes(converted.tree, ast.ImportFrom):
@@ -138,9 +138,9 @@ def _take(converted: ConvertedFile, line: int, module: str, name: str, bound: st
 
 
 def _take_from_clone(converted: ConvertedFile, module: str, alias: ast.alias) -> bool:
-    """Have a plugin of the clone's own stand beside the config; returns whether that can be.
+    """Keep a plugin of the clone as a module beside the config; returns whether that is possible.
 
-    It cannot where the tool itself had such a module, or where the plugin imports more of the tool than profilers that
+    It is not if the tool itself had such a module, or if the plugin imports more of the tool than the profilers that
     are kept.
     """
     file = clone_around(converted.path).file_of(module)
@@ -156,9 +156,9 @@ def _take_from_clone(converted: ConvertedFile, module: str, alias: ast.alias) ->
 
 
 def modules_beside(config: Path, imported: Iterable[Path]) -> dict[str, str]:
-    """Return the texts of the modules that a config had from beside its clone's `__main__.py`, by their files' names.
+    """Return the texts of a config's modules beside its clone's `__main__.py`, by the names of their files.
 
-    Those that need more of the tool than profilers that are kept, and its printing, are left out.
+    Modules that need more of the tool than the kept profilers and its printing are left out.
     """
     entries = [folder.resolve() for folder in clone_around(config).entries if folder.resolve() != config.parent]
     beside: dict[str, str] = {}
@@ -174,9 +174,9 @@ def modules_beside(config: Path, imported: Iterable[Path]) -> dict[str, str]:
 
 
 def _converted_module(file: Path, beside: dict[str, str]) -> str | None:
-    """Return the text of a clone's own module with public imports, or None where it needs the tool.
+    """Return the text of a clone's own module with public imports, or None if it needs the tool.
 
-    `beside` takes the modules of the clone that this one needs.
+    The modules of the clone that this one needs are added to `beside`.
     """
     try:
         text = file.read_text(encoding="utf-8")
@@ -191,7 +191,7 @@ def _converted_module(file: Path, beside: dict[str, str]) -> str | None:
     return converted.text_with_imports(lines)
 
 
-#: The events that have another name here.
+#: Events with another name here.
 _RENAMED_EVENTS = {
     "INTERACT": "LAUNCH_MISSION",
     "DURING_RUN": "LAUNCH_MISSION",
@@ -201,7 +201,7 @@ _RENAMED_EVENTS = {
 
 
 def convert_names(converted: ConvertedFile) -> None:
-    """Rename what a file has of the earlier tool, wherever it uses it; what it printed through the tool, it prints."""
+    """Rename the earlier tool's names in a file, and replace the tool's printing by `print`."""
     tree, edits = converted.tree, converted.edits
     prints = set()
     for call in nodes(tree, ast.Call):
@@ -253,5 +253,5 @@ def _take_profiler(converted: ConvertedFile, line: int, module: str, name: str, 
 
 
 def _is_kept(module: str, name: str) -> bool:
-    """Whether a name of an earlier tool's module works without the tool: `robot_runner.plugins.earlier` has it."""
+    """Whether `robot_runner.plugins.earlier` has a name of an earlier tool's module, as it works without the tool."""
     return MODULES.get(module, {}).get(name, "").partition(":")[0].rpartition(".")[2] in _KEPT_HOMES

@@ -1,4 +1,4 @@
-"""The names of a config: static parameters, run tables and factors in our spelling."""
+"""Convert the static parameters, run tables and factors of a config to our spelling."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _PATH_PROPERTY = '''
 
 
 def convert_parameters(config: ast.ClassDef, results: Path, edits: Edits) -> None:
-    """Rename the static parameters of a config class, wherever its body uses them; `results` is where they went."""
+    """Rename the static parameters of a config class in its body; `results` is the folder of its results."""
     is_asked = any(node.attr == "experiment_path" for node in nodes(config, ast.Attribute))
     for statement in walk_bodies(config.body):
         _rename_reads_of_name(statement, edits)
         for target in _targets(statement):
             if target.id == "name":
                 edits.replace(target, "experiment_name")
-            elif target.id == "experiment_path" and is_asked:  # which may be the end of the class
+            elif target.id == "experiment_path" and is_asked:  # in place, as it may end the class
                 edits.replace(statement, _PATH_PROPERTY.strip())
                 is_asked = False
             elif target.id == "experiment_path":
@@ -41,7 +41,7 @@ def convert_parameters(config: ast.ClassDef, results: Path, edits: Edits) -> Non
 
 
 def _rename_reads_of_name(statement: ast.stmt, edits: Edits) -> None:
-    """Rename `name` where the body of the class goes on to use it; in a method it is another name."""
+    """Rename reads of `name` in the body of the class; in a method it is another variable."""
     if isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
         return
     for expression in ast.iter_child_nodes(statement):
@@ -51,7 +51,7 @@ def _rename_reads_of_name(statement: ast.stmt, edits: Edits) -> None:
 
 
 def _begin_in_current_folder(statement: ast.stmt, edits: Edits) -> None:
-    """Have a relative path begin where it did: ours begin where the config file is."""
+    """Make a path relative to the current folder, as before: ours are relative to the config file's."""
     value = getattr(statement, "value", None)
     if value is not None:
         edits.insert(edits.start_of(value), "Path.cwd() / (")
@@ -65,7 +65,7 @@ def _targets(statement: ast.stmt) -> Iterator[ast.Name]:
     yield from (target for target in targets if isinstance(target, ast.Name))
 
 
-#: Stands where nothing is varied: ours vary at least one thing.
+#: The factor of a run table without factors: ours need at least one.
 ONLY_FACTOR = "setup"
 _ONLY_TREATMENT = "as it is"
 _KEYWORDS = {
@@ -77,7 +77,7 @@ _KEYWORDS = {
 }
 _IN_PLACE = "num_of_repetitions"
 _FACTOR_NAME = "factor_name"
-#: Calls of a model or a factor that are attributes here, or that return the model itself.
+#: Methods of a model or a factor that are attributes here, or return the model itself.
 _CALLS = {
     "get_factors": ".factors",
     "get_data_columns": ".data_columns",
@@ -89,7 +89,7 @@ _CALLS = {
 
 
 def convert_run_tables(session: Session, converted: ConvertedFile) -> None:
-    """Convert every call that makes a run table or asks one."""
+    """Convert every call that makes or queries a run table."""
     tree, edits = converted.tree, converted.edits
     for call in nodes(tree, ast.Call):
         match call.func:
@@ -129,7 +129,7 @@ def _factors_of(call: ast.Call) -> ast.expr | None:
 
 
 def _vary(call: ast.Call, edits: Edits) -> bool:
-    """Give a model without factors one that has one treatment; returns whether it was done."""
+    """Add a factor with one treatment to a model without factors; returns whether it was added."""
     factors = _factors_of(call)
     only = f'[Factor("{ONLY_FACTOR}", ["{_ONLY_TREATMENT}"])]'
     if factors is None:
@@ -152,7 +152,7 @@ def _keyword_of(argument: ast.expr) -> str:
 
 
 def _convert_repetitions_in_place(call: ast.Call, keyword: ast.keyword, edits: Edits) -> None:
-    """Make a factor of repetitions that stand together: it changes fastest, and has the fork's column."""
+    """Convert consecutive repetitions to a factor: it changes fastest, and has the fork's column."""
     factors = _factors_of(call)
     if isinstance(factors, ast.List) and factors.elts:
         count = edits.source(keyword.value)
@@ -161,7 +161,7 @@ def _convert_repetitions_in_place(call: ast.Call, keyword: ast.keyword, edits: E
 
 
 def _convert_exclusions(session: Session, exclusions: ast.expr, edits: Edits) -> None:
-    """Name the factors of sets of values, and leave out what names no treatment: ours are refused for that."""
+    """Add the factors to sets of values, and remove exclusions without treatments, which ours refuse."""
     if isinstance(exclusions, ast.Constant) and exclusions.value is None:
         edits.replace(exclusions, "[]")
     model = session.models[-1] if session.models else None
@@ -169,7 +169,7 @@ def _convert_exclusions(session: Session, exclusions: ast.expr, edits: Edits) ->
         return
     given = list(model.exclusions or ())
     if len(given) != len(exclusions.elts):
-        return  # the list is not the one that was given to the model
+        return  # not the list that the model got
     factors = model.get_factors()
     named = [named_exclusions(session, factors, [each])[0] for each in given]
     for element, value, exclusion in zip(exclusions.elts, given, named, strict=True):
@@ -179,7 +179,7 @@ def _convert_exclusions(session: Session, exclusions: ast.expr, edits: Edits) ->
 
 
 def _leave_out(exclusions: ast.List, is_idle: Sequence[bool], edits: Edits) -> None:
-    """Remove elements of a list, each with the comma and the comment after it."""
+    """Remove elements of a list, each with its comma and comment."""
     elements = exclusions.elts
     if not any(is_idle):
         return
@@ -202,14 +202,14 @@ def _in_our_words(named: NamedExclusion, factors: Sequence[EarlierFactor]) -> st
     return f"lambda combination: {values} <= set(combination.values())"
 
 
-# Factors and measures that cannot keep their names, as the run table has columns of ours that are called so.
+# Factors and measures whose names clash with our own columns of the run table.
 
 _ROWS = ("run_variation", "execute_run")
 _MODELS = ("RunTableModel", "Factor")
 
 
 def rename_clashing(session: Session, converted: ConvertedFile) -> Iterator[Finding]:
-    """Rename such columns where the run table is made, where a row is read, and where measures are returned."""
+    """Rename such columns in run tables, in reads of a row, and in returned measures."""
     model = session.models[-1] if session.models else None
     if model is None:
         return
@@ -226,7 +226,7 @@ def rename_clashing(session: Session, converted: ConvertedFile) -> Iterator[Find
 
 
 def _names_of_columns(session: Session, converted: ConvertedFile) -> Iterator[ast.Constant]:
-    """Yield the texts of a config that name columns."""
+    """Yield the texts in a config that are names of columns."""
     populating = session.callbacks_of(RobotRunnerEvents.POPULATE_RUN_DATA)
     for call in nodes(converted.tree, ast.Call):
         if isinstance(call.func, ast.Name) and converted.names.get(call.func.id) in _MODELS:
@@ -240,15 +240,15 @@ def _names_of_columns(session: Session, converted: ConvertedFile) -> Iterator[as
 
 
 def _texts_in(call: ast.Call) -> Iterator[ast.Constant]:
-    """Yield the name of a factor, and those of the data columns."""
+    """Yield the names of a factor and of data columns in a call."""
     for argument in (*call.args, *(keyword.value for keyword in call.keywords if keyword.arg != "treatments")):
         listed = argument.elts if isinstance(argument, ast.List | ast.Tuple) else [argument]
-        is_second = argument in call.args[1:2]  # of a factor, the treatments
+        is_second = argument in call.args[1:2]  # the treatments of a factor
         yield from (each for each in listed if isinstance(each, ast.Constant) and not is_second)
 
 
 def _keys_in(function: ast.FunctionDef) -> Iterator[ast.Constant]:
-    """Yield the keys of what a callback returns: of mappings that it writes down, and of those that it fills."""
+    """Yield the keys of a callback's mappings: of literals, and of those that it fills."""
     for mapping in nodes(function, ast.Dict):
         yield from (key for key in mapping.keys if isinstance(key, ast.Constant))
     filled = set[str]()

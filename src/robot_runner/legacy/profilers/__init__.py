@@ -1,1 +1,1 @@
-"""The profilers and systems that came with the earlier tools, with their calls and their files."""
+"""The profilers and systems of the earlier tools, with the same methods and files."""

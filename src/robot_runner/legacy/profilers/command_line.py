@@ -1,6 +1,6 @@
-"""Experiment Runner's profilers that are programs: Ps, PowerJoular, EnergiBridge, PowerMetrics and PowerLetrics.
+"""Experiment Runner's profilers that run programs: Ps, PowerJoular, EnergiBridge, PowerMetrics and PowerLetrics.
 
-Each names its program, the parameters that the program has, and where the samples go; `CLISource` starts and stops it.
+Each defines its program, the program's parameters, and the file of the samples; `CLISource` starts and stops it.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _KINDS = {"": None, "str": str, "int": int, "list": list}
 
 
 def _parameters(text: str) -> ParameterDict:
-    """Return parameters from their spellings: `-o|--output:str -g|--gpu`."""
+    """Parse parameters from their spellings: `-o|--output:str -g|--gpu`."""
     named = (word.partition(":") for word in text.split())
     return ParameterDict({tuple(spellings.split("|")): _KINDS[kind] for spellings, _, kind in named})
 
@@ -86,9 +86,9 @@ _OF_POWERLETRICS = """
 
 
 class Ps(CLISource):
-    """Asks `ps` again and again, and writes its columns as CSV without a heading.
+    """Runs `ps` repeatedly, and writes its columns as CSV without a heading.
 
-    `%cpu` of `ps` is the time on the processor over the life of the process, not its utilisation at a moment.
+    `%cpu` of `ps` is the CPU time over the lifetime of the process, not its momentary utilisation.
     """
 
     parameters: ClassVar[Any] = _parameters(_OF_PS)
@@ -118,12 +118,12 @@ class Ps(CLISource):
 
     @staticmethod
     def parse_log(logfile: Path | str, column_names: Sequence[str] | None = None) -> Table:
-        """Return what a log holds, under the names of its columns."""
+        """Return the table in a log, with these names of its columns."""
         return read_table(logfile, column_names or ("%cpu", "%mem"))
 
 
 class PowerJoular(CLISource):
-    """Has PowerJoular write the power of the processor, and of one process, once a second."""
+    """Runs PowerJoular, which writes the power of the processor and of one process once a second."""
 
     parameters: ClassVar[Any] = _parameters("-p:str -a:str -f:str -o:str -m:str -s:str -t -l")
     source_name: ClassVar[Any] = "powerjoular"
@@ -137,7 +137,7 @@ class PowerJoular(CLISource):
         target_pid: int | None = None,
     ) -> None:
         super().__init__()
-        del sample_frequency  # PowerJoular has a rate of its own
+        del sample_frequency  # PowerJoular's rate is fixed
         self.logfile = out_file
         self.args = {"-l": None, "-f": self._logfile}
         if target_pid:
@@ -146,17 +146,17 @@ class PowerJoular(CLISource):
 
     @property
     def target_logfile(self) -> str | None:
-        """Where the samples of one process go."""
+        """The file of the samples of one process."""
         return f"{self.logfile}-{self.args['-p']}.csv" if "-p" in self.args else None
 
     @staticmethod
     def parse_log(logfile: Path | str) -> Table:
-        """Return what a log holds."""
+        """Return the table in a log."""
         return read_table(logfile)
 
 
 class EnergiBridge(CLISource):
-    """Has EnergiBridge measure while a program runs, or (`sleep`) until it is stopped."""
+    """Runs EnergiBridge, which measures while a program runs, or (with `sleep`) until it is stopped."""
 
     parameters: ClassVar[Any] = _parameters(_OF_ENERGIBRIDGE)
     source_name: ClassVar[Any] = "energibridge"
@@ -181,19 +181,19 @@ class EnergiBridge(CLISource):
 
     @property
     def summary(self) -> bool:
-        """Whether a summary is asked for."""
+        """Whether a summary is requested."""
         return "--summary" in self.args
 
     @property
     def summary_logfile(self) -> Path | None:
-        """Where the summary goes: beside the log."""
+        """The file of the summary, beside the log."""
         if not self.logfile or not {"-o", "--output"} & set(self.args):
             return None
         logfile = Path(self.logfile)
         return logfile.with_name(f"{logfile.name.split('.')[0]}-summary.txt")
 
     def stop(self, wait: bool = False) -> str:
-        """End the measuring, or `wait` for the program; the summary is kept in a file."""
+        """Stop measuring, or `wait` for the program; the summary is written to a file."""
         printed = super().stop(wait)
         if self.summary and self.summary_logfile is not None:
             summary = (printed.strip().splitlines() or [""])[-1]
@@ -204,7 +204,7 @@ class EnergiBridge(CLISource):
         return printed
 
     def generate_summary(self) -> str:
-        """Return a summary computed from the log, as our own plugin reads it; NaN for what the log does not tell."""
+        """Return a summary computed from the log, which is read as by our own plugin; NaN for missing values."""
         rows = list(filter(None, parse_energibridge(Path(self.logfile).read_text(encoding="utf-8").splitlines())))
         told = [float(joules) for row in rows if (joules := row["energy_J"]) is not None]
         times = [float(row["Time"] or math.nan) for row in rows]
@@ -221,7 +221,7 @@ class EnergiBridge(CLISource):
 
     @staticmethod
     def parse_log(logfile: Path | str, summary_logfile: Path | str | None = None) -> Any:
-        """Return what a log holds; with a summary, both."""
+        """Return the table in a log; with a summary, both."""
         log = read_table(logfile)
         if not summary_logfile:
             return log
@@ -232,7 +232,7 @@ class EnergiBridge(CLISource):
 
 
 class PowerMetrics(CLISource):
-    """Has powermetrics of macOS write a property list for each sample."""
+    """Runs powermetrics of macOS, which writes a property list for each sample."""
 
     parameters: ClassVar[Any] = _parameters(_OF_POWERMETRICS)
     source_name: ClassVar[Any] = "powermetrics"
@@ -268,12 +268,12 @@ class PowerMetrics(CLISource):
 
     @staticmethod
     def parse_plist_power(pm_plists: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        """Return what samples tell of power: graphics, processor, time."""
+        """Return the power in samples: graphics, processor, time."""
         return [_power_of(sample) for sample in pm_plists]
 
 
 class PowerLetrics(CLISource):
-    """Has powerletrics write a property list for each sample."""
+    """Runs powerletrics, which writes a property list for each sample."""
 
     parameters: ClassVar[Any] = _parameters(_OF_POWERLETRICS)
     source_name: ClassVar[Any] = "powerletrics"
@@ -301,12 +301,12 @@ class PowerLetrics(CLISource):
 
     @staticmethod
     def parse_log(logfile: Path | str) -> list[dict[str, Any]]:
-        """Return the samples of a log; its first two lines are no property list."""
+        """Return the samples of a log; its first two lines are not part of a property list."""
         return _property_lists(b"".join(Path(logfile).read_bytes().splitlines(keepends=True)[2:]))
 
 
 def _property_lists(data: bytes) -> list[dict[str, Any]]:
-    """Return the property lists that stand one after another, with a zero byte between them; a torn one is left out."""
+    """Return property lists that are separated by zero bytes; an incomplete one at the end is left out."""
     *whole, _ = data.replace(b"\0", b"").split(_END)
     return [plistlib.loads(each.lstrip() + _END) for each in whole]
 

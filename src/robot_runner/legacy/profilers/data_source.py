@@ -1,6 +1,6 @@
-"""The base classes of Experiment Runner's profilers: a program or a device that is started, stopped, and has a log.
+"""The base classes of Experiment Runner's profilers: programs and devices that are started and stopped, and have a log.
 
-Configs and forks derive profilers of their own from these classes, so attributes and hooks keep their names.
+Configs and forks derive their own profilers from these classes, so that attributes and hooks keep their names.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _WORKER = "DeviceWorker"
 
 
 class ParameterDict(UserDict[Any, Any]):
-    """Parameters of a program, each under all of its spellings: `{("-o", "--output"): str}`.
+    """The parameters of a program, each with all its spellings: `{("-o", "--output"): str}`.
 
     Example:
         >>> "--output" in ParameterDict({("-o", "--output"): str})
@@ -48,14 +48,14 @@ class ParameterDict(UserDict[Any, Any]):
 
 
 class ValueRef:
-    """A value that a parameter refers to: what it is when the program is started counts."""
+    """A reference to a value of a parameter, which is read when the program is started."""
 
     def __init__(self, value: Any) -> None:
         self.value = value
 
 
 class DataSource(ABC):
-    """Something that measures between `start` and `stop`, and leaves a log."""
+    """A source of data that measures between `start` and `stop`, and writes a log."""
 
     supported_platforms: ClassVar[Any] = ()
     source_name: ClassVar[Any] = ""
@@ -73,20 +73,20 @@ class DataSource(ABC):
             )
 
     def is_admin(self) -> bool:
-        """Return whether this process is root's."""
+        """Return whether this process runs as root."""
         return geteuid() == 0
 
     @abstractmethod
     def start(self) -> None:
-        """Begin to measure."""
+        """Start measuring."""
 
     @abstractmethod
     def stop(self) -> Any:
-        """End the measuring."""
+        """Stop measuring."""
 
     @staticmethod
     def parse_log(logfile: Any) -> Any:
-        """Return what a log holds."""
+        """Return the contents of a log."""
         raise NotImplementedError(logfile)
 
 
@@ -94,8 +94,8 @@ class CLISource(DataSource):
     """A program of the command line that measures until it is stopped.
 
     Attributes:
-        args: its parameters, by spelling; None where a parameter has no value.
-        requires_admin: whether it needs root: then `sudo` is put before it, unless the user is root.
+        args: its parameters, by spelling; the value is None if a parameter has none.
+        requires_admin: whether it needs root: then it is started by `sudo`, unless the user is root.
     """
 
     parameters: ClassVar[Any] = ParameterDict()
@@ -115,7 +115,7 @@ class CLISource(DataSource):
 
     @property
     def logfile(self) -> Any:
-        """Where the samples go."""
+        """The file of the samples."""
         return self._logfile.value
 
     @logfile.setter
@@ -137,17 +137,17 @@ class CLISource(DataSource):
         """Start the program.
 
         Raises:
-            PluginError: it cannot be started.
-            LinkError: it has failed at once.
+            PluginError: the program cannot be started.
+            LinkError: the program failed at once.
         """
         self._program = Program(self._format_cmd(), name=str(self.source_name))
         self.process = self._program.process
 
     def stop(self, wait: bool = False) -> str:
-        """End the program, or `wait` until it ends by itself; returns what it printed.
+        """Stop the program, or `wait` until it ends by itself; returns its output.
 
         Raises:
-            LinkError: it had to be killed.
+            LinkError: the program had to be killed.
         """
         if self._program is None:
             return ""
@@ -173,7 +173,7 @@ class CLISource(DataSource):
                 )
 
     def _format_cmd(self) -> str:
-        """Return the command line; derived profilers add to it."""
+        """Return the command line, which derived profilers may extend."""
         self._validate_parameters(self.args)
         words = ["sudo"] if self.requires_admin and not self.is_admin() else []
         words.append(str(self.source_name))
@@ -185,9 +185,9 @@ class CLISource(DataSource):
 
 
 class DeviceSource(DataSource):
-    """A device that is read in a thread of its own, every `sample_frequency` milliseconds.
+    """A device that is read in its own thread, every `sample_frequency` milliseconds.
 
-    A derived profiler's `log` reads until `stop_thread` is set, and puts what it read into `thread_queue`.
+    A derived profiler's `log` reads until `stop_thread` is set, and puts the readings into `thread_queue`.
     """
 
     def __init__(self) -> None:
@@ -199,16 +199,16 @@ class DeviceSource(DataSource):
         self.thread_queue: Queue[Any] = Queue(maxsize=1)
 
     def log(self) -> Any:
-        """Read until `stop_thread` is set; a derived profiler's own `log` begins with this one.
+        """Read until `stop_thread` is set; a derived profiler's `log` calls this one first.
 
         Raises:
-            PluginError: no device was opened, or it is not called by `start`.
+            PluginError: no device was opened, or the caller is not `start`.
         """
-        if threading.current_thread().name != _WORKER:  # `process` is None where `stop` came first
+        if threading.current_thread().name != _WORKER:  # `process` is None if `stop` was called first
             raise PluginError("log was called", where=type(self).__name__, fix="Call start instead.")
 
     def start(self) -> None:
-        """Begin to read."""
+        """Start reading."""
         if self.process is not None:
             raise PluginError("the device was started already", where=type(self).__name__, fix="Call stop first.")
         self.stop_thread.clear()
@@ -216,10 +216,10 @@ class DeviceSource(DataSource):
         self.process.start()
 
     def stop(self) -> Any:
-        """End the reading; returns what was read.
+        """Stop reading, and return the readings.
 
         Raises:
-            LinkError: the reading had ended before, or does not end.
+            LinkError: the thread had ended before, or does not end.
         """
         if self.process is None:
             return None

@@ -16,14 +16,14 @@ from robot_runner.meters.codecarbon import started_tracker, stop_tracker
 _PREFIX = "codecarbon__"
 _EMISSIONS = "__co2_emissions"
 _TRACKER = "__emission_tracker__"
-#: What was written last before the run: a config may have all runs write into one file.
+#: The last row of the file before the run, as all runs of a config may write to the same file.
 _BEFORE = "__emissions_before__"
 
 Method = Callable[..., Any]
 
 
 class DataColumns(Enum):
-    """The columns that CodeCarbon fills, of all versions of the wrapper; `name` is the heading in the run table."""
+    """CodeCarbon's columns in all versions of the wrapper; `name` is the heading in the run table."""
 
     EMISSIONS = "emissions"
     EMISSIONS_RATE = "emissions_rate"
@@ -42,7 +42,7 @@ class DataColumns(Enum):
 
 
 def emission_tracker(*arguments: Any, online: bool = False, **settings: Any) -> Callable[[type], type]:
-    """Decorate a config class: its measurement is tracked, and its run table gets the columns."""
+    """Decorate a config class: a tracker runs during its measurement, and its run table gets the columns."""
     columns = settings.pop("data_columns", [DataColumns.EMISSIONS])
 
     def decorated(config: Any) -> Any:
@@ -61,7 +61,7 @@ def emission_tracker(*arguments: Any, online: bool = False, **settings: Any) -> 
 
 
 def start_emission_tracker(*arguments: Any, online: bool = False, **settings: Any) -> Callable[[Method], Method]:
-    """Decorate `start_measurement`: the tracker is started before it."""
+    """Decorate `start_measurement`: start the tracker before it."""
     kind = "EmissionsTracker" if online else "OfflineEmissionsTracker"
 
     def decorated(method: Method) -> Method:
@@ -79,7 +79,7 @@ def start_emission_tracker(*arguments: Any, online: bool = False, **settings: An
 
 
 def stop_emission_tracker(method: Method) -> Method:
-    """Decorate `stop_measurement`: the tracker is stopped after it."""
+    """Decorate `stop_measurement`: stop the tracker after it."""
 
     @functools.wraps(method)
     def stopped(self: Any, context: Any) -> Any:
@@ -92,12 +92,12 @@ def stop_emission_tracker(method: Method) -> Method:
 
 
 def add_data_columns(data_cols: Iterable[DataColumns]) -> Callable[[Method], Method]:
-    """Decorate the method that makes the run table: it gets these columns."""
+    """Decorate the method that makes the run table: add these columns."""
     return functools.partial(_with_columns, [column.name for column in data_cols])
 
 
 def populate_data_columns(method: Method) -> Method:
-    """Decorate `populate_run_data`: what the tracker wrote is added."""
+    """Decorate `populate_run_data`: add the tracker's values."""
 
     @functools.wraps(method)
     def populated(self: Any, context: Any) -> Any:
@@ -113,7 +113,7 @@ def populate_data_columns(method: Method) -> Method:
 
 
 def _measured(tracker: Any, before: Mapping[str, str]) -> Mapping[str, str]:
-    """Return what a tracker wrote; nothing, with a warning to the user, where it could not measure."""
+    """Return the row that a tracker wrote; if it could not measure, warn, and return an empty row."""
     row = _last_row(tracker)
     if row and row != before:
         return row

@@ -1,4 +1,4 @@
-"""Experiment Runner's NvidiaML: asks NVIDIA's management library, and writes what it answers as JSON."""
+"""Experiment Runner's NvidiaML: queries NVIDIA's management library, and writes the answers as JSON."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from robot_runner.core.errors import PluginError
 from robot_runner.legacy.profilers.data_source import DeviceSource
 from robot_runner.legacy.stand_ins.machinery import OutputProcedure
 
-# Queries by the name of the library's function, `nvmlDeviceGet<name>`: what stays as it is, and what changes.
+# Static and dynamic queries, by the name of the library's function, `nvmlDeviceGet<name>`.
 _STATIC = (
     "Name UUID Serial Index Architecture NumGpuCores VbiosVersion Brand NumFans MemoryInfo BusType BoardId Attributes "
     "BoardPartNumber MinMaxFanSpeed ComputeMode PersistenceMode PowerManagementMode EnforcedPowerLimit "
@@ -42,7 +42,7 @@ def library() -> Any:
 
 
 class NVML_Query(Enum):  # noqa: N801 - the name that configs import
-    """What both kinds of queries are."""
+    """The base class of both kinds of queries."""
 
 
 NVML_IDs = Enum("NVML_IDs", {"NVML_ID_INDEX": 0, "NVML_ID_SERIAL": 1, "NVML_ID_UUID": 2})
@@ -68,7 +68,7 @@ class _Constant:
     """A constant of NVIDIA's library.
 
     Attributes:
-        name: what it is called in a log: its name without prefix, in lower case.
+        name: its name in a log: without the prefix, in lower case.
     """
 
     name: str
@@ -79,7 +79,7 @@ class _Constant:
 
 
 class _Constants:
-    """The constants of NVIDIA's library that begin with a prefix; looked up when they are used."""
+    """The constants of NVIDIA's library with a prefix, which are looked up when they are used."""
 
     def __init__(self, prefix: str) -> None:
         self._prefix = prefix
@@ -132,7 +132,7 @@ class NvidiaML(DeviceSource):
     def set_measurements(
         self, samples: Sequence[Any] = (), fields: Sequence[Any] = (), queries: Sequence[Any] = ()
     ) -> None:
-        """Choose what is read; what is left out stays."""
+        """Choose the measurements; those left out are unchanged."""
         chosen = {"samples": samples, "fields": fields, "queries": queries}
         self.measurements |= {kind: list(names) for kind, names in chosen.items() if names}
 
@@ -160,7 +160,7 @@ class NvidiaML(DeviceSource):
         self.device_config = {query: self._ask(self.device_handle, query.value) for query in NVML_Static_Query}
 
     def close_device(self) -> None:
-        """Let go of the GPU."""
+        """Release the GPU."""
         library().nvmlShutdown()
         self.device_config = self.device_handle = None
 
@@ -182,7 +182,7 @@ class NvidiaML(DeviceSource):
                 ) from error
 
     def measure(self) -> dict[str, Any]:
-        """Return one reading: for each thing asked, its time (microseconds since 1970) and value."""
+        """Return one reading: the time (microseconds since 1970) and the value of each measurement."""
         now = time.time_ns() // 1000
         read: dict[str, Any] = {}
         for sample in self.measurements["samples"]:
@@ -194,11 +194,11 @@ class NvidiaML(DeviceSource):
         return read
 
     def log(self) -> None:
-        """Read until `stop_thread` is set, and write everything."""
+        """Read until `stop_thread` is set, and write all readings."""
         super().log()
         library().nvmlInit()
         self.device_handle = self._handle()
-        # The driver has kept some from before: those of the last seconds.
+        # The driver's buffer also has samples of the last seconds before.
         self._latest = {each.name: time.time_ns() // 1000 for each in self.measurements["samples"]}
         read: dict[str, list[Any]] = {each.name: [] for kind in self.measurements.values() for each in kind}
         while not self.stop_thread.is_set():
@@ -215,7 +215,7 @@ class NvidiaML(DeviceSource):
 
     @staticmethod
     def parse_log(logfile: Path | str, remove_errors: bool = False) -> dict[str, list[tuple[int, Any]]]:
-        """Return what a log holds; `remove_errors` leaves out what the library answered with an error."""
+        """Return the readings in a log; `remove_errors` leaves out errors of the library."""
         read = json.loads(Path(logfile).read_text(encoding="utf-8"))
         return {
             name: [(at, value) for at, value in values if not (remove_errors and str(value).startswith("error: "))]
@@ -235,7 +235,7 @@ class NvidiaML(DeviceSource):
             ) from error
 
     def _ask(self, handle: Any, name: str) -> Any:
-        """Return the answer to a query; an error of the library is an answer."""
+        """Return the answer to a query, which may be an error of the library."""
         nvml = library()
         try:
             ask = getattr(nvml, f"nvmlDeviceGet{name}")
@@ -270,7 +270,7 @@ class NvidiaML(DeviceSource):
         return read
 
 
-#: The member of the library's union that holds a value, by the type that it tells; older libraries lack some types.
+#: The member of the library's union for each type of a value; older libraries lack some types.
 _MEMBERS = {
     "DOUBLE": "dVal",
     "UNSIGNED_INT": "uiVal",

@@ -1,4 +1,4 @@
-"""Experiment Runner's PicoCM3: a PicoLog CM3 current logger, through the library of its maker."""
+"""Experiment Runner's PicoCM3: a PicoLog CM3 current logger, through its maker's library."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ CM3DataTypes = Enum(
 CM3Channels = Enum("CM3Channels", {"PLCM3_CHANNEL_1": 1, "PLCM3_CHANNEL_2": 2, "PLCM3_CHANNEL_3": 3})
 CM3MainsTypes = Enum("CM3MainsTypes", {"PLCM3_MAINS_50HZ": 0, "PLCM3_MAINS_60HZ": 1})
 
-#: By what a reading is multiplied, and the unit that it then has, by the channel's data type.
+#: The factor of a reading, and the resulting unit, by the channel's data type.
 _SCALES = {0: (0.0, ""), 1: (1e-3, "A"), 2: (1e-3, "A"), 3: (1.0, "mA"), 4: (1e-3, "mV")}
 
 
@@ -48,7 +48,7 @@ class PicoCM3:
         mains_setting: int | None = None,
         channel_settings: Mapping[int, int] | None = None,
     ) -> None:
-        """Look for the library and the device.
+        """Find the library and the device.
 
         Raises:
             PluginError: the library is not installed.
@@ -68,7 +68,7 @@ class PicoCM3:
             self.close_device()
 
     def enumerate_devices(self) -> str:
-        """Return the serial numbers of the devices that are connected."""
+        """Return the serial numbers of the connected devices."""
         details, length = ctypes.create_string_buffer(255), ctypes.c_uint32(255)
         _call("PLCM3Enumerate", details, ctypes.byref(length), ctypes.c_uint32(_USB))
         return details.value.decode()
@@ -91,7 +91,7 @@ class PicoCM3:
         """Apply the settings of the channels and of the mains.
 
         Raises:
-            PluginError: a setting is not valid.
+            PluginError: a setting is invalid.
             LinkError: the device refuses.
         """
         settings = self.channel_settings
@@ -112,7 +112,7 @@ class PicoCM3:
         timeout: float = 60,
         finished_fn: Callable[[], bool] | None = None,
     ) -> dict[str, list[tuple[float, str]]]:
-        """Read for `timeout` seconds, or while `finished_fn` returns True; returns and writes what was read."""
+        """Read for `timeout` seconds, or while `finished_fn` returns True; write and return the readings."""
         del dev
         self.logfile = logfile
         deadline = time.monotonic() + timeout
@@ -127,14 +127,14 @@ class PicoCM3:
         return read
 
     def close_device(self) -> None:
-        """Let go of the device."""
+        """Release the device."""
         if self.handle:
             handle, self.handle = self.handle, None
             _call("PLCM3CloseUnit", handle)
 
     @staticmethod
     def parse_log(logfile: str | Path) -> dict[str, list[Any]]:
-        """Return what a log holds: times, and the values of each channel."""
+        """Return the contents of a log: times, and the values of each channel."""
         rows = [line.strip().split(",") for line in Path(logfile).read_text(encoding="ascii").splitlines() if line]
         values = {
             f"channel_{channel}": [float(row[channel].partition(" ")[0]) for row in rows]
@@ -143,7 +143,7 @@ class PicoCM3:
         return {"timestamp": [row[0] for row in rows], **values}
 
     def apply_scaling(self, value: int, channel_mode: int) -> tuple[float, str]:
-        """Return a reading as a number with its unit."""
+        """Return the number and the unit of a raw reading."""
         scale, unit = _SCALES[channel_mode]
         return value * scale, unit
 

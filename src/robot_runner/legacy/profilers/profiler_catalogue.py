@@ -1,6 +1,6 @@
-"""The plugins of the earlier tools: their modules, what each needs, and which of ours measures the same.
+"""The plugins of the earlier tools: their modules, their requirements, and our plugins that measure the same.
 
-This table is the one place to extend: a line makes a module importable, checked and documented.
+To add a plugin, add a line to this table only: it makes the module importable, checked and documented.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ _HERE = "robot_runner.legacy.profilers"
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """What must be there for a plugin to work.
+    """A requirement of a plugin.
 
     Attributes:
-        what: as a noun, such as `the program ps`.
-        is_there: looks for it; nothing is changed by asking.
-        fix: one imperative that brings it.
+        what: a noun, such as `the program ps`.
+        is_there: returns whether it is installed, without changing anything.
+        fix: a sentence in the imperative that says how to install it.
     """
 
     what: str
@@ -36,12 +36,12 @@ class EarlierPlugin:
     """A plugin of an earlier tool.
 
     Attributes:
-        modules: where configs import it from; the first is the newest.
-        names: what they import, by name, each with its home as `module:name`; empty where nothing stands in for it.
-        needs: what must be there.
-        ours: the plugin of ours that measures or does the same, as `robot-runner plugins` lists it; empty for none.
-        note: what a user should know: one sentence.
-        operates_robot: whether it operates a robot: the one that is found, where the experiment names none.
+        modules: the modules from which configs import it; the first is the newest.
+        names: the imported names, each with its home as `module:name`; empty if it has no stand-in.
+        needs: its requirements.
+        ours: our plugin that measures or does the same, by its name in `robot-runner plugins`; empty if there is none.
+        note: a hint for users: one sentence.
+        operates_robot: whether it operates a robot, by default the one that is found.
     """
 
     modules: tuple[str, ...]
@@ -53,7 +53,7 @@ class EarlierPlugin:
 
     @property
     def name(self) -> str:
-        """Its name: the last part of its module's."""
+        """Its name: the last part of its newest module."""
         return self.modules[0].rpartition(".")[2]
 
 
@@ -188,7 +188,7 @@ PLUGINS: tuple[EarlierPlugin, ...] = (
         ours="BasicTurtlebot3",
         operates_robot=True,
     ),
-    # What was there and has nothing to stand in for it.
+    # Modules without a stand-in.
     *(
         EarlierPlugin((f"Plugins.Systems.TurtleBot3.modules.{module}",), ours="BasicTurtlebot3", note=_ROS)
         for module in (
@@ -209,7 +209,7 @@ PLUGINS: tuple[EarlierPlugin, ...] = (
     ),
 )
 
-#: The names of each module that stands in for one, each with its home as `module:name`.
+#: The names of each module with a stand-in, each with its home as `module:name`.
 PLUGIN_MODULES: Mapping[str, Mapping[str, str]] = MappingProxyType(
     {module: plugin.names for plugin in PLUGINS if plugin.names for module in plugin.modules}
 )

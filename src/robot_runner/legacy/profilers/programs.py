@@ -1,6 +1,6 @@
-"""What profilers of old configs start beside a run, in the run's process group, and how they read logs.
+"""The programs that profilers of old configs start in the run's process group, and the reading of their logs.
 
-One of them is Experiment Runner's own measurement of each run with EnergiBridge (`self_measure`).
+One of these profilers is Experiment Runner's measurement of each run by EnergiBridge (`self_measure`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from robot_runner.core.plugin import Circumstances, Profiler
 from robot_runner.legacy.session import warn_of_run
 from robot_runner.measuring.meter_process import ChildProgram, Ending
 
-#: A program that fails at once does so within this time, s.
+#: The time within which a program fails at once, s.
 _STARTING_S = 0.1
 _CLOSING_S = 5.0
 
@@ -35,20 +35,20 @@ Table = dict[str, dict[int, Any]]
 
 
 class Program(ChildProgram):
-    """A program that belongs to the run's process group; its stdout is kept until it has ended.
+    """A program in the run's process group; its standard output is kept until it has ended.
 
     Args:
-        command: the program and its arguments, as a list or as a shell would split it.
-        name: what messages call it.
+        command: the program and its arguments, as a list or as a command line of a shell.
+        name: its name in messages.
 
     Raises:
-        PluginError: it cannot be started.
-        LinkError: it failed at once.
+        PluginError: the program cannot be started.
+        LinkError: the program failed at once.
     """
 
     def __init__(self, command: str | Sequence[str], *, name: str) -> None:
         self._name = name
-        # Files, not pipes: what the program itself starts may outlive it and would hold a pipe open.
+        # Files, not pipes: children of the program may outlive it and would keep a pipe open.
         self._printed = TemporaryFile()  # noqa: SIM115 - closed when the program has ended
         words = shlex.split(command) if isinstance(command, str) else list(command)
         errors = TemporaryFile()  # noqa: SIM115 - closed when the program has ended
@@ -66,10 +66,10 @@ class Program(ChildProgram):
             raise self._failed(f"{name} ended at once with exit code {ending.exit_code}{said}")
 
     def end(self, *, wait: bool = False) -> str:
-        """Have it end, or `wait` until it does; returns what it printed.
+        """Stop the program, or `wait` until it ends by itself; returns its output.
 
         Raises:
-            LinkError: it had to be killed.
+            LinkError: the program had to be killed.
         """
         if wait:
             self.wait(lambda: False, seconds=math.inf)
@@ -83,7 +83,7 @@ class Program(ChildProgram):
             return self._printed.read().decode(errors="backslashreplace")
 
     def kill(self) -> Ending:
-        """End it at once; returns how it ended."""
+        """Kill the program; returns how it ended."""
         self._printed.close()
         return self.stop(signal.SIGKILL, grace=_CLOSING_S)
 
@@ -99,10 +99,10 @@ def read_table(path: Path | str, names: Sequence[str] | None = None) -> Table:
         names: the columns' names; None takes them from the first line.
 
     Returns:
-        The values of each column by row, from 0: numbers where a cell is one, None where it is empty.
+        The values of each column by row, from 0: a number if the cell is one, None if it is empty.
 
     Raises:
-        OSError: it cannot be read.
+        OSError: the file cannot be read.
     """
     with Path(path).open(encoding="utf-8", newline="") as file:
         rows = [row for row in csv.reader(file) if row]
@@ -122,7 +122,7 @@ def _value(text: str) -> Any:
     return text or None
 
 
-#: The column that it fills.
+#: The column of the run table that it fills.
 COLUMN = "self-measure"
 
 _DEFAULT_BINARY = "/usr/local/bin/energibridge"
@@ -131,14 +131,14 @@ _JOULES = re.compile(r"joules:\s*([0-9]+(?:\.[0-9]+)?)")
 
 
 class SelfMeasure(Profiler):
-    """Measures the energy of this machine over a whole run, by EnergiBridge's own summary.
+    """Measures the energy of this machine over a whole run, by EnergiBridge's summary.
 
-    The earlier tool defines this column as the whole run, from `start_run` to `stop_run`: its window is not the
-    mission, and is not meant to be, so nothing about it is doubted.
+    The earlier tool defines this column over the whole run, from `start_run` to `stop_run`, so that a window that
+    differs from the mission's is not reported as doubtful.
 
     Args:
-        binary: the program; None is where Experiment Runner looked for it.
-        logfile: the name of its log in the run's folder; None for none.
+        binary: the program; None for Experiment Runner's default path.
+        logfile: the name of its log in the run's folder; None for no log.
 
     Example:
         >>> SelfMeasure().measures[0].name
@@ -166,7 +166,7 @@ class SelfMeasure(Profiler):
         self._joules: float | None = None
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no such program, or a machine that it does not measure."""
+        """Yield an error if the program is missing, or cannot measure on this machine."""
         del circumstances
         off = "write self_measure = False."
         if sys.platform != "linux":
@@ -176,13 +176,13 @@ class SelfMeasure(Profiler):
             yield Finding.error("self_measure_bin", problem, f"Install EnergiBridge and name its path, or {off}")
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Start EnergiBridge beside the run."""
+        """Start EnergiBridge."""
         log = "/dev/null" if self.logfile is None else str(context.run_folder / str(self.logfile))
         self._joules = None
         self._program = Program([self.binary, "--summary", "-o", log, "--", "sleep", "1000000"], name="EnergiBridge")
 
     def stop_run(self, context: RobotRunnerContext) -> None:
-        """End EnergiBridge, and read its summary."""
+        """Stop EnergiBridge, and read its summary."""
         program, self._program = self._program, None
         if program is None:
             return

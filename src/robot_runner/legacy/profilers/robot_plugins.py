@@ -1,4 +1,4 @@
-"""Robot Runner's plugins: their calls, carried out by our own plugins, on whatever link the robot has."""
+"""Adapters with the methods of Robot Runner's earlier plugins, on our own plugins and the robot's link."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from robot_runner.core.plugin import find_plugin
 from robot_runner.legacy.profilers.programs import Program
 from robot_runner.legacy.session import current_run, warn_of_run
 
-#: How long somebody may take to bring the memory card, s.
+#: The time that a person has to insert the memory card, s.
 _PATIENCE_S = 3600.0
 _LOOK_S = 1.0
 
 
 class INA219Profiler:
-    """Takes the file that an INA219 logger left on a memory card; it computed no energy, and computes none here."""
+    """Copies the file of an INA219 logger from a memory card; as before, it does not compute the energy."""
 
     def __init__(self, path_to_data_file: str | Path) -> None:
         self.path_to_data_file = Path(path_to_data_file)
 
     def halt_and_collect_measures_from_sd_card_and_return_data(self) -> list[list[str]]:
-        """Wait until the card is there; returns the cells of its file.
+        """Wait for the memory card, and return the cells of its file.
 
         Raises:
             LinkError: the file is not there within an hour.
@@ -49,7 +49,7 @@ class INA219Profiler:
             return list(csv.reader(file))
 
     def move_data_file_to_run_folder(self, context: Any, file_name: str) -> None:
-        """Copy the card's file into the run's folder; what another run has got already is doubtful."""
+        """Copy the card's file into the run's folder; warn if another run has the same file."""
         copy = Path(copyfile(self.path_to_data_file, context.run_dir / file_name))
         for other in sorted(copy.parent.parent.glob(f"*/{file_name}")):
             if other != copy and other.is_file() and filecmp.cmp(other, copy, shallow=False):
@@ -61,7 +61,7 @@ class INA219Profiler:
 
 
 class NetworkProfiler:
-    """Captures packets into a file in the run's folder, with tshark."""
+    """Captures packets into a file in the run's folder by tshark."""
 
     def __init__(self) -> None:
         self._capture: Program | None = None
@@ -74,7 +74,7 @@ class NetworkProfiler:
         remotepc_ip_addr: str,
         output_file_name: str,
     ) -> None:
-        """Capture what goes between two addresses.
+        """Capture the packets between two addresses.
 
         Raises:
             LinkError: tshark cannot be started.
@@ -85,7 +85,7 @@ class NetworkProfiler:
     def start_sniffing_to_file_with_filter(
         self, context: Any, network_interface: str, display_filter: str, output_file_name: str
     ) -> None:
-        """Capture everything: what a display filter is to show is chosen when the file is read.
+        """Capture all packets: the display filter can only be applied when the file is read.
 
         Raises:
             LinkError: tshark cannot be started.
@@ -97,7 +97,7 @@ class NetworkProfiler:
         )
 
     def stop_sniffing(self) -> None:
-        """End the capture."""
+        """Stop the capture."""
         if self._capture is not None:
             self._capture.end()
             self._capture = None
@@ -108,10 +108,10 @@ class NetworkProfiler:
 
 
 class TopicSubscriber:
-    """Subscribes to topics through the link to the run's robot; a callback gets a message with attributes."""
+    """Subscribes to topics through the link to the run's robot; callbacks get messages with attributes."""
 
     def subscribe_to_topic(self, topic: str, datatype: Any, callback: Callable[..., Any]) -> Any:
-        """Return the subscription of a callback to a topic.
+        """Subscribe a callback to a topic, and return the subscription.
 
         Raises:
             LinkError: the robot cannot be reached, or has no such topic.
@@ -122,7 +122,7 @@ class TopicSubscriber:
     def subscribe_to_multiple_topics_on_one_callback(
         self, topic_datatype_map: Mapping[str, Any], callback: Callable[..., Any]
     ) -> list[Any]:
-        """Return the subscriptions of one callback to several topics."""
+        """Subscribe a callback to several topics, and return the subscriptions."""
         return [self.subscribe_to_topic(topic, kind, callback) for topic, kind in topic_datatype_map.items()]
 
     def unregister_from_single_subscription(self, subscription: Any) -> None:
@@ -136,7 +136,7 @@ class TopicSubscriber:
 
 
 def _type_name(datatype: Any) -> str:
-    """Return the ROS name of a message class: rospy's classes know it, rclpy's are in a module of that name."""
+    """Return the ROS name of a message class: an attribute in rospy's classes, the module's name in rclpy's."""
     named = getattr(datatype, "_type", None)
     if isinstance(named, str):
         return named
@@ -144,7 +144,7 @@ def _type_name(datatype: Any) -> str:
 
 
 def _with_attributes(value: Any) -> Any:
-    """Return a message whose fields are attributes, as ROS's own messages have them."""
+    """Return a message with its fields as attributes, as in ROS's own messages."""
     if isinstance(value, Mapping):
         return SimpleNamespace(**{str(name): _with_attributes(field) for name, field in value.items()})
     if isinstance(value, list | tuple):
@@ -152,13 +152,13 @@ def _with_attributes(value: Any) -> Any:
     return value
 
 
-#: The factor that named the task, and the words for tasks, where they are not ours.
+#: The factor with the task, and the names of tasks that differ from ours.
 _FACTOR = "mission_task"
 _TASKS = {"networking": "Network", "streaming": "Video"}
 
 
 class BasicTurtleBot3:
-    """Executes the circular mission, and records processor, memory and battery ten times a second (`metrics.txt`)."""
+    """Executes the circular mission, and records CPU, memory and battery ten times a second (`metrics.txt`)."""
 
     metrics_file = "metrics.txt"
 
@@ -176,7 +176,7 @@ class BasicTurtleBot3:
         self._robot.start_run(_run())
 
     def start_measurement_mission(self) -> None:
-        """Begin to record."""
+        """Start recording."""
         self._battery.clear()
         clock = _run().clock
         self._subscription = connect_robot(_run()).subscribe(
@@ -193,7 +193,7 @@ class BasicTurtleBot3:
         self._robot.launch_mission(_run())
 
     def stop_measurement_mission(self) -> None:
-        """End the recording; a line of the file holds processor, memory (per cent) and battery."""
+        """Stop recording, and write the file: CPU (per cent), memory (per cent) and battery on each line."""
         if self._utilisation is None:
             return
         utilisation, self._utilisation = self._utilisation, None
@@ -211,7 +211,7 @@ class BasicTurtleBot3:
         (_run().run_folder / self.metrics_file).write_text("".join(lines), encoding="ascii")
 
     def _level_at(self, time_s: float) -> float:
-        """Return what was heard last of the battery until a time; NaN where that is nothing."""
+        """Return the last level of the battery until a time; NaN if there was none."""
         return next((level for at, level in reversed(self._battery) if at <= time_s), math.nan)
 
     def stop_run_mission(self) -> None:
@@ -221,7 +221,7 @@ class BasicTurtleBot3:
 
 
 class BasicTurtleBot3Ros2(BasicTurtleBot3):
-    """The same for ROS 2; its file had another name."""
+    """The same for ROS 2; its file has another name."""
 
     metrics_file = "metrics.csv"
 
@@ -235,5 +235,5 @@ def _samples(path: Path) -> Iterator[tuple[str, str, str]]:
         return
     with path.open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
-            if row["cpu_percent"]:  # a first sample has no utilisation: there is none before it
+            if row["cpu_percent"]:  # the first sample has no utilisation, which needs a previous one
                 yield row["time_s"], row["cpu_percent"], row["memory_percent"]

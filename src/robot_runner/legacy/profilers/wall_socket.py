@@ -1,4 +1,4 @@
-"""Experiment Runner's WattsUpPro: reads the meter for some seconds, and writes a line for each record."""
+"""Experiment Runner's WattsUpPro: reads the meter for some time, and writes a line for each record."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ class WattsUpPro:
     FULLHANDLING = 2
 
     def __init__(self, port: str | None = None, interval: float = 1.0) -> None:
-        """Look for the port.
+        """Check the port.
 
         Raises:
-            LinkError: there is no such port, or it cannot be opened.
+            LinkError: the port does not exist, or cannot be opened.
         """
         self.port = port or "/dev/ttyUSB0"
         problem = port_problem(self.port)
@@ -41,21 +41,21 @@ class WattsUpPro:
         self.current: list[float] = []
 
     def mode(self, runmode: str) -> None:
-        """Have the meter log to the line (`E`) or into itself (`I`)."""
+        """Make the meter log to the serial line (`E`) or to its internal memory (`I`)."""
         line = self._recording().line
         line.write(_LOG_TO_LINE.format(mode=runmode, interval=int(self.interval)).encode())
         if runmode == self.INTERNAL_MODE:
             line.write(f"#O,W,1,{self.FULLHANDLING};".encode())
 
     def log(self, timeout: float, logfile: str | Path | None = None) -> None:
-        """Read for `timeout` seconds; a line of the log holds time, second, W, V and A."""
+        """Read for `timeout` seconds; each line of the log has time, second, W, V and A."""
         self.logfile = logfile
         self.mode(self.EXTERNAL_MODE)
         recording, clock = self._recording(), current_run("WattsUpPro").clock
         begun, start = datetime.now(), clock.now()  # noqa: DTZ005 - its format
         recording.wait(lambda: False, clock, timeout)
         lines = []
-        meanwhile = [each for each in recording.samples if each.time >= start]  # it has gone on since a log before
+        meanwhile = [each for each in recording.samples if each.time >= start]  # the recording may be older
         for place, sample in enumerate(meanwhile):
             second = place * float(self.interval)
             self.t.append(second)

@@ -1,1 +1,1 @@
-"""What the modules of the earlier tools held for config files."""
+"""Stand-ins for the modules of the earlier tools that config files import."""

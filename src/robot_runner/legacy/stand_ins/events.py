@@ -1,4 +1,4 @@
-"""The config classes, contexts and events of the earlier tools, and how a config subscribed to events."""
+"""The config classes, contexts, events and subscriptions of the earlier tools."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from robot_runner.core.errors import ConfigError, did_you_mean
 from robot_runner.core.events.manager import RobotRunnerEvents as OwnEvents
 from robot_runner.legacy.session import EarlierSubscription, Session, current_session
 
-#: The events of Robot Runner; DURING_RUN and SIGNAL_SEMI_CONTINUE are those of its first months.
+#: The events of Robot Runner; DURING_RUN and SIGNAL_SEMI_CONTINUE are from its first version.
 RobotRunnerEvents = Enum(
     "RobotRunnerEvents",
     "BEFORE_EXPERIMENT BEFORE_RUN START_RUN START_MEASUREMENT LAUNCH_MISSION DURING_RUN CONTINUE SIGNAL_SEMI_CONTINUE "
@@ -25,7 +25,7 @@ RunnerEvents = Enum(
     "BEFORE_EXPERIMENT BEFORE_RUN START_RUN START_MEASUREMENT INTERACT CONTINUE STOP_MEASUREMENT STOP_RUN "
     "POPULATE_RUN_DATA AFTER_EXPERIMENT VALIDATE_EXPERIMENT",
 )
-#: A fork's own, at which a config looked whether all is there.
+#: An additional event of a fork, at which a config checked its requirements.
 VALIDATE = "VALIDATE_EXPERIMENT"
 _OTHER_NAMES = {
     "DURING_RUN": OwnEvents.LAUNCH_MISSION,
@@ -36,7 +36,7 @@ _OTHER_NAMES = {
 
 
 def own_event(name: str) -> OwnEvents:
-    """Return our event for the name of one of the earlier tools.
+    """Return our event for the name of an event of the earlier tools.
 
     Example:
         >>> own_event("INTERACT").name
@@ -46,11 +46,11 @@ def own_event(name: str) -> OwnEvents:
 
 
 class EventSubscriptionController:
-    """Where a config subscribes; the earlier tools kept one callback an event, the last; a fork took lists of them."""
+    """The subscriptions of a config. The earlier tools kept the last callback of each event; a fork took lists."""
 
     @staticmethod
     def subscribe_to_single_event(event: Any, callback_method: Callable[..., Any]) -> None:
-        """Have a callback called at an event.
+        """Subscribe a callback to an event.
 
         Raises:
             ConfigError: there is no such event, or the callback cannot be called.
@@ -62,7 +62,7 @@ class EventSubscriptionController:
         """Subscribe several callbacks, each given as `(event, callback)`.
 
         Raises:
-            ConfigError: an element is no such pair, there is no such event, or a callback cannot be called.
+            ConfigError: an element is not such a pair, there is no such event, or a callback cannot be called.
         """
         place = _calling_code()
         if not isinstance(subscriptions, Iterable):
@@ -73,12 +73,12 @@ class EventSubscriptionController:
             event, callback = subscription
             _subscribe(event, callback, place)
 
-    #: The spelling of a public fork, which gave them as `(event, [callback, ...])`.
+    #: The method of a public fork, with elements `(event, [callback, ...])`.
     subscribe_to_multiple_events_multiple_callbacks = subscribe_to_multiple_events
 
     @staticmethod
     def raise_event(event: Any, context: Any = None) -> Any:
-        """Call the callbacks of an event, as the tool itself did; returns what the last one returned."""
+        """Call the callbacks of an event, as the tool itself did; returns the value of the last one."""
         returned = None
         for each in _subscribed(current_session(), own_event(event.name)):
             returned = each.callback() if context is None else each.callback(context)
@@ -92,7 +92,7 @@ class EventSubscriptionController:
 
 
 def _subscribe(event: Any, callback: Any, place: CodeType) -> None:
-    """Subscribe a callback, or a list of them: those were meant to be called one after another."""
+    """Subscribe a callback, or a list of callbacks, which are called one after another."""
     session = current_session()
     events = RunnerEvents if session.recognised.dialect.class_name == "RunnerConfig" else RobotRunnerEvents
     if not isinstance(event, RobotRunnerEvents | RunnerEvents):
@@ -119,13 +119,13 @@ def _subscribe(event: Any, callback: Any, place: CodeType) -> None:
         for each in dict.fromkeys(callbacks)
         if each not in heard
     ]
-    # The fork validated before anything else.
+    # The fork validated first.
     at = 0 if event.name == VALIDATE else len(session.subscriptions)
     session.subscriptions[at:at] = subscribed
 
 
 def _make_room(session: Session, event: Any, callbacks: list[Any], place: CodeType) -> None:
-    """Remove what a config takes over from the one that it derives from; say where both are called now."""
+    """Remove the base config's callbacks that a derived config replaces; warn if both are called now."""
     for each in _subscribed(session, own_event(event.name)):
         if each.callback in callbacks or each.is_of_fork != (event.name == VALIDATE):
             continue
@@ -168,9 +168,9 @@ class EarlierContext:
     """The context of a run, the same object for all of its callbacks.
 
     Attributes:
-        run_variation: the row of the run table, with `__run_id`, `__done`, treatments and measures; callbacks may
-            write into it. `execute_run` is the same.
-        run_nr: the place of the run in the table, from 1.
+        run_variation: the row of the run table with `__run_id`, `__done`, treatments and measures; callbacks may write
+            to it. `execute_run` is the same.
+        run_nr: the number of the run in the table, from 1.
         run_dir: the run's folder.
 
     Example:
@@ -192,7 +192,7 @@ class EarlierContext:
     def execute_run(self, row: MutableMapping[str, Any]) -> None:
         self.run_variation = row
 
-    #: The same, as our own messages call it.
+    #: The same, under the name in our own messages.
     combination = execute_run
 
     def __getattr__(self, name: str) -> Any:
@@ -201,7 +201,7 @@ class EarlierContext:
 
 
 class _BesideConfig:
-    """The folder of the config file, or one in it: where Experiment Runner kept results if nothing else was said."""
+    """A folder in that of the config file, or that itself: Experiment Runner's default for results."""
 
     def __init__(self, name: str = "") -> None:
         self._name = name
@@ -211,7 +211,7 @@ class _BesideConfig:
 
 
 def do_nothing(config: object, context: Any = None) -> None:
-    """Do nothing: a callback that a derived config may leave out."""
+    """Do nothing; the default of callbacks that a derived config may leave out."""
 
 
 class _Config:

@@ -1,4 +1,4 @@
-"""Names of the earlier tools' own machinery that config files import: mostly for a type hint, to print, or to read."""
+"""Internal names of the earlier tools that config files import, mostly for type hints, printing or reading."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class BaseError(Exception):
         super().__init__(" ".join(str(part) for part in (message, *details) if part != ""))
 
 
-#: Errors that configs raised and caught, by module; each derives from its module's own base, or from `BaseError`.
+#: Errors that configs raised and caught, by module; each derives from its module's base error, or from `BaseError`.
 ERRORS = {
     "CLIErrors": "CommandNotRecognisedError InvalidUserSpecifiedPathError InvalidConfigTypeSpecifiedError",
     "ConfigErrors": (
@@ -34,7 +34,7 @@ ERRORS = {
     "ExperimentOutputErrors": "ExperimentOutputPathAlreadyExistsError ExperimentOutputFileDoesNotExistError",
     "ProgressErrors": "ProgressBaseError AllRunsCompletedOnRestartError",
 }
-#: Classes that validated configs and executed experiments: they can be imported, and are refused where they are used.
+#: Classes that validated configs and executed experiments: they can be imported, but not used.
 _REFUSED = (
     "CLIRegister",
     "ConfigCreate",
@@ -59,7 +59,7 @@ class _Machinery:
 
 @cache
 def __getattr__(name: str) -> type:
-    """Return a class that is nothing but its name and its base class."""
+    """Return a class with only a name and a base class."""
     if name in _REFUSED:
         return type(name, (_Machinery,), {"__module__": __name__})
     for names in map(str.split, ERRORS.values()):
@@ -70,7 +70,7 @@ def __getattr__(name: str) -> type:
 
 
 class BashHeaders:
-    """The codes that colour a terminal."""
+    """The escape codes for colours of a terminal."""
 
     HEADER = "\033[95m"
     OKBLUE = "\033[94m"
@@ -83,7 +83,7 @@ class BashHeaders:
 
 
 class OutputProcedure:
-    """Prints lines; without colours, which mean nothing in a run's log."""
+    """Prints lines, without colours, which are useless in a run's log."""
 
     robot_runner = "[ROBOT_RUNNER]: "
     runner = "[EXPERIMENT_RUNNER]: "
@@ -115,7 +115,7 @@ class OutputProcedure:
 
     @staticmethod
     def query_yes_no(question: str, default: str | None = "yes") -> bool:
-        """Ask a question until the answer is yes or no; an empty answer is the default, where there is one."""
+        """Ask a question until the answer is yes or no; an empty answer means the default, if there is one."""
         answers = {"y": True, "ye": True, "yes": True, "n": False, "no": False}
         if default is not None:
             answers[""] = answers[default]
@@ -131,7 +131,7 @@ class OutputProcedure:
 
 
 def class_to_dict(obj: object) -> dict[str, Any]:
-    """Return the attributes of an object that are no methods."""
+    """Return the attributes of an object except its methods."""
     names = [name for name in dir(obj) if not name.startswith("__")]
     return {name: getattr(obj, name) for name in names if not inspect.ismethod(getattr(obj, name))}
 
@@ -146,7 +146,7 @@ def pop_from_each_dict_in_list(
 
 
 class RunProgress(Enum):
-    """The `__done` of a row, by the name that stood in the file."""
+    """The progress of a run (`__done`), by its name in the file."""
 
     TODO = 1
     DONE = 2
@@ -155,7 +155,7 @@ class RunProgress(Enum):
 
 @runtime_checkable
 class SupportsStr(Protocol):
-    """Anything that has a text."""
+    """Any object with a text."""
 
     def __str__(self) -> str: ...
 
@@ -166,19 +166,19 @@ class Singleton(type):
     _instances: ClassVar[dict[type, Any]] = {}
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
-        """Return the one instance; made when first asked for."""
+        """Return the only instance, which is made at the first call."""
         if cls not in cls._instances:
             cls._instances[cls] = super().__call__(*args, **kwargs)
         return cls._instances[cls]
 
 
 def processify(function: Function) -> Function:
-    """Return the function: a run has a process of its own already."""
+    """Return the function unchanged: a run has its own process already."""
     return function
 
 
 def is_path_exists_or_creatable_portable(pathname: str) -> bool:
-    """Return whether a path exists, or could be made."""
+    """Return whether a path exists or can be created."""
     path = Path(pathname).expanduser().absolute()
     if path.exists():
         return True
@@ -193,15 +193,15 @@ class BaseOutputManager:
         self._experiment_path = experiment_path
 
     def set_experiment_output_path(self, experiment_output_path: Path | str) -> None:
-        """Take the experiment's folder."""
+        """Set the experiment's folder."""
         self._experiment_path = experiment_output_path
 
 
 class CSVOutputManager(BaseOutputManager):
-    """Reads the run table of an experiment; the table has one writer, which is not this."""
+    """Reads the run table of an experiment, but does not write it: only the progress manager does."""
 
     def read_run_table(self) -> list[dict[str, Any]]:
-        """Return the rows: whole numbers as such, `__done` as a `RunProgress`, all else as text.
+        """Return the rows: integers as int, `__done` as a `RunProgress`, other cells as text.
 
         Raises:
             ExperimentOutputFileDoesNotExistError: the table cannot be read.
@@ -236,14 +236,14 @@ def _cell(name: str, text: str | None) -> Any:
 
 
 class JSONOutputManager(BaseOutputManager):
-    """Kept a checksum of the config; the manifest and the kept config tell more."""
+    """Kept a checksum of the config; here the manifest and the copy of the config replace it."""
 
     def read_metadata(self) -> Metadata:
         """Return an empty checksum."""
         return Metadata(b"")
 
     def write_metadata(self, metadata: object) -> None:
-        """Do nothing: the manifest is written by Robot Runner."""
+        """Do nothing: Robot Runner writes the manifest."""
 
 
 class Metadata:
@@ -254,10 +254,10 @@ class Metadata:
 
 
 class RunTableManager:
-    """Compared tables; Robot Runner does so itself."""
+    """Compared run tables; Robot Runner does this itself."""
 
     @staticmethod
     def are_config_and_restart_csv_equal(config: object) -> bool:
-        """Return that they are: a difference would have refused the experiment."""
+        """Return True: with a difference, the experiment would have been refused."""
         del config
         return True

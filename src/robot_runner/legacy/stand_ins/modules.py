@@ -1,6 +1,6 @@
-"""The modules of the earlier tools that config files import: each name's home here, and what puts them in place.
+"""The modules of the earlier tools that config files import: the home of each name here, and their importer.
 
-To have another profiler stand in, add a line to `PLUGINS` in `robot_runner.legacy.profilers.profiler_catalogue`.
+To add a stand-in for another profiler, add a line to `PLUGINS` in `robot_runner.legacy.profilers.profiler_catalogue`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Names = dict[str, str]
 
 
 def _in(home: str, names: str) -> Names:
-    """Return where names live, each as `home:name`; `Theirs=ours` for what has another name here."""
+    """Return the homes of names, each as `home:name`; `Theirs=ours` for a name that differs here."""
     split = (name.partition("=") for name in names.split())
     return {theirs: f"{home}:{ours or theirs}" for theirs, _, ours in split}
 
@@ -42,7 +42,7 @@ _EVENTS = _in(f"{_HERE}.events", "RunnerEvents")
 _ROBOT_CONTEXT = _in(f"{_HERE}.events", "RobotRunnerContext=EarlierContext")
 _CONTEXT = _in(f"{_HERE}.events", "RunnerContext=EarlierContext")
 _TYPING = _in(_MACHINERY, "SupportsStr")
-# A config that wrote `from ConfigValidator.Config.RunnerConfig import *` got these as well.
+# `from ConfigValidator.Config.RunnerConfig import *` imported these as well.
 _COMMON = _FACTOR | _TABLE | _OPERATION | _CONTROLLER | _in("typing", "Any Dict List Optional") | _in("pathlib", "Path")
 _ROBOT_CONFIG = _in(f"{_HERE}.events", "RobotRunnerConfig") | _COMMON | _ROBOT_EVENTS | _ROBOT_CONTEXT
 _CONFIG = (
@@ -67,7 +67,7 @@ _OUTPUT_MANAGERS = {name: name for name in ("BaseOutputManager", "CSVOutputManag
 
 
 def _machinery(package: str, modules: Mapping[str, str]) -> dict[str, Names]:
-    """Return the modules of a package whose names live in our module of the tools' machinery."""
+    """Return the modules of a package whose names are in `stand_ins.machinery`."""
     return {f"{package}.{module}": _in(_MACHINERY, names) for module, names in modules.items()}
 
 
@@ -98,7 +98,7 @@ _OF_BOTH_TOOLS: dict[str, Names] = {
     **_machinery("ProgressManager.RunTable.Models", {"RunProgress": "RunProgress"}),
     **_machinery("ProgressManager.RunTable", {"RunTableManager": "RunTableManager"}),
 }
-#: Robot Runner's first months.
+#: The first version of Robot Runner.
 _OF_BACKBONE: dict[str, Names] = {
     **_machinery("Backbone.Architecture", _ARCHITECTURE),
     "Backbone.Config.Models.OperationType": _OPERATION,
@@ -127,7 +127,7 @@ PACKAGES = frozenset(
 
 
 def names_in(module: str) -> list[str]:
-    """Return what can be taken from a module or package: names, and the modules below it.
+    """Return the names and submodules of a module or package.
 
     Example:
         >>> names_in("ExtendedTyping.Typing")
@@ -145,8 +145,8 @@ _LOWER_CASE_ROOT = "plugins"
 class StandIns(MetaPathFinder, Loader):
     """The stand-in modules of one config file.
 
-    Modules of a fork's own (`Plugins.Profilers.MyMeter`) are found in the clone that the config file stands in, and so
-    are names that a fork added to a module of the tool.
+    Additional modules of a fork (`Plugins.Profilers.MyMeter`), and names that it added to a module of the tool, are
+    found in the clone that contains the config file.
     """
 
     def __init__(self, config: Path) -> None:
@@ -157,7 +157,7 @@ class StandIns(MetaPathFinder, Loader):
 
     @contextmanager
     def present(self) -> Iterator[None]:
-        """Have the modules there; what else had their names comes back afterwards."""
+        """Make the modules importable; other modules with the same names are restored afterwards."""
         if self._depth:
             self._depth += 1
             try:
@@ -174,17 +174,17 @@ class StandIns(MetaPathFinder, Loader):
         finally:
             self._depth = 0
             sys.meta_path.remove(self)
-            # Every event of a run passes here: only what was imported through this finder is looked at.
+            # Called at every event of a run, so that only modules from this finder are visited.
             self._modules = {name: sys.modules.pop(name) for name in self._asked if name in sys.modules}
             sys.modules.update(others)
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Offer a stand-in, or a module of the fork's own.
+        """Return the spec of a stand-in, or of an additional module of the fork.
 
         Raises:
-            ModuleNotFoundError: neither tool ever had such a module.
+            ModuleNotFoundError: neither tool has such a module.
         """
         del target
         if fullname == _LOWER_CASE_ROOT:
@@ -208,12 +208,12 @@ class StandIns(MetaPathFinder, Loader):
         return spec
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
-        """Leave the making of the module to Python."""
+        """Return None: Python makes the module."""
         del spec
         return None
 
     def exec_module(self, module: ModuleType) -> None:
-        """Fill a module with its names."""
+        """Set the names of a module."""
         for name, home in MODULES.get(module.__name__, {}).items():
             home_module, _, attribute = home.partition(":")
             setattr(module, name, getattr(import_module(home_module), attribute))
@@ -223,7 +223,7 @@ class StandIns(MetaPathFinder, Loader):
 
     @staticmethod
     def _add_names_of_fork(module: ModuleType, file: Path) -> None:
-        """Have what the stand-in lacks come from the clone's own version, which is executed when it is asked for."""
+        """Get names that the stand-in lacks from the clone's version, which is executed at the first access."""
         loaded: list[ModuleType] = []
 
         def of_fork(name: str) -> Any:
@@ -232,7 +232,7 @@ class StandIns(MetaPathFinder, Loader):
                 raise AttributeError(f"module {module.__name__!r} has no attribute {name!r}", name=name, obj=module)
             if not loaded:
                 loaded.append(module_from_spec(spec))
-                module.__file__ = str(file)  # a module of the clone's own from here on, which a package has to have
+                module.__file__ = str(file)  # from now on it counts as the clone's own module, which packing includes
                 spec.loader.exec_module(loaded[0])
             return getattr(loaded[0], name)
 
@@ -246,7 +246,7 @@ class StandIns(MetaPathFinder, Loader):
 
 
 def _foreign_modules() -> dict[str, ModuleType]:
-    """Take away and return what has a name of the earlier tools' modules and is not ours."""
+    """Remove and return the modules with names of the earlier tools' modules that are not stand-ins."""
     if sys.modules.keys().isdisjoint(EARLIER_PACKAGES):
         return {}
     return {name: sys.modules.pop(name) for name in list(sys.modules) if is_earlier_import(name)}

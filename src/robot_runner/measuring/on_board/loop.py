@@ -1,7 +1,7 @@
-"""Sample a Linux computer's utilisation or files from inside: one long-lived process, told what to do by its input.
+"""Sample a Linux computer's utilisation or files from inside: one long-lived process, controlled by its input.
 
-It is sent to the robot as text and executed by the Python that is there. So it keeps to Python 3.6 and to what costs
-little to import. Messages are lines of fields with tabs between:
+It is sent to the robot as text and executed by the Python there. So it keeps to Python 3.6, and to modules that are
+fast to import. Messages are lines of fields, separated by tabs:
 
     asked                                            answered
     clock  NUMBER                                    clock  NUMBER  STEADY  WALL
@@ -13,16 +13,16 @@ little to import. Messages are lines of fields with tabs between:
     recover  FILE                                    s or f lines, then  end  -
     leftovers  OWNER                                 paths  FILE...
     discard  FILE                                    discarded  FILE
-    lease  SECONDS                                   (for how long to go on after the connection was cut)
-    leave                                            (not to go on)
+    lease  SECONDS                                   (go on for this long after the connection was cut)
+    leave                                            (do not go on)
 
     s  STEADY  CORE:TOTAL:IDLE,...  TOTAL:AVAILABLE  SELECTOR:PID:STARTED:CPU_SECONDS:BYTES,...
     f  STEADY  =LINE or - ...
 
-With a TOKEN samples are kept in a file named after it until `stop` asks for them; with `-` they are sent at once. Where
-the input ends while samples are kept, the loop goes on for its lease, so that they can be recovered. A token begins
-with its owner: leftovers are all files of one.
-Memory is in kB; CORE is empty for all of them together.
+With a TOKEN, samples are kept in a file named after it until `stop`; with `-` they are sent at once. If the input ends
+while samples are kept, the loop goes on for its lease, so that they can be recovered. A token begins with its owner:
+leftovers are all files of one owner.
+Memory is in kB; CORE is empty for all cores together.
 """
 # Importing pathlib would double the time that Python needs to start on a small computer.
 # ruff: noqa: PTH108, PTH110, PTH111, PTH115, PTH118, PTH119, PTH123, PTH207, PTH208
@@ -41,10 +41,10 @@ CORES = os.sysconf("SC_NPROCESSORS_ONLN")
 SINCE_BOOT = 7  # CLOCK_BOOTTIME of Linux, for which Python has a name from 3.7 on
 OPTIONS_WITH_VALUE = ("-X", "-W")  # of Python
 INTERPRETERS = ("python", "perl", "ruby", "node", "sh", "bash", "dash")
-SCAN = 0.04  # seconds, at the least, between two looks for new processes and at young ones: they cost more than samples
-YOUNG = 5.0  # seconds since its start during which a process may still turn into another program
+SCAN = 0.04  # seconds at least between two searches for new processes and checks of young ones, which are expensive
+YOUNG = 5.0  # seconds since its start during which a process may still execute another program
 PREFIX = "robot-runner-samples-"
-MOST = 1 << 18  # bytes of /proc/stat: those of a computer with hundreds of cores
+MOST = 1 << 18  # bytes of /proc/stat: enough for a computer with hundreds of cores
 
 
 def say(*words: object) -> None:
@@ -54,7 +54,7 @@ def say(*words: object) -> None:
 
 
 def first_bytes(path: str, most: int = 4096) -> bytes:
-    """Return what a file holds, up to so many bytes, -1 for all of it; nothing if it cannot be read."""
+    """Return at most this many bytes of a file, with -1 all of it; empty if it cannot be read."""
     try:
         with open(path, "rb", buffering=0) as file:
             return file.read(most)
@@ -106,7 +106,7 @@ class Utilisation:
 
 
 def memory_of(text: bytes) -> str:
-    """Return total and available memory; kernels before 3.14 do not tell what is available."""
+    """Return total and available memory; kernels before 3.14 do not show the latter, which is estimated."""
     facts = {}
     for line in text.split(b"\n")[:8]:
         name, _, rest = line.partition(b":")
@@ -116,7 +116,7 @@ def memory_of(text: bytes) -> str:
 
 
 class Processes:
-    """The processes that selectors match, which come and go."""
+    """The processes that selectors match at a time."""
 
     def __init__(self, selectors: "list[str]") -> None:
         self.selectors = [selector.partition(":")[::2] for selector in selectors]
@@ -136,13 +136,13 @@ class Processes:
                 cpu, reaped = ((int(fields[at]) + int(fields[at + 1])) / TICK for at in (11, 13))
                 rest = f"{pid}:{fields[19].decode()}:{cpu:.3f}:{int(fields[21]) * PAGE}:{int(fields[1])}"
                 for place in places:
-                    # Whose children belong to it, those that came and went between two looks do as well.
+                    # If a process's children are selected with it, then also those that lived between two samples.
                     children = reaped if self.selectors[place][0] == "subject" else 0.0
                     found.append(f"{place}:{rest}:{children:.3f}")
         return found
 
     def scan(self, now: float) -> None:
-        """Look for processes that match; one that is not young any more keeps its program."""
+        """Search for processes that match; one that is not young any more keeps its program."""
         known, self.young_until = self.young_until, {}
         for pid in filter(str.isdigit, os.listdir("/proc")):
             until = self.young_until[pid] = known.get(pid) or now + YOUNG - age_of(pid)
@@ -157,23 +157,23 @@ class Processes:
         found = [place for place, one in enumerate(self.selectors) if is_match(one[0], one[1], pid, names, words)]
         stat = fields_of(pid)
         parents = self.matched.get(stat[1].decode(), []) if stat else []
-        # A process that a subject has started belongs to it, also where sudo removed the mark.
+        # A process that a subject has started belongs to it, even if sudo removed the mark.
         return found + [at for at in parents if self.selectors[at][0] == "subject" and at not in found]
 
 
 def fields_of(pid: str) -> "list[bytes]":
-    """Return what the kernel tells of a process, from its state on (proc(5)); nothing of one that has ended."""
+    """Return the fields of a process's stat from its state on (proc(5)); empty for one that has ended."""
     return first_bytes(f"/proc/{pid}/stat").rpartition(b")")[2].split()
 
 
 def age_of(pid: str) -> float:
-    """Return for how long a process has been there, s."""
+    """Return the age of a process, s."""
     fields = fields_of(pid)
     return time.clock_gettime(SINCE_BOOT) - int(fields[19]) / TICK if fields else 0.0
 
 
 def names_of(words: "list[str]", known: str) -> "set[str]":
-    """Return the names that a process goes by: the kernel's, its program's, and that of the script or module."""
+    """Return the names of a process: the kernel's, its program's, and that of the script or module."""
     program = os.path.basename(words[0]) if words else ""
     names = {known, program}
     left = iter(words[1:] if program.startswith(INTERPRETERS) else ())
@@ -182,7 +182,7 @@ def names_of(words: "list[str]", known: str) -> "set[str]":
             names.add(next(left, ""))
             break
         if word.startswith("-") and not word.startswith("--") and word.endswith("c"):
-            break  # the program stands on the command line
+            break  # the program is on the command line
         if not word.startswith("-"):
             names.add(os.path.basename(word))
             break
@@ -192,7 +192,7 @@ def names_of(words: "list[str]", known: str) -> "set[str]":
 
 
 def is_match(kind: str, value: str, pid: str, names: "set[str]", words: "list[str]") -> bool:
-    """Whether a process is one that a selector means."""
+    """Whether a selector matches a process."""
     if kind == "pid":
         return pid == value
     if kind == "subject":
@@ -206,7 +206,7 @@ def is_match(kind: str, value: str, pid: str, names: "set[str]", words: "list[st
 
 
 class Loop:
-    """Hears what it is asked, and samples meanwhile."""
+    """Answers requests, and samples meanwhile."""
 
     def __init__(self) -> None:
         self.heard = b""
@@ -216,7 +216,7 @@ class Loop:
         self.period = self.due = self.cpu = self.flushed = self.lease = 0.0
 
     def run(self) -> None:
-        """Go on until the input ends, and for the lease after it if samples are kept."""
+        """Run until the input ends, and for the lease after it if samples are kept."""
         while True:
             wait = None if self.source is None else max(0.0, self.due - time.monotonic())
             if select.select([0], [], [], wait)[0]:
@@ -231,7 +231,7 @@ class Loop:
                 self.sample(self.source)
 
     def go_on_alone(self) -> None:
-        """Sample until the lease is over, or what was kept is fetched or discarded by another session."""
+        """Sample until the lease is over, or another session fetches or discards the samples."""
         end = time.monotonic() + self.lease
         while self.source is not None and self.kept is not None and time.monotonic() < end:
             if not os.path.exists(self.path):
@@ -240,7 +240,7 @@ class Loop:
             self.sample(self.source)
 
     def sample(self, source: "Utilisation | Files") -> None:
-        """Take one sample; moments that were missed are passed over."""
+        """Take one sample; missed moments are skipped."""
         self.put(source.line())
         now = time.monotonic()
         self.due += max(1, int((now - self.due) / self.period)) * self.period
@@ -256,7 +256,7 @@ class Loop:
             self.kept.write(line + "\n")
 
     def answer(self, words: "list[str]") -> None:
-        """Do what one line asks."""
+        """Execute the request of one line."""
         kind, rest = words[0], words[1:]
         if kind == "clock":
             say("clock", rest[0], f"{time.monotonic():.9f}", f"{time.time():.9f}")
@@ -281,7 +281,7 @@ class Loop:
             say("error", "asked for", kind)
 
     def begin(self, kind: str, rate: float, token: str, about: "list[str]") -> None:
-        """Begin to sample."""
+        """Start sampling."""
         self.kept, self.path = (None, "-") if token == "-" else opened(token)  # noqa: S105 - no password
         self.source = Utilisation(about) if kind == "utilisation" else Files(about)
         self.period = 1.0 / rate
@@ -290,7 +290,7 @@ class Loop:
         self.due = self.flushed = time.monotonic()
 
     def end(self) -> None:
-        """Take a last sample, hand over what was kept, and sample no more."""
+        """Take a last sample, send the samples that were kept, and stop sampling."""
         if self.source is not None:
             self.put(self.source.line())
         cpu, self.source = time.process_time() - self.cpu, None
@@ -302,12 +302,12 @@ class Loop:
 
 
 def folders() -> "list[str]":
-    """Return where samples may be kept, best first."""
+    """Return the folders for samples, best first."""
     return [os.environ.get("TMPDIR") or "/tmp", "/var/tmp", os.path.expanduser("~")]  # noqa: S108 - only for its owner
 
 
 def opened(token: str) -> "tuple[io.TextIOWrapper, str]":
-    """Return a new file that samples are kept in, readable for its owner alone, and its path."""
+    """Return a new file for samples, which only its owner can read, and its path."""
     for folder in folders():
         path = os.path.join(folder, PREFIX + token)
         try:
@@ -322,7 +322,7 @@ def opened(token: str) -> "tuple[io.TextIOWrapper, str]":
 
 
 def send(path: str) -> None:
-    """Send the samples that a file keeps, and remove it."""
+    """Send the samples of a file, and remove it."""
     with open(path, encoding="utf-8") as file:
         for line in file:
             if line.startswith(("s\t", "f\t")):
@@ -331,7 +331,7 @@ def send(path: str) -> None:
 
 
 def end_holder(path: str) -> None:
-    """End the loop that keeps its samples in a file, if it is still there."""
+    """End the loop that keeps its samples in a file, if it still runs."""
     pid = first_bytes(path).split(b"\n")[0].rpartition(b"\t")[2].decode("ascii", "replace")
     if pid.isdigit() and holds(pid, path):
         os.kill(int(pid), signal.SIGTERM)
@@ -350,7 +350,7 @@ def discard(path: str) -> None:
 
 
 def recover(path: str) -> None:
-    """End a loop that lost its connection, and send what it kept."""
+    """End a loop that lost its connection, and send its samples."""
     end_holder(path)
     try:
         send(path)
@@ -372,14 +372,14 @@ def holds(pid: str, path: str) -> bool:
 
 
 def leave(number: int, _: object) -> None:
-    """End in good order."""
+    """Exit by an exception, so that files are closed."""
     raise SystemExit(128 + number)
 
 
 def main() -> None:
-    """Sample until the input ends; what was kept stays, to be recovered later."""
+    """Sample until the input ends; samples that were kept stay, to be recovered later."""
     signal.signal(signal.SIGTERM, leave)
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # a connection that is cut shows in the input
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # a cut connection is noticed by the end of the input
     loop = Loop()
     try:
         loop.run()

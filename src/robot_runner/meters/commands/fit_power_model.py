@@ -1,8 +1,8 @@
 """Fit a software power model to the measured runs of an experiment.
 
-The model estimates power from CPU utilisation, motion and task, by least squares. What it writes is for the profiler
-PowerModel, which estimates energy where no meter is. The experiment must have measured power (Ina219, say), and sampled
-what the power is to be explained by (PsUtil, BasicTurtlebot3).
+The model estimates power from CPU utilisation, motion and task, by least squares. The profiler PowerModel reads its
+file, and estimates energy where there is no meter. The experiment must have measured power (Ina219, say), and sampled
+what explains the power (PsUtil, BasicTurtlebot3).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from robot_runner.core.words import counted, listed, shown_duration
 from robot_runner.meters.power_model.power_model import PowerModel
 
 _NONE = "none"
-#: What the plugins did that tell what power is explained by, and which of them is usual, by the option that names one.
+#: By option: what its plugin measured to explain power, and the default plugin.
 _PLUGINS = {
     "utilisation": ("sampled CPU and memory", "PsUtil"),
     "phases": ("recorded the phases of the mission", "BasicTurtlebot3"),
@@ -39,7 +39,7 @@ _UNITS = {"cpu": "W per %", "memory": "W per %", "gpu": "W per %", "network": "W
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     add_target(parser)
     add_set(parser)
     parser.add_argument(
@@ -137,7 +137,7 @@ def _correlation(fit: dict[str, Any]) -> str:
 
 
 def _linearity(linearity: dict[str, Any] | None) -> str:
-    """Return whether power bends where the model is straight."""
+    """Return, in words, whether power is a linear function of the terms."""
     if linearity is None:
         return "nothing to be told: every term is on or off"
     if linearity["doubt"]:
@@ -148,7 +148,7 @@ def _linearity(linearity: dict[str, Any] | None) -> str:
 
 
 def _held_out(errors: dict[str, float], run_count: int) -> str:
-    """Return how far off the energy of a run is, by a model that was fitted on the others."""
+    """Return, in words, the error of a run's energy by a model that was fitted on the other runs."""
     if not errors:
         why = "there is one run only" if run_count == 1 else "each run has something, such as a task, that no other has"
         return f"no run: {why}; repeat the runs to learn how far off the model is on others"

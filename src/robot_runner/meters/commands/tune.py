@@ -1,8 +1,8 @@
-"""Set up this machine for measuring, or put it back as it was.
+"""Set up this machine for measuring, or restore its previous settings.
 
-Without options it says how the machine is set up. What is set stays until `robot-runner tune --restore`, which also
-puts back what an experiment left that was killed. To have an experiment set up its machine and put it back by itself,
-list the plugin Tune in its config.
+Without options it shows how the machine is set up. Settings stay until `robot-runner tune --restore`, which also
+restores what a killed experiment left. To have an experiment set up its machine and restore it automatically, list the
+plugin Tune in its config.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from robot_runner.meters.machine.tuning import Machine, Wishes
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     parser.add_argument("--governor", metavar="NAME", help="who chooses the frequency of the processor")
     parser.add_argument("--turbo", choices=("on", "off"), help="whether it may exceed its nominal frequency")
     parser.add_argument("--drop-caches", action="store_true", help="have the kernel forget what it keeps of files")
@@ -31,7 +31,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def execute(arguments: Namespace) -> int:
-    """Do what the arguments say."""
+    """Show, set or restore the setup of this machine."""
     machine = Machine(arguments.root)
     turbo = None if arguments.turbo is None else arguments.turbo == "on"
     wishes = Wishes(arguments.governor, turbo, drops_caches=arguments.drop_caches)

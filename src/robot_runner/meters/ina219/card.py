@@ -1,4 +1,4 @@
-"""The meter that records on its card: the samples of a run are in a file that is copied from it after the mission."""
+"""The meter that records on an SD card, whose file with the samples of a run is copied after the mission."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from robot_runner.meters.ina219.sample_stream import SampleStream
 
 _BLOCK = 512
 _HELLO_BEGINS, _HELLO_SIZE = b"\xa5\x5a\x12\x0c", 20
-#: The device says its first hello within this time after it was switched on, µs.
+#: The device writes its first hello within this time after it was switched on, µs.
 _BEGINNING = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class CardRecording:
-    """What the meter recorded from one switching on to the next.
+    """The recording of the meter from one power-on to the next.
 
     Attributes:
         stream: the samples.
@@ -44,19 +44,19 @@ class CardRecording:
 
     @property
     def times(self) -> array[float]:
-        """When each sample was taken, s since the first stamp, by the device's clock."""
+        """The time of each sample, s since the first stamp, by the device's clock."""
         lag = self.stream.lag
         return array("d", (stamp - lag for stamp in self.stream.device_seconds)) if lag else self.stream.device_seconds
 
     @property
     def marked(self) -> tuple[Window, ...]:
-        """The spans of time in which the mark was on; one that never ended reaches to the last sample."""
+        """The time spans in which the mark was on; one that never ended reaches to the last sample."""
         return tuple(self._marked())
 
     def evaluate(
         self, window: Window | None = None, *, shunt_ohm: float | None = None, rate_hz: float | None = None
     ) -> Evaluation:
-        """Return energy, mean power and quality of a span of time, of the whole recording if left out.
+        """Return energy, mean power and quality of a time span; None takes the whole recording.
 
         Raises:
             LinkError: the recording has no samples.
@@ -83,10 +83,10 @@ def read_card(path: Path | str, *, address: int = FIRST_SENSOR) -> list[CardReco
 
     Args:
         path: of the file.
-        address: of the sensor on the meter's bus, where it has several; the first one's if left out.
+        address: of the sensor on the meter's bus, if it has several; by default the first one.
 
     Raises:
-        LinkError: the file cannot be read, or holds no recording.
+        LinkError: the file cannot be read, or contains no recording.
     """
     file = Path(path)
     try:
@@ -103,7 +103,7 @@ def read_card(path: Path | str, *, address: int = FIRST_SENSOR) -> list[CardReco
 
 
 def _recordings(data: bytes) -> Iterator[bytes]:
-    """Cut the file at the blocks where the device was switched on; behind the last one it is all zeros."""
+    """Yield the recordings, each from the block of a power-on; the end of the file is all zeros."""
     begins = [at for at in range(0, len(data), _BLOCK) if _is_beginning(data[at : at + _BLOCK])]
     begins = begins if begins and begins[0] == 0 else [0, *begins]
     for begin, end in zip(begins, [*begins[1:], len(data)], strict=True):
@@ -124,27 +124,27 @@ def _stream_of(data: bytes, address: int) -> SampleStream:
     return stream
 
 
-#: A file that stays as it is for this long has been copied, s.
+#: A file that is unchanged for this long has been copied, s.
 _POLL = 1.0
-#: How long copying may go on when the patience is over, s: a file of 64 MB takes some seconds.
+#: How long copying may go on after `patience`, s: a file of 64 MB takes some seconds.
 _LONGEST_COPY = 60.0
-#: Share of the run's own measured time by which the marked span may differ from it before it is doubted, and s that a
-#: hand or an input pin may be late.
+#: The marked span may differ from the run's measured time by this share without a doubt, and by this many s, as a hand
+#: or an input pin may be late.
 _DIFFERENCE, _REACTION = 0.05, 1.0
 
 _MARK = "Pull the meter's input D4 to ground while the mission lasts, or evaluate the file with read_card."
 
 
 class CardMeter:
-    """Takes the newest span of time in which the mark was on from a file that is new since the run began.
+    """Evaluates the newest time span with the mark on, from a file that is new since the beginning of the run.
 
     Args:
-        file: where the file is copied to, or appears once the card is in its reader.
+        file: the path of the copy, or of the file on the card in a card reader.
         clock: the run's.
         address: of the sensor on the meter's bus.
         patience: how long to wait for the file, s.
-        shunt_ohm: resistance of the shunt, ohm; None takes what the device says.
-        rate_hz: nominal rate, Hz; None takes what the device says.
+        shunt_ohm: resistance of the shunt, ohm; None takes the device's.
+        rate_hz: nominal rate, Hz; None takes the device's.
     """
 
     has_samples_at_once = False
@@ -171,7 +171,7 @@ class CardMeter:
         self._found: tuple[CardRecording, Window] | None = None
 
     def begin(self) -> None:
-        """Begin the window on the run's clock; with that of the mark it is only compared."""
+        """Begin the window on the run's clock, which is only compared with that of the mark."""
         self._before = _state(self._file)
         self._start = self._clock.now()
 
@@ -181,12 +181,12 @@ class CardMeter:
             self._window = Window(self._start, self._clock.now())
 
     def evaluate(self, window: Window | None, part: Window | None = None) -> Evaluation:
-        """Wait for the file and return what its newest marked span amounts to.
+        """Wait for the file and evaluate its newest marked span.
 
-        The span stands for the window; a part of the window is taken to lie as far behind the span's beginning.
+        The span is taken for the window; a part of the window has the same distance from the beginning in both.
 
         Raises:
-            LinkError: the file did not come, holds no recording, or its newest recording has no mark.
+            LinkError: the file did not come, contains no recording, or its newest recording has no mark.
         """
         if self._found is None:
             self._wait()
@@ -232,7 +232,7 @@ def _moved(part: Window, window: Window, marked: Window) -> Window:
 
 
 def _state(file: Path) -> tuple[int, int, int] | None:
-    """Return what changes when a file is replaced or written, or None where there is none."""
+    """Return a value that changes when a file is replaced or written; None if there is no file."""
     try:
         found = file.stat()
     except OSError:

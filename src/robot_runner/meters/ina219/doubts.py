@@ -1,4 +1,4 @@
-"""What makes the samples of a power meter doubtful, each with its figure."""
+"""Doubts about the samples of a power meter, with figures."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from robot_runner.core.events.window import Window
 from robot_runner.measuring.series import Series, within
 from robot_runner.meters.ina219.sample_stream import SampleStream, Trouble
 
-#: The configuration of a sensor that was without power: 32 V, ±320 mV, single 12-bit conversions.
+#: The configuration of a sensor after a loss of power: 32 V, ±320 mV, single 12-bit conversions.
 POWER_ON_CONFIGURATION = 0x399F
 
-#: So many readings on end are not alike by chance. A converter of 12 bits shows noise of about a step, and a robot's
-#: current is never still: even if only one reading in ten differed from the one before, 150 alike would come once in
-#: seven million (0.9 ** 150 = 1.4e-7). At 200 Hz they take 0.75 s, so that a trial of a second is enough.
+#: This many equal readings in a row are no chance. A converter of 12 bits shows noise of about a step, and a robot's
+#: current is never constant: even if only one reading in ten differed from the one before, 150 equal ones would come
+#: once in seven million (0.9 ** 150 = 1.4e-7). At 200 Hz they take 0.75 s, so that a probe of a second is enough.
 _ALIKE = 150
-#: Quartzes and ceramic resonators are truer than this, parts of one (an Arduino Nano's: 0.5 % by its data sheet).
+#: Quartzes and ceramic resonators drift less than this, parts of one (an Arduino Nano's: 0.5 % by its data sheet).
 _LARGEST_DRIFT = 0.01
-#: A supply below this is none, V: the INA219 itself needs 3 V, and no robot lives on less.
+#: A lower supply voltage means that there is none, V: the INA219 itself needs 3 V, and no robot works with less.
 _LOWEST_VOLTAGE = 0.5
 _LOOK = "look at the four wires between them"
 
 
 def stuck_doubts(readings: Iterable[object], seconds: float, count: int) -> Iterator[str]:
-    """Yield where readings stood still, of `count` readings that took so many seconds.
+    """Yield a doubt if readings stood still, of `count` readings that took `seconds`.
 
     Example:
         >>> list(stuck_doubts([7] * 150 + [8] * 50, 1.0, 200))
@@ -38,7 +38,7 @@ def stuck_doubts(readings: Iterable[object], seconds: float, count: int) -> Iter
 
 
 def power_doubts(power: Series, window: Window, limits: tuple[float, float] | None) -> Iterator[str]:
-    """Yield what is implausible about power (W) in a window; `limits` are those that were declared, W."""
+    """Yield doubts about implausible power (W) in a window; `limits` are the user's, W."""
     values = power.values[within(power.times, window)]
     if not len(values):
         return
@@ -58,7 +58,7 @@ def power_doubts(power: Series, window: Window, limits: tuple[float, float] | No
 
 
 def voltage_doubts(volts: Sequence[float]) -> Iterator[str]:
-    """Yield where the bus had no voltage."""
+    """Yield a doubt if samples have no bus voltage."""
     dead = sum(1 for each in volts if each < _LOWEST_VOLTAGE)
     if dead:
         yield f"{dead} of {len(volts)} samples saw no voltage: is VIN- connected to the robot, and the battery in?"
@@ -67,7 +67,7 @@ def voltage_doubts(volts: Sequence[float]) -> Iterator[str]:
 def stream_doubts(
     stream: SampleStream, window: Window, times: Sequence[float], volts: Sequence[float]
 ) -> Iterator[str]:
-    """Yield what the line, the device and the sensor make doubtful in a window of `times`."""
+    """Yield doubts by faults of the line, the device and the sensor in a window of `times`."""
     yield from _line_doubts(stream, stream.troubles(window, times))
     if abs(stream.drift) > _LARGEST_DRIFT:
         way = "slow" if stream.drift > 0 else "fast"
@@ -99,14 +99,14 @@ def _line_doubts(stream: SampleStream, troubles: Mapping[Trouble, int]) -> Itera
         yield f"the last {_amount(stream.bytes_since_frame)} on the line held no frame"
 
 
-#: Bytes; what is left of a frame that was cut off is shorter.
+#: Bytes; the rest of a frame that was cut off is shorter.
 _LONGEST_FRAME = 72
 _KILOBYTE = 1000
 
 
 def silence(stream: SampleStream, seconds: float) -> str | None:
-    """Return what came from a meter that gave no sample for so many seconds; None where it gave some, or told why."""
-    if len(stream) or 0 in stream.configurations:  # the device told that its sensor did not answer
+    """Return what a meter sent that gave no sample for this many seconds; None if it gave some, or reported why."""
+    if len(stream) or 0 in stream.configurations:  # 0: the device reported that its sensor did not answer
         return None
     if not stream.bytes:
         return f"no byte came in {seconds:.0f} s: is it the right port, and does the meter have power?"
@@ -123,7 +123,7 @@ def _amount(count: int) -> str:
 
 
 def settings_doubts(stream: SampleStream, shunt: float, rate: float) -> Iterator[str]:
-    """Yield where the device says of its shunt (ohm) and rate (Hz) what the user does not."""
+    """Yield doubts where the device's shunt (ohm) and rate (Hz) differ from the user's."""
     if len(stream.shunts) > 1:
         told = ", ".join(f"{each:g}" for each in sorted(stream.shunts))
         yield f"the power meter told of several shunts ({told} ohm), as where it is exchanged: {shunt:g} ohm counts"

@@ -1,4 +1,4 @@
-"""The frames of docs/ina219-protocol.md, and the decoder that finds them among the bytes of a line."""
+"""The frames of docs/ina219-protocol.md, and the decoder that finds them in the bytes of a line."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _LONGEST_PAYLOAD = 64
 _CHECKSUM_SIZE = 2
 _CRC_START = 0xFFFF
 
-#: Version and type, then length of payload: the bytes behind the sync bytes. Then what follows them.
+#: The bytes after the sync bytes (version and type, then length of payload), and the payload after them.
 _SAMPLE_KIND, _SAMPLE = b"\x11\x08", struct.Struct("<HIhH")  # sequence, µs, shunt register, bus register
 _HELLO_KIND, _HELLO = b"\x12\x0c", struct.Struct("<HIHIH")  # sequence, µs, Hz, µΩ, configuration register
 _MARK_KIND, _MARK = b"\x13\x05", struct.Struct("<HIB")  # sequence, µs, whether it is on
 _SENSING_KIND, _SENSING = b"\x14\x10", struct.Struct("<HIBIHIB")  # sequence, µs, address, µΩ, configuration, µs, looks
 _FURTHER_KIND, _FURTHER = b"\x15\x09", struct.Struct("<HIBhH")  # sequence, µs, address, shunt register, bus register
-#: The whole frame of a sample: what it begins with, what its checksum is of, what it says, and its checksum.
+#: The whole frame of a sample: its beginning, payload and checksum; and the part of it that the checksum covers.
 _SAMPLE_FRAME, _SAMPLE_CHECKED = struct.Struct("<4sHIhHH"), struct.Struct("<2x12s2x")
 _SAMPLE_START = _SYNC + _SAMPLE_KIND
 SAMPLE_BYTES = _SAMPLE_FRAME.size
@@ -60,10 +60,10 @@ class SampleColumns(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """What the device says of itself.
+    """The device's description of itself.
 
     Attributes:
-        next_sequence: the number that the next sample will carry.
+        next_sequence: the number of the next sample.
         microseconds: the device's clock, modulo 2**32 µs.
         rate_hz: samples a second.
         shunt_ohm: resistance of the shunt that the firmware was built for, ohm.
@@ -82,7 +82,7 @@ class Mark:
     """The meter's mark was set or taken back: its input was pulled low or released.
 
     Attributes:
-        next_sequence: the number that the next sample will carry.
+        next_sequence: the number of the next sample.
         microseconds: the device's clock, modulo 2**32 µs.
         is_on: whether the measured window begins here; else it ends.
     """
@@ -94,16 +94,16 @@ class Mark:
 
 @dataclass(frozen=True, slots=True)
 class Sensing:
-    """What the device says of one of its sensors, and how it reads it; beside each hello.
+    """The device's description of one of its sensors, and of how it reads it; sent with each hello.
 
     Attributes:
-        next_sequence: the number that the next sample will carry.
+        next_sequence: the number of the next sample.
         microseconds: the device's clock, modulo 2**32 µs.
         address: of the sensor on the device's bus.
         shunt_ohm: resistance of its shunt, ohm.
         configuration: its configuration register.
-        lag_s: how far the middle of what a sample averages lies before its time stamp, s.
-        looks: how often its register is looked at for one sample.
+        lag_s: from the middle of the time that a sample averages to its time stamp, s.
+        looks: how often its register is read for one sample.
     """
 
     next_sequence: int
@@ -119,13 +119,13 @@ Frame = SampleFrame | Hello | Mark | Sensing
 
 
 class DecoderCounts(NamedTuple):
-    """What a decoder met besides good frames, from the first good frame on (a tuple, as it is told for each piece).
+    """A decoder's counts, from the first good frame on (a tuple, as there is one for each piece).
 
-    Before it a line that was opened in the middle of a frame, or a boot loader, sends bytes that mean nothing.
+    Before that frame come meaningless bytes, if the line was opened in the middle of a frame, or from a boot loader.
 
     Attributes:
         corrupt: frames whose checksum was wrong.
-        dropped_bytes: bytes that belonged to no good frame, those of corrupt frames included.
+        dropped_bytes: bytes outside of good frames, including those of corrupt frames.
         foreign_versions: good frames of another version of the protocol.
         frames: good frames.
     """
@@ -137,10 +137,10 @@ class DecoderCounts(NamedTuple):
 
 
 class FrameDecoder:
-    """Turns bytes, in pieces of any size, into frames, and finds its feet again after noise.
+    """Decodes bytes, in pieces of any size, to frames, and resynchronises after noise.
 
     Attributes:
-        frames: how many good ones there were.
+        frames: the number of good ones.
 
     Example:
         >>> decoder = FrameDecoder()
@@ -152,7 +152,7 @@ class FrameDecoder:
         self._buffer = b""
         self._has_seen_frame = False
         self._unexplained = 0  # bytes dropped since the last good frame
-        self._doubted = 0  # up to where the buffer belongs to a frame that was found corrupt
+        self._doubted = 0  # the end, in the buffer, of a frame that was found corrupt
         self._corrupt = 0
         self._dropped = 0
         self._foreign = 0
@@ -160,18 +160,18 @@ class FrameDecoder:
 
     @property
     def is_sound(self) -> bool:
-        """Whether nothing but good frames was met so far."""
+        """Whether there were only good frames so far."""
         return not (self._corrupt or self._dropped or self._foreign)
 
     @property
     def counts(self) -> DecoderCounts:
-        """What was met besides good frames so far."""
+        """The counts so far."""
         return DecoderCounts(self._corrupt, self._dropped, self._foreign, self.frames)
 
     def take_samples(self, pieces: Sequence[bytes]) -> SampleColumns | None:
-        """Return what pieces say each of which is one whole sample, as is usual where the line is silent between two.
+        """Return the samples of pieces, if each piece is one whole sample, as usual on a line with pauses between them.
 
-        None, with nothing taken, where one is not, or something came before them that is not understood yet.
+        Otherwise, or if the buffer still has undecoded bytes, return None and take nothing.
 
         Args:
             pieces: one or more, of `SAMPLE_BYTES` each.
@@ -188,12 +188,12 @@ class FrameDecoder:
         return SampleColumns(*said)
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Return the frames that are complete now; what may still become one is kept for the next call."""
+        """Return the frames that are complete now; bytes that may become one are kept for the next call."""
         self._buffer += data
         return self._decode(is_last=False)
 
     def finish(self) -> list[Frame]:
-        """Return the frames that were held back by the beginning of a frame that never became complete."""
+        """Return the frames that were held back after the beginning of a frame that never became complete."""
         return self._decode(is_last=True)
 
     def _decode(self, *, is_last: bool) -> list[Frame]:
@@ -215,20 +215,20 @@ class FrameDecoder:
 
     def _skip_to_sync(self, buffer: bytes, at: int) -> int:
         found = buffer.find(_SYNC, at)
-        if found < 0:  # the partner of a lone first sync byte may still come
+        if found < 0:  # the second sync byte may still come
             found = len(buffer) - buffer.endswith(_SYNC[:1], at)
         self._unexplained += found - at
         return found
 
     def _doubt(self, at: int, end: int, size: int) -> None:
-        """Count a corrupt frame, unless what looked like one began inside another one."""
+        """Count a corrupt frame, unless its beginning is inside another one."""
         self._unexplained += 1
         if at < end <= size and at >= self._doubted:
             self._corrupt += self._has_seen_frame
             self._doubted = end
 
     def _opened(self, buffer: bytes, at: int) -> list[Frame]:
-        """Return what an intact frame says; nothing for frames of other types and versions."""
+        """Return an intact frame, decoded; an empty list for other types and versions."""
         self._count_frame()
         kind = buffer[at + 2 : at + 4]
         if kind == _SAMPLE_KIND:
@@ -255,7 +255,7 @@ class FrameDecoder:
 
 
 def _end_of_frame(buffer: bytes, at: int) -> int:
-    """Return where the frame that begins here ends, the place where it begins if it cannot be one."""
+    """Return the end of the frame that begins at `at`, or `at` if it cannot be a frame."""
     if len(buffer) - at < _HEADER_SIZE:
         return len(buffer) + 1
     payload = buffer[at + 3]

@@ -1,4 +1,4 @@
-"""The meter at the end of a serial line: one run's samples, from the opening of the line to the end of the window."""
+"""The meter on a serial line: one run's samples, from the opening of the line to the end of the window."""
 
 from __future__ import annotations
 
@@ -22,46 +22,46 @@ class Meter(Protocol):
     """The sensor during one run.
 
     Attributes:
-        has_samples_at_once: whether the samples are there when the measurement has ended; else they come later.
+        has_samples_at_once: whether the samples are complete when the measurement has ended; else they come later.
     """
 
     has_samples_at_once: bool
 
     def begin(self) -> None:
-        """Begin to take samples.
+        """Start taking samples.
 
         Raises:
             LinkError: the sensor cannot be reached.
         """
 
     def end(self) -> None:
-        """End taking samples; a second call does nothing.
+        """Stop taking samples; a second call does nothing.
 
         Raises:
-            LinkError: the sensor was lost; the samples until then are kept.
+            LinkError: the connection to the sensor was lost; the samples until then are kept.
         """
 
     def evaluate(self, window: Window | None, part: Window | None = None) -> Evaluation:
-        """Return what was measured, after `end`.
+        """Return the evaluated samples, after `end`.
 
         Args:
-            window: the run's measured window on its clock; None for all the time in which samples were taken.
-            part: a phase within it that the values are to be about; None for the whole of it.
+            window: the run's measured window on its clock; None for the whole time of sampling.
+            part: a phase within it to evaluate; None for the whole window.
 
         Raises:
-            LinkError: there are no samples to be had.
+            LinkError: there are no samples.
         """
 
 
 @runtime_checkable
 class PromptMeter(Protocol):
-    """A meter that tells its last sample while it goes on, for who watches."""
+    """A meter that shows its last sample during the measurement, for live displays."""
 
     def latest_power(self) -> float | None:
         """Return the power of the last sample, W, from any thread; None where there is none yet.
 
         Raises:
-            LinkError: the sensor was lost.
+            LinkError: the connection to the sensor was lost.
         """
 
 
@@ -69,25 +69,25 @@ class PromptMeter(Protocol):
 #: loader and one for its card (docs/ina219-protocol.md).
 _PATIENCE = 4.0
 _POLL = 0.01
-#: How long the sample behind the end usually takes, s: a period, what it lags, and the latency of a USB bridge (16 ms).
+#: The usual time until the sample after the end arrives, s: a period, its lag, and the latency of a USB bridge (16 ms).
 _AFTERMATH = 0.03
-#: How long to wait for it at most, s, where a busy machine hands bytes over late.
+#: The longest wait for it, s, as a busy machine delivers bytes late.
 _LONGEST_AFTERMATH = 0.5
-#: What is looked at for the power of this moment: a bridge hands over a few samples at a time, of 16 bytes each.
+#: How much is decoded for the current power: a bridge delivers a few samples at a time, of 16 bytes each.
 _LATEST_CHUNKS, _LATEST_BYTES = 8, 256
 
 
 class SharedLine:
-    """One line for the profilers of several sensors: what arrives is kept for each of them.
+    """One line for the profilers of several sensors: it keeps all bytes for each of them.
 
     Args:
-        line: that the device sends on; the caller closes it.
+        line: to the device; the caller closes it.
     """
 
     def __init__(self, line: SerialLine) -> None:
         self._line = line
         self._chunks: list[Chunk] = []
-        self._lock = threading.Lock()  # who watches looks from a thread of its own
+        self._lock = threading.Lock()  # live displays read in their own thread
 
     @property
     def is_simulated(self) -> bool:
@@ -95,7 +95,7 @@ class SharedLine:
         return self._line.is_simulated
 
     def since(self, count: int) -> list[Chunk]:
-        """Return what arrived behind the first `count` chunks.
+        """Return the chunks after the first `count`.
 
         Raises:
             LinkError: the line was lost, and there is nothing more.
@@ -122,14 +122,14 @@ class SharedLine:
 
 
 class LineMeter:
-    """Listens to a line that keeps what arrives, so that nothing has to be read while the mission goes on.
+    """Takes samples from a line that keeps the arriving bytes, so that nothing has to be read during the mission.
 
     Args:
-        line: where the samples arrive.
+        line: on which the samples arrive.
         clock: the run's.
         address: of the sensor on the device's bus.
-        shunt_ohm: resistance of the shunt, ohm; None takes what the device says.
-        rate_hz: nominal rate, Hz; None takes what the device says.
+        shunt_ohm: resistance of the shunt, ohm; None takes the device's.
+        rate_hz: nominal rate, Hz; None takes the device's.
     """
 
     has_samples_at_once = True
@@ -154,7 +154,7 @@ class LineMeter:
         self._sampled: Window | None = None
 
     def begin(self) -> None:
-        """Wait for a first sample, for a few seconds at most.
+        """Wait for a first sample, at most for a few seconds.
 
         Raises:
             LinkError: the line was lost.
@@ -167,9 +167,9 @@ class LineMeter:
         self._start = self._clock.now()
 
     def latest_power(self) -> float | None:
-        """Return the power of the last sample that arrived, W, for who watches; None where none is whole.
+        """Return the power of the last sample that arrived, W, for live displays; None where none is complete.
 
-        It is decoded apart from the others, and may be called from another thread.
+        This sample is decoded separately, and the call may come from another thread.
 
         Raises:
             LinkError: the line was lost.
@@ -183,10 +183,10 @@ class LineMeter:
         return None
 
     def end(self) -> None:
-        """Take what arrived; a second call does nothing.
+        """Take the bytes that arrived; a second call does nothing.
 
         Raises:
-            LinkError: the line was lost; what arrived until then is kept.
+            LinkError: the line was lost; the bytes until then are kept.
         """
         if self._sampled is not None:
             return
@@ -211,7 +211,7 @@ class LineMeter:
                 return
 
     def evaluate(self, window: Window | None, part: Window | None = None) -> Evaluation:
-        """Return what was measured in a window; None stands for the time from `begin` to `end`, or to now."""
+        """Return the evaluated samples of a window; None stands for the time from `begin` to `end`, or until now."""
         sampled = self._sampled or Window(self._start, self._clock.now())
         evaluation = evaluate_registers(
             self._stream,

@@ -1,4 +1,4 @@
-"""The profiler that measures power and energy with an INA219 sensor."""
+"""The profiler of power and energy with an INA219 sensor."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ from robot_runner.meters.parameter_checks import check_positive
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Way:
-    """Which sensor a profiler reads, and how: by one of the three that is not None, else the simulated robot's.
+    """The connection of a profiler to its sensor: the one of the three that is not None, else the simulated robot's.
 
     Attributes:
         port: the serial port of a meter.
         card: the file copied from a meter's card.
         sysfs: the folder of a kernel driver, or `auto`.
-        host: the computer that has the driver.
-        ssh_config: a file to take the place of the user's ssh config.
-        address: of the sensor on the meter's bus, where the meter has several.
-        namespace: whose simulated meter it is.
+        host: the computer with the driver.
+        ssh_config: a file that replaces the user's ssh config.
+        address: of the sensor on the meter's bus, if the meter has several.
+        namespace: of the robot with the simulated meter.
 
     Example:
         >>> Way(port="/dev/ttyUSB0").clashes_with(Way(port="/dev/ttyUSB0", namespace="/alice"))
@@ -59,7 +59,7 @@ class Way:
 
     @property
     def claims(self) -> tuple[str, ...]:
-        """What a run needs for itself that reads the sensor this way."""
+        """The claims of a run that reads the sensor over this connection."""
         if self.port is not None:
             return (f"serial:{self.port}",)
         if self.card is not None:
@@ -73,13 +73,13 @@ class Way:
         return {name: value for name, value in named.items() if value is not None}
 
     def clashes_with(self, other: Way) -> bool:
-        """Whether both would take what one line, or one file, brings."""
+        """Whether both would read the same sensor from one line or one file."""
         return self.sysfs is None and self._source == other._source
 
     @property
     def _source(self) -> tuple[str, str, int | None]:
         if self.port is not None:
-            # Links such as those of /dev/serial/by-id lead to one device.
+            # Several links, such as those of /dev/serial/by-id, may lead to one device.
             return "port", os.path.realpath(self.port), self.address
         if self.card is not None:
             return "card", os.path.realpath(self.card), self.address
@@ -89,7 +89,7 @@ class Way:
 
 
 def way_findings(where: str, way: Way, robot: str | None) -> Iterator[Finding]:
-    """Yield what stands in the way of reading this sensor; nothing is opened by asking.
+    """Yield findings on why this sensor cannot be read, without opening anything.
 
     Args:
         where: the plugin.
@@ -162,9 +162,9 @@ def _limits(limits: Sequence[float] | None, where: str) -> tuple[float, float] |
 
 
 _REMEDY = "Look at the sensor, its cable and samples.csv before you use this run."
-#: What one row of samples.csv takes, and how long a mission is taken to be where it is unknown: the paper's, s.
+#: The size of a row of samples.csv, and the assumed duration of a mission: the paper's, s.
 _BYTES_PER_ROW, _USUAL_SECONDS = 55, 95
-#: How often the power is shown to who watches, Hz.
+#: How often live displays get the power, Hz.
 _SHOWN_HZ = 2.0
 
 
@@ -176,28 +176,29 @@ _MEAN_POWER = "Mean power over the measured window: Energy divided by its durati
 class Ina219(Profiler):
     """Measures the power that the robot draws from its battery, and the energy over the measured window.
 
-    A microcontroller on board reads a Texas Instruments INA219 and sends its registers up a serial line, as
-    `docs/ina219-protocol.md` says. Nothing is computed while the mission goes on: the line keeps what arrives. The same
-    microcontroller may record on an SD card instead, and the sensor may be connected to a Linux computer's own bus.
+    A microcontroller on board reads a Texas Instruments INA219 and sends its registers over a serial line, as described
+    in `docs/ina219-protocol.md`. Nothing is computed during the mission: the line keeps the bytes. The microcontroller
+    may record on an SD card instead, or the sensor may be connected to the bus of a Linux computer.
 
     Args:
-        name: tells several meters apart; the class's name if left out.
+        name: distinguishes several meters; None for the class's name.
         port: the serial port of a meter, or a URL of pyserial's such as `rfc2217://robot.local:4000`.
-        card: the file that is copied from a meter's card after each mission.
+        card: the file to which the recording is copied from a meter's card after each mission.
         card_patience_s: how long to wait for that file at the end of a run, s.
-        sysfs: the folder of a kernel driver, such as `/sys/class/hwmon/hwmon3`, or `auto` for the only sensor there is.
-        host: the computer whose driver that is: `localhost`, or as ssh takes it (`pi@robot`).
-        ssh_config: a file to take the place of your ssh config.
+        sysfs: the folder of a kernel driver, such as `/sys/class/hwmon/hwmon3`, or `auto` for the only sensor.
+        host: the computer with that driver: `localhost`, or as ssh takes it (`pi@robot`).
+        ssh_config: a file that replaces your ssh config.
         address: of the sensor on the meter's bus (0x40 to 0x4f), for a meter with several; None takes its first one.
-            Each sensor has a profiler of its own, on the same port or card.
-        shunt_ohm: resistance of the shunt, ohm; None takes what the meter says (0.1 ohm if it says nothing).
-        rate_hz: nominal rate of sampling, Hz; None takes what the meter says (200 Hz if it says nothing; a driver: 50).
-        plausible_w: between which power is plausible, W, such as `(2, 30)`; samples outside make the values doubtful.
-        namespace: whose meter it is, on several simulated robots.
+            Each sensor has its own profiler, on the same port or card.
+        shunt_ohm: resistance of the shunt, ohm; None takes the one that the meter sends (0.1 ohm if it sends none).
+        rate_hz: nominal sampling rate, Hz; None takes the one that the meter sends (200 Hz if it sends none; 50 Hz
+            with a driver).
+        plausible_w: the limits of plausible power, W, such as `(2, 30)`; samples outside make the values doubtful.
+        namespace: of the robot with the meter, if there are several simulated robots.
 
     Raises:
-        PluginError: the limits are no two numbers in order, the address is none, the shunt or the rate is not positive,
-            or two ways to the sensor are named.
+        PluginError: the limits are not two numbers in order, the address is invalid, the shunt or the rate is not
+            positive, or two connections to the sensor are named.
 
     Example:
         >>> Ina219(port="/dev/ttyUSB0", shunt_ohm=0.05).measures[0].unit
@@ -243,7 +244,7 @@ class Ina219(Profiler):
         self.rate_hz = rate_hz
         self.plausible_w = _limits(plausible_w, self.name)
         rate = rate_hz or (DEFAULT_RATE if sysfs is None else DEFAULT_SYSFS_RATE)
-        self.probe_s = None if card is not None else probe_window(rate)  # a card's file comes after the mission
+        self.probe_s = None if card is not None else probe_window(rate)  # the file of a card comes after the mission
         self.bytes_per_run = round(rate * _USUAL_SECONDS * _BYTES_PER_ROW)
         self._meter: Meter | None = None
         self._evaluation: Evaluation | None = None
@@ -251,17 +252,17 @@ class Ina219(Profiler):
         self._live: LiveSamples | None = None
 
     def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: the meter; a simulated one belongs to the run."""
+        """Return a claim of the meter; a simulated one belongs to the run anyway."""
         del robot
         return self.way.claims
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no meter, a port that cannot be opened, or two profilers on one line."""
+        """Return errors: no meter, a port that cannot be opened, or two profilers on one line."""
         yield from way_findings(self._where, self.way, circumstances.robot)
         yield from self._clashes(circumstances)
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
-        """Open the way to the sensor and begin to take samples.
+        """Connect to the sensor and start taking samples.
 
         Raises:
             LinkError: the sensor cannot be reached.
@@ -273,10 +274,10 @@ class Ina219(Profiler):
         self._show_live(meter, context)
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
-        """Take what the line has kept.
+        """Take the samples that the line has kept.
 
         Raises:
-            LinkError: the sensor was lost meanwhile; the samples until then are kept all the same.
+            LinkError: the connection to the sensor was lost; the samples until then are kept all the same.
         """
         del context
         watcher, self._watcher = self._watcher, None
@@ -293,24 +294,24 @@ class Ina219(Profiler):
             self._live.close()
 
     def _show_live(self, meter: Meter, context: RobotRunnerContext) -> None:
-        """Show a power now and then to who watches; the samples themselves wait on the line until the end."""
+        """Show the power from time to time on live displays; the samples themselves wait on the line until the end."""
         if not isinstance(meter, PromptMeter):
-            return  # a card tells at its end
+            return  # a card has no samples before the end
         clock, latest_power = context.clock, meter.latest_power
         live = self._live = LiveSamples(context.raw_data_folder / "samples.csv")
 
         def show() -> None:
-            # Decoded only where one is due: a simulated mission passes many of these moments a second.
+            # Decoded only if a display is due: a simulated mission passes many of these moments a second.
             live.show(lambda: [Column("time_s", [clock.now()]), Column("power_W", [latest_power()])])
 
         self._watcher = PeriodicSampler(show, rate=_SHOWN_HZ, clock=clock)
         self._watcher.start()
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
-        """Publish energy and mean power; no value where too little was seen.
+        """Publish energy and mean power; no value if samples cover too little.
 
         Raises:
-            LinkError: the file from the meter's card did not come, or is not what was expected.
+            LinkError: the file from the meter's card did not come, or is not as expected.
         """
         if self._meter is None:
             context.doubt("nothing was measured: the measurement was never started", fix=_REMEDY)
@@ -354,7 +355,7 @@ class Ina219(Profiler):
         return LineMeter(shared, clock, address=address, shunt_ohm=shunt, rate_hz=rate)
 
     def _clashes(self, circumstances: Circumstances) -> Iterator[Finding]:
-        """Yield those that come before this one and would take the samples away from it, or it from them."""
+        """Yield errors for earlier profilers that read the same line or file: each would get some of the samples."""
         for other in circumstances.plugins:
             if other is self:
                 return

@@ -1,4 +1,4 @@
-"""What the samples of a run amount to: energy, mean power, and how far they can be trusted."""
+"""From the samples of a run to energy, mean power, and how far they can be trusted."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from robot_runner.measuring.series import Series, energy, energy_from_mean_power
 from robot_runner.meters.ina219.doubts import power_doubts, settings_doubts, stream_doubts
 from robot_runner.meters.ina219.sample_stream import SampleStream, Trouble
 
-# Registers become volts, amperes and watts here, on the host, so that raw data stay raw.
+# Registers are converted to volts, amperes and watts here, on the host, so that raw data stay raw.
 
 #: One step of the shunt voltage register (0x01), V.
 SHUNT_VOLT_PER_STEP = 10e-6
-#: One step of the bus voltage register (0x02), V; the voltage stands in its bits 15 to 3.
+#: One step of the bus voltage register (0x02), V; the voltage is in its bits 15 to 3.
 BUS_VOLT_PER_STEP = 4e-3
 _BUS_SHIFT = 3
-#: What the protocol promises where the device says nothing of itself: 16 V, ±320 mV, two conversions averaged.
+#: By the protocol, the configuration of a device that sends none: 16 V, ±320 mV, two conversions averaged.
 _USUAL_CONFIGURATION = 0x1CCF
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """What turns registers into currents.
+    """The conversion of registers to physical units.
 
     Attributes:
         shunt_ohm: resistance of the shunt, ohm; 0.1 on the common breakout boards.
@@ -46,22 +46,22 @@ class Calibration:
         return shunt_raw * (SHUNT_VOLT_PER_STEP / self.shunt_ohm)
 
     def currents(self, shunt_raw: Iterable[int]) -> array[float]:
-        """Return what `current` does of many registers."""
+        """Return `current` of many registers."""
         step = SHUNT_VOLT_PER_STEP / self.shunt_ohm
         return array("d", [each * step for each in shunt_raw])
 
     def voltage(self, bus_raw: int) -> float:
-        """Return the bus voltage behind the shunt in volts; the register's flags (bits 2 to 0) are ignored."""
+        """Return the bus voltage after the shunt in volts; the register's flags (bits 2 to 0) are ignored."""
         return (bus_raw >> _BUS_SHIFT) * BUS_VOLT_PER_STEP
 
     def voltages(self, bus_raw: Iterable[int]) -> array[float]:
-        """Return what `voltage` does of many registers."""
+        """Return `voltage` of many registers."""
         return array("d", [(each >> _BUS_SHIFT) * BUS_VOLT_PER_STEP for each in bus_raw])
 
 
 @dataclass(frozen=True, slots=True)
 class Ranges:
-    """Where the registers end: a reading at the end may stand for more.
+    """The ranges of the registers: at the end of the range, the true value may be larger.
 
     Attributes:
         shunt: largest magnitude of the shunt voltage register.
@@ -77,7 +77,7 @@ class Ranges:
 
     @classmethod
     def of(cls, *configurations: int) -> Ranges:
-        """Return the narrowest ranges that configuration registers set; the protocol's where they are 0, not known.
+        """Return the narrowest ranges that configuration registers set; 0 is unknown and gets the protocol's ranges.
 
         The gain (bits 12 and 11) sets ±40, 80, 160 or 320 mV, bit 13 sets 16 or 32 V.
         """
@@ -88,28 +88,28 @@ class Ranges:
         )
 
     def count_saturated(self, shunt_raw: Sequence[int], bus_raw: Sequence[int]) -> int:
-        """Return how many samples have one of their readings at the end of its range."""
+        """Return the number of samples with a reading at the end of its range."""
         highest, lowest = max(shunt_raw, default=0), min(shunt_raw, default=0)
         if -self.shunt < lowest and highest < self.shunt and max(bus_raw, default=0) >> _BUS_SHIFT < self.bus:
-            return 0  # as is usual
+            return 0  # the usual case, fast
         pairs = zip(shunt_raw, bus_raw, strict=True)
         return sum(abs(shunt) >= self.shunt or bus >> _BUS_SHIFT >= self.bus for shunt, bus in pairs)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluation:
-    """The power samples of a run, wherever they came from, and what they amount to over a window.
+    """The power samples of a run, from any connection, and their evaluation over a window.
 
     Attributes:
-        window: that the values are about.
+        window: of the values.
         power: W, drawn by the robot, at times in s; also outside the window.
         quality: of the samples in the window.
-        columns: what was read, as it was read, and what it means; written beside `time_s` and `power_W`.
-        details: of the meter, plain values.
-        doubts: what the meter's own ways make doubtful, one sentence each.
+        columns: raw readings and physical values, written besides `time_s` and `power_W`.
+        details: of the meter, as plain values.
+        doubts: about this kind of meter, one sentence each.
         is_simulated: whether a simulated sensor took the samples.
-        sampled: the span of time in which samples were taken.
-        limits: between which power is plausible, W.
+        sampled: the time span of sampling.
+        limits: of plausible power, W.
     """
 
     window: Window
@@ -123,8 +123,8 @@ class Evaluation:
     limits: tuple[float, float] | None = None
 
     def values(self) -> Mapping[str, float | None]:
-        """Return energy (J), energy as P x t (J) and mean power (W); all None where too little was seen."""
-        # Where the samples suffice, a gap at an edge is bridged as one inside: by the sample beside it.
+        """Return energy (J), energy as P x t (J) and mean power (W); all None if samples cover too little."""
+        # If the samples suffice, a gap at an edge is bridged like one inside: by the sample beside it.
         reach = self.window.duration
         joules = energy(self.power, self.window, reach=reach) if self.quality.is_sufficient else None
         if joules is None or self.window.duration <= 0:
@@ -136,7 +136,7 @@ class Evaluation:
         }
 
     def warnings(self) -> Iterator[str]:
-        """Yield what is doubtful, with figures."""
+        """Yield doubts, with figures."""
         yield from self.quality.warnings()
         if not self.quality.is_sufficient and self.quality.got:
             yield "the samples do not cover the measured window, so no energy was computed from them"
@@ -154,8 +154,7 @@ class Evaluation:
         write_quality(folder / "quality.json", self.quality, self.window, details, sampled=self.sampled)
 
 
-#: What holds where neither the user nor the device says otherwise: the paper's 200 Hz, and the shunt of the common
-#: breakout boards.
+#: Unless the user or the device gives others: the paper's 200 Hz, and the shunt of the common breakout boards.
 DEFAULT_RATE = 200.0
 DEFAULT_SHUNT = 0.1
 
@@ -169,12 +168,12 @@ def evaluate_registers(
     rate_hz: float | None = None,
     is_simulated: bool = False,
 ) -> Evaluation:
-    """Return the samples of a stream in physical units; what is None is taken from the device's hello.
+    """Return the samples of a stream in physical units; parameters that are None are taken from the device's hello.
 
     Args:
         stream: the samples.
-        times: when each was taken, s.
-        window: that the values are about, on the clock of `times`.
+        times: of the samples, s.
+        window: of the values, on the clock of `times`.
         shunt_ohm: resistance of the shunt, ohm.
         rate_hz: nominal rate, Hz.
         is_simulated: whether a simulated sensor took them.

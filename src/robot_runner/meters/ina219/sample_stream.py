@@ -1,4 +1,4 @@
-"""The stream of samples in columns: what was lost, what came twice, and when each sample was taken."""
+"""The stream of samples in columns: lost and repeated samples, and the time of each one."""
 
 from __future__ import annotations
 
@@ -32,21 +32,22 @@ if TYPE_CHECKING:
     from robot_runner.measuring.serial_line import Chunk
 
 _SEQUENCES = 1 << 16
-#: By how much the number of the next sample differs: it may wrap.
+#: The differences between the numbers of consecutive samples: numbers wrap.
 _ONE_FURTHER = {1, 1 - _SEQUENCES}
 _STAMPS = 1 << 32
-#: A difference of stamps this large means that time went back: the device was restarted (docs/ina219-protocol.md).
+#: A difference of stamps this large is a step back, by a restart of the device (docs/ina219-protocol.md).
 _BACKWARDS = 1 << 31
-#: The device's clock cannot run ahead of ours by this much, s; a restart after more than 36 min looks so.
+#: The device's clock cannot run ahead of ours by this much, s; a restart after more than 36 min looks like that.
 _IMPLAUSIBLE_LEAD = 60.0
-#: Up to where the device's clock is mended by the arrivals, in parts of one: however wrong it is, they are right.
+#: The largest skew of the device's clock that is corrected by the arrivals, in parts of one: these are always right.
 _LARGEST_SKEW = 0.5
-#: Digits of a time in s: stamps are whole microseconds, and so one moment has one time, whenever the device was reset.
+#: Decimals of a time in s: stamps are whole microseconds, so that one moment has one time, whenever the device was
+#: reset.
 _DIGITS = 6
 
 
 class Trouble(Enum):
-    """What may happen to a stream."""
+    """The faults of a stream."""
 
     LOST = "samples that the sequence numbers say are missing"
     DUPLICATE = "samples that came twice"
@@ -60,7 +61,7 @@ class Trouble(Enum):
 
 @dataclass(frozen=True, slots=True)
 class StampedMark:
-    """When the meter's mark changed.
+    """A change of the meter's mark.
 
     Attributes:
         seconds: since the first sample, by the device's clock.
@@ -72,26 +73,28 @@ class StampedMark:
 
 
 class SampleStream:
-    """Takes the chunks of a serial line and holds the samples of one sensor in columns, in the order of arrival.
+    """Decodes the chunks of a serial line to columns with the samples of one sensor, in the order of arrival.
+
+    A device has a new life after each restart.
 
     Args:
-        has_arrivals: whether the chunks say when they arrived; False for what was recorded without a clock, where the
-            lives of a device that was restarted are laid end to end.
+        has_arrivals: whether the chunks have times of arrival; False for a recording without a clock, in which the
+            lives of the device follow one another without gaps.
         address: of the sensor on the device's bus; `FIRST_SENSOR` for the first one, whatever its address is.
 
     Attributes:
         shunt_raw: the shunt voltage registers.
         bus_raw: the bus voltage registers.
-        device_seconds: the device's clock at each sample, unwrapped, s since the first sample of its life; where there
-            are no arrivals, since the first of all.
-        hello: what the device said of itself last, or None.
-        sensing: what it said of this sensor last, or None: the first firmware does not.
-        configurations: every configuration of the sensor that was told of; 0 where it did not answer the device.
-        shunts: every resistance of its shunt that was told of, ohm.
-        marks: when the mark changed.
-        bytes: how many came.
+        device_seconds: the device's clock at each sample, unwrapped, s since the first sample of its life; without
+            arrivals, since the first sample of all.
+        hello: the device's last hello, or None.
+        sensing: the last description of this sensor, or None: the first firmware sends none.
+        configurations: all configurations of the sensor that were sent; 0 if it did not answer the device.
+        shunts: all resistances of its shunt that were sent, ohm.
+        marks: the changes of the mark.
+        bytes: how many bytes came.
         bytes_since_frame: how many of them came after the last chunk that completed a frame.
-        drift: by how much the device's clock was off, in parts of one, positive where it is slow; known after `times`.
+        drift: the error of the device's clock, in parts of one, positive if it is slow; known after `times`.
     """
 
     def __init__(self, *, has_arrivals: bool = True, address: int = FIRST_SENSOR) -> None:
@@ -107,34 +110,34 @@ class SampleStream:
         self.bytes = 0
         self.bytes_since_frame = 0
         self.drift = 0.0
-        self._first_address = FIRST_SENSOR  # the first sensor's, once the device has told of it
+        self._first_address = FIRST_SENSOR  # the first sensor's, once the device has sent it
         self._is_behind_hello = False
-        self._troubles: list[tuple[int, Trouble, int]] = []  # before which sample, what, and how often
+        self._troubles: list[tuple[int, Trouble, int]] = []  # the next sample, the trouble, and how often
         self._decoder = FrameDecoder()
-        self._counted = self._decoder.counts  # up to here they are among the troubles
+        self._counted = self._decoder.counts  # the counts that are among the troubles already
         self._received = array("d")
-        self._lives = [0]  # where in the columns each life of the device begins
+        self._lives = [0]  # where each life of the device begins in the columns
         self._last: SampleFrame | None = None
         self._has_arrivals = has_arrivals
         self._implausible_lead = _IMPLAUSIBLE_LEAD if has_arrivals else math.inf
         self._times = array("d")
-        self._timed = (0, 0.0)  # of how many samples, and with which lag, the times are known
+        self._timed = (0, 0.0)  # the number of samples whose times are known, and their lag
 
     def __len__(self) -> int:
         return len(self.shunt_raw)
 
     @property
     def counts(self) -> DecoderCounts:
-        """What the line brought besides good frames."""
+        """The decoder's counts."""
         return self._decoder.counts
 
     @property
     def lag(self) -> float:
-        """How far the middle of what a sample averages lies before its stamp, s; 0 where the device does not say."""
+        """From the middle of the time that a sample averages to its stamp, s; 0 if the device does not send it."""
         return self.sensing.lag_s if self.sensing is not None else 0.0
 
     def troubles(self, window: Window | None = None, times: Sequence[float] = ()) -> Mapping[Trouble, int]:
-        """Return how often what happened, in a window of `times` or altogether; 0 for what did not."""
+        """Return how often each trouble happened, in a window of `times` or altogether."""
         low, high = 0, len(self)
         if window is not None:
             low, high = bisect_left(times, window.start), bisect_right(times, window.end)
@@ -145,7 +148,7 @@ class SampleStream:
         return found
 
     def take(self, chunks: Iterable[Chunk]) -> None:
-        """Decode what arrived."""
+        """Decode chunks."""
         for size, alike in groupby(chunks, lambda chunk: len(chunk.data)):
             some = list(alike)
             arrivals, pieces = zip(*some, strict=True)
@@ -157,7 +160,7 @@ class SampleStream:
                 self._take_one(chunk)
 
     def _take_samples(self, samples: SampleColumns, arrivals: Sequence[float]) -> None:
-        """Take samples each of which came by itself."""
+        """Take samples that came in a chunk each."""
         self._is_behind_hello = False
         self.bytes += len(arrivals) * SAMPLE_BYTES
         if self.is_ours(FIRST_SENSOR) and not self._add_in_order(samples, arrivals):
@@ -176,7 +179,7 @@ class SampleStream:
             self._note_faults()
 
     def finish(self) -> None:
-        """Decode what is held back; call it once nothing more will arrive."""
+        """Decode the bytes that are held back; call it once nothing more will arrive."""
         frames = self._decoder.finish()
         if frames:
             self.bytes_since_frame = 0
@@ -185,9 +188,9 @@ class SampleStream:
         self._note_faults()
 
     def times(self) -> array[float]:
-        """Return the middle of what each sample averages, s on the run's clock, never falling.
+        """Return the middle of the time that each sample averages, s on the run's clock, never decreasing.
 
-        The stamps are the device's; they are brought to the run's clock by comparing them with the arrivals.
+        They are the device's stamps, converted to the run's clock by comparing them with the arrivals.
         """
         if self._timed != (len(self), self.lag):
             self._times = self._times_of_all()
@@ -228,11 +231,11 @@ class SampleStream:
             self._is_behind_hello = isinstance(frame, Hello)
 
     def is_ours(self, address: int) -> bool:
-        """Whether samples with this address are of this sensor; the device's first one sends none with its samples."""
+        """Whether samples with this address are of this sensor; those of the device's first sensor have no address."""
         return address == self.address or (address == FIRST_SENSOR and self.address == self._first_address)
 
     def _take_sensing(self, sensing: Sensing) -> None:
-        """Take what is said of this sensor; that of the first one comes right behind the hello."""
+        """Take the description of this sensor; that of the first sensor comes right after the hello."""
         if self._is_behind_hello:
             self._first_address = sensing.address
         if sensing.address == self.address or (self._is_behind_hello and self.address == FIRST_SENSOR):
@@ -247,7 +250,7 @@ class SampleStream:
     def _note_faults(self) -> None:
         before, now = self._counted, self._decoder.counts
         self._note(Trouble.CORRUPT, now.corrupt - before.corrupt)
-        if self._has_arrivals:  # a recording has zeros behind each mark's end, and behind its last frame
+        if self._has_arrivals:  # a recording has zeros after the end of each mark, and after its last frame
             self._note(Trouble.DROPPED, now.dropped_bytes - before.dropped_bytes)
         self._note(Trouble.FOREIGN, now.foreign_versions - before.foreign_versions)
         self._counted = now
@@ -264,10 +267,10 @@ class SampleStream:
         self._last = sample
 
     def _add_in_order(self, samples: SampleColumns, arrivals: Sequence[float]) -> bool:
-        """Add samples as `_add_sample` would, a column at a time; False, and nothing done, where that may not do.
+        """Add samples as `_add_sample` would, but by columns; return False, and add none, where that is not possible.
 
-        It does in the usual course, and a run has some 19,000 of them: so they take a quarter of the time. It may not
-        where there is something to note, and where the stamps wrap, once in 71 min.
+        It is possible in the usual case, and takes a quarter of the time for the 19,000 samples of a run. It is not if
+        there is a trouble to note, or if the stamps wrap, once in 71 min.
         """
         last = self._last
         if last is None or not all(map(le, arrivals, arrivals[1:])) or arrivals[0] < self._received[-1]:
@@ -295,7 +298,7 @@ class SampleStream:
         self.marks.append(StampedMark(seconds, mark.is_on))
 
     def _seconds_of(self, sample: SampleFrame, received_at: float) -> float | None:
-        """Return the seconds of the device's clock, unwrapped, or None for a sample that is there already."""
+        """Return the seconds of the device's clock, unwrapped, or None for a sample that is a repetition."""
         last = self._last
         if last is None:
             return 0.0

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from robot_runner.core.events.window import Window
     from robot_runner.measuring.host import FileHost, SamplingReport
 
-#: The name under which the one sensor of a computer is taken, wherever its driver put it.
+#: Stands for the folder of a computer's only sensor.
 AUTO = "auto"
 
-#: Where the two drivers put their devices.
+#: The devices of the two drivers.
 _PATTERNS = ("/sys/class/hwmon/hwmon*/name", "/sys/bus/iio/devices/iio:device*/name")
-#: The largest voltage at the shunt, V, by the chips' data sheets; the drivers leave the INA219's gain at 1/8. Of the
+#: The largest voltage at the shunt, V, by the chips' data sheets; the drivers leave the INA219's gain at 1/8. For the
 #: others it is the register's last step, 32767 x 2.5 uV (SBOS547A, shunt voltage register).
 SHUNT_RANGES = {"ina219": 0.32, "ina220": 0.32, "ina226": 0.0819175, "ina230": 0.0819175, "ina231": 0.0819175}
 _CHIPS = tuple(SHUNT_RANGES)
@@ -45,15 +45,15 @@ class Reading(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SysfsSensor:
-    """One sensor as its driver shows it.
+    """One sensor and the files of its driver.
 
     Attributes:
         folder: its folder in /sys.
         chip: the sensor's type, such as `ina219`.
         driver: `hwmon` or `iio`.
         names: the files of one sample.
-        shunt_ohm: resistance of the shunt that the driver was told of, ohm.
-        scales: of an IIO device, mV a step: of the shunt's and of the bus voltage.
+        shunt_ohm: resistance of the shunt in the driver's settings, ohm.
+        scales: of an IIO device, mV a step, for the voltages of shunt and bus.
 
     Example:
         >>> sensor = SysfsSensor("/sys/class/hwmon/hwmon3", "ina219", "hwmon", _HWMON, 0.1)
@@ -74,7 +74,7 @@ class SysfsSensor:
         return [f"{self.folder}/{name}" for name in self.names]
 
     def read(self, lines: Sequence[str | None], *, shunt_ohm: float) -> Reading | None:
-        """Return what the lines of `paths` say, or None where one is missing or no number."""
+        """Return a reading from the lines of `paths`, or None if one is missing or no number."""
         try:
             numbers = [int(line) for line in lines if line is not None]
         except ValueError:
@@ -84,7 +84,7 @@ class SysfsSensor:
         return self._of_hwmon(numbers, shunt_ohm) if self.driver == "hwmon" else self._of_iio(numbers, shunt_ohm)
 
     def _of_hwmon(self, numbers: Sequence[int], shunt_ohm: float) -> Reading:
-        # The driver reckoned with the shunt that it was told of.
+        # The driver computes with the shunt in its settings.
         micro_watt, milli_ampere, milli_volt = numbers
         mended = self.shunt_ohm / shunt_ohm
         current, voltage = milli_ampere * 1e-3 * mended, milli_volt * 1e-3
@@ -98,7 +98,7 @@ class SysfsSensor:
 
 
 def find_sensor(host: FileHost, folder: str = AUTO, *, where: str) -> SysfsSensor:
-    """Return the sensor in this folder of /sys, or the only one there is.
+    """Return the sensor in this folder of /sys, or the only one.
 
     Args:
         host: the computer that it is connected to.
@@ -106,7 +106,7 @@ def find_sensor(host: FileHost, folder: str = AUTO, *, where: str) -> SysfsSenso
         where: for errors: whose sensor it is.
 
     Raises:
-        LinkError: there is no such sensor, there are several to choose from, or its driver says too little.
+        LinkError: there is no such sensor, there are several to choose from, or its driver lacks a file.
     """
     if folder != AUTO:
         return _open_sensor(host, folder.rstrip("/"), where)
@@ -150,13 +150,13 @@ _SETTLE = "tell the driver of the shunt (docs/ina219.md)"
 
 
 class SysfsMeter:
-    """Reads the driver's files at a rate.
+    """Reads the driver's files periodically.
 
     Args:
         host: the computer that the sensor is connected to.
         clock: the run's.
         folder: the sensor's in /sys, or `auto`.
-        shunt_ohm: resistance of the shunt, ohm; None takes what the driver says.
+        shunt_ohm: resistance of the shunt, ohm; None takes the driver's.
         rate_hz: Hz; None for 50.
         where: for errors: whose sensor it is.
 
@@ -175,11 +175,11 @@ class SysfsMeter:
         self._sampler = HostSampler(host, self._sensor.paths, self._read, rate=self._rate, clock=clock)
 
     def begin(self) -> None:
-        """Begin to sample."""
+        """Start sampling."""
         self._sampler.start()
 
     def latest_power(self) -> float | None:
-        """Return the power of the last sample, W; None where there is none: another computer tells at its end."""
+        """Return the power of the last sample, W; None if there is none: another computer sends them at the end."""
         reading = self._sampler.latest()
         return None if reading is None else reading.power
 
@@ -188,7 +188,7 @@ class SysfsMeter:
         self._sampler.stop()
 
     def evaluate(self, window: Window | None, part: Window | None = None) -> Evaluation:
-        """Return what was measured in a window; samples that could not be read are left out and counted."""
+        """Return the evaluated samples of a window; those that could not be read are left out and counted."""
         sampled = self._sampler.stop()
         measured = sampled.over(part or window or sampled.window)
         seen, report = measured.within().readings, self._sampler.report()
@@ -224,7 +224,7 @@ class SysfsMeter:
         return reading
 
     def _is_clipped(self, reading: Reading) -> bool:
-        """Whether a reading stands at the end of the shunt's range, but for half a step of hwmon's (1 mA)."""
+        """Whether a reading is at the end of the shunt's range, up to half a step of hwmon (1 mA)."""
         largest = SHUNT_RANGES.get(self._sensor.chip)
         return largest is not None and (abs(reading.current) + 0.0005) * self._shunt_ohm >= largest
 

@@ -1,1 +1,1 @@
-"""The machine around the meter: what else goes on where something is measured, and how a machine is set up for it."""
+"""The measured machine: disturbances by other processes, heat and throttling; and its setup for measuring."""

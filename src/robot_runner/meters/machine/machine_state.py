@@ -1,7 +1,7 @@
-"""What Linux tells of a computer at one moment: who used its processor, memory, frequency, heat, throttling.
+"""The state of a Linux computer at one moment: CPU time of processes, memory, frequency, temperature, throttling.
 
-Everything comes from /proc and /sys. What a computer does not tell is None, so that a container says less, and
-nothing that is wrong.
+Everything comes from /proc and /sys. What a computer does not show is None: a container shows less, but nothing
+wrong.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-#: Ticks a second in which /proc counts: USER_HZ, 100 wherever Linux runs on a robot or beside it.
+#: Ticks a second in /proc: USER_HZ, which is 100 on all computers of robots and their users.
 _TICKS = 100.0
 _KILO, _MILLI, _MICRO = 1e3, 1e-3, 1e-6
 _MOST = 1 << 16
 _PF_KTHREAD = 0x00200000  # linux/sched.h
-#: Zones that show no such temperature, in degC, are asleep or broken; a GPU that sleeps shows -256.
+#: Zones with other temperatures, in degC, are asleep or broken; a sleeping GPU shows -256.
 _PLAUSIBLE = (-40.0, 150.0)
-#: Zones that measure nothing: NVIDIA's Jetsons show 100 degC there, always (balena-os/balena-jetson, issue 142).
+#: Zones that measure nothing: NVIDIA's Jetsons always show 100 degC there (balena-os/balena-jetson, issue 142).
 _DUMMY_ZONES = ("PMIC-Die",)
-#: Cooling devices that hold the processor back; the others are fans and the like.
+#: Cooling devices that throttle the processor; the others are fans and the like.
 PROCESSOR_COOLERS = ("Processor", "cpufreq", "thermal-cpufreq", "cpuidle", "thermal-idle")
 #: The firmware of a Raspberry Pi (raspberrypi/linux, pull request 2397), in hexadecimal: bit 0 is under-voltage; bits
-#: 1 to 3 are a capped frequency, throttling and the soft temperature limit; 16 bits higher the same since the start.
+#: 1 to 3 are a capped frequency, throttling and the soft temperature limit; 16 bits higher, the same since the start.
 FIRMWARE = "/sys/devices/platform/soc/soc:firmware/get_throttled"
 UNDER_VOLTAGE, HELD_BACK, EVER = 0b0001, 0b1110, 16
 _CPU = "/sys/devices/system/cpu"
@@ -37,20 +37,20 @@ _NO_TURBO, _BOOST = f"{_CPU}/intel_pstate/no_turbo", f"{_CPU}/cpufreq/boost"
 
 
 class Files(Protocol):
-    """A computer whose files can be read: this one, or another over ssh, which tells only the first line of each."""
+    """A computer whose files can be read: this one, or another over ssh, of whose files only the first line is read."""
 
     def list_files(self, pattern: str) -> list[str]:
         """Return the paths that match a pattern of the shell, sorted."""
 
     def read_files(self, paths: Sequence[str]) -> Sequence[str | None]:
-        """Return what stands in each file; None for one that cannot be read."""
+        """Return the content of each file; None for one that cannot be read."""
 
 
 class SystemFiles:
     """The files of this machine.
 
     Args:
-        root: the folder that holds `proc` and `sys`; a test has a copy elsewhere.
+        root: the folder with `proc` and `sys`; tests have a copy elsewhere.
 
     Example:
         >>> SystemFiles().read_files(["/dev/null", "/no/such/file"])
@@ -67,12 +67,12 @@ class SystemFiles:
         return sorted(str(path).removeprefix(self._prefix) for path in found)
 
     def read_files(self, paths: Sequence[str]) -> list[str | None]:
-        """Return what stands in each file, 64 KiB at most; None for one that cannot be read."""
+        """Return the content of each file, 64 KiB at most; None for one that cannot be read."""
         return [_content(self._prefix + path) for path in paths]
 
 
 def _content(path: str) -> str | None:
-    # `open` would take three times as long, and there may be thousands of processes.
+    # Faster than `open`, which takes three times as long, as there may be thousands of processes.
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
         try:
@@ -84,7 +84,7 @@ def _content(path: str) -> str | None:
 
 
 def text_in(path: Path) -> str:
-    """Return what stands in a small file of the kernel; nothing where it cannot be read."""
+    """Return the content of a small file of the kernel; an empty text if it cannot be read."""
     with suppress(OSError):
         return path.read_text(encoding="ascii", errors="replace").strip()
     return ""
@@ -95,10 +95,10 @@ class ProcessTimes:
     """The CPU time of one process.
 
     Attributes:
-        pid: the process.
-        parent: the process that started it, or that took it over.
-        name: as the system knows it.
-        started: when, in ticks since the computer started: tells it from another process that had the pid before.
+        pid: of the process.
+        parent: the process that started it, or that adopted it.
+        name: in the kernel.
+        started: in ticks since the computer started: distinguishes it from an earlier process with the same pid.
         is_kernel: whether it is a thread of the kernel.
         own: CPU time that it has used, s.
         children: CPU time of its children that have ended and were reaped, s.
@@ -117,7 +117,7 @@ class ProcessTimes:
         """Read /proc/PID/stat (proc_pid_stat(5)); a name may hold blanks and parentheses.
 
         Raises:
-            ValueError: it is no such line.
+            ValueError: the text is no such line.
 
         Example:
             >>> stat = "42 (a b) S 1 42 42 0 -1 0 0 0 0 0 150 50 7 3 20 0 1 0 999 0 0"
@@ -137,19 +137,19 @@ class ProcessTimes:
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """How a processor is run at one moment.
+    """The conditions of a processor at one moment.
 
     Attributes:
-        governors: who chooses the frequency, each once; empty where the computer does not tell.
-        is_turbo: whether it may go beyond its nominal frequency.
+        governors: which choose the frequency, without repetitions; empty where they are unknown.
+        is_turbo: whether it may exceed its nominal frequency.
         frequency: mean over the cores, Hz.
         limit: the highest frequency that is allowed, mean over the cores, Hz.
         temperature: of the hottest zone, degC.
-        throttle_counts: how often each core, and its package, was throttled for heat since the computer started; of a
-            package each of its cores tells. None where there are no such counters, or one does not tell.
-        is_held_back: whether the kernel or the firmware holds it back now.
+        throttle_counts: how often each core, and its package, was throttled for heat since the computer started; each
+            core has a counter of its package. None where there are no such counters, or one cannot be read.
+        is_held_back: whether the kernel or the firmware throttles it now.
         is_under_voltage: whether the supply voltage is too low now.
-        firmware_flags: what has happened since the computer started, by a Raspberry Pi's firmware, or is happening now.
+        firmware_flags: a Raspberry Pi's flags of what is happening now or has happened since the computer started.
     """
 
     governors: tuple[str, ...] = ()
@@ -165,17 +165,17 @@ class Conditions:
 
 @dataclass(frozen=True, slots=True)
 class MachineState:
-    """One whole look at a computer.
+    """The state of a computer at one moment.
 
     Attributes:
-        at: when, s on a steady clock.
-        busy: CPU time of all cores that processes used, s since the computer started; None if unknown.
+        at: the time, s on a steady clock.
+        busy: CPU time that processes used on all cores since the computer started, s; None if unknown.
         stolen: CPU time that a hypervisor gave to others, s.
-        processes: by pid; those that can be seen from where the look was taken.
-        reader: the pid of who read the files there.
-        swapped: pages that went to swap and came from there since the computer started.
+        processes: by pid; those that the reader can see.
+        reader: the pid of the process that read the files there.
+        swapped: pages moved to and from swap since the computer started.
         stalled: how long some process had to wait for memory since the computer started, s.
-        conditions: how its processor is run.
+        conditions: of its processor.
     """
 
     at: float
@@ -189,7 +189,7 @@ class MachineState:
 
 
 class MachineFiles:
-    """The files of a computer that tell of its state; found once, read several times.
+    """The files with the state of a computer; found once, read several times.
 
     Args:
         files: the computer.
@@ -197,7 +197,7 @@ class MachineFiles:
 
     def __init__(self, files: Files) -> None:
         self._files = files
-        # Of each core, also where several share a clock, as the small and the large ones of many boards do.
+        # Of each core, even if several share a clock, like the small and the large ones of many boards.
         clocks = files.list_files(f"{_CPU}/cpu[0-9]*/cpufreq/scaling_*")
         thermal = files.list_files("/sys/class/thermal/*/*")
         self._governors = _named(clocks, "scaling_governor")
@@ -228,15 +228,15 @@ class MachineFiles:
 
     @property
     def tells_of_conditions(self) -> bool:
-        """Whether there is anything about the processor that changes by itself."""
+        """Whether there are files of conditions of the processor that change by themselves."""
         return bool(self._frequencies or self._temperatures or self._coolers)
 
     def conditions(self) -> Conditions:
-        """Look at how the processor is run: a few files for each core."""
+        """Read the conditions of the processor: a few files for each core."""
         return self._understood(dict(zip(self._cheap, self._files.read_files(self._cheap), strict=True)))
 
     def state(self) -> MachineState:
-        """Look at everything: at each process, too."""
+        """Read everything, also each process."""
         listed = self._files.list_files("/proc/[0-9]*/stat")
         general = ["/proc/stat", "/proc/self/stat", "/proc/vmstat", "/proc/pressure/memory"]
         texts = self._files.read_files([*general, *self._cheap, *listed])
@@ -256,7 +256,7 @@ class MachineFiles:
         )
 
     def command_lines(self, pids: Sequence[int]) -> dict[int, list[str]]:
-        """Return the words of the command lines of some processes; none for one that has ended."""
+        """Return the command lines of processes, as words; empty for one that has ended."""
         texts = self._files.read_files([f"/proc/{pid}/cmdline" for pid in pids])
         return {pid: [word for word in (text or "").split("\0") if word] for pid, text in zip(pids, texts, strict=True)}
 
@@ -288,7 +288,7 @@ def is_measured(zone: str | None) -> bool:
 
 
 def is_plausible(celsius: float) -> bool:
-    """Whether a thermal zone that shows this temperature, degC, measures it."""
+    """Whether a temperature of a thermal zone, degC, can be right."""
     return _PLAUSIBLE[0] < celsius < _PLAUSIBLE[1]
 
 
@@ -299,7 +299,7 @@ def _named(paths: Iterable[str], name: str) -> list[str]:
 def _number(text: str | None) -> float | None:
     try:
         found = float(text or "")
-    except ValueError:  # a sensor that is asleep or gone
+    except ValueError:  # the sensor is asleep or gone
         return None
     return found if math.isfinite(found) else None
 
@@ -324,7 +324,7 @@ def _turbo(no_turbo: float | None, boost: float | None) -> bool | None:
 def _cpu_times(text: str | None) -> tuple[float | None, float | None]:
     """Return busy and stolen time of the first line of /proc/stat (proc_stat(5)).
 
-    User time holds that of guests. Time in interrupts is left out, as no process is charged with it.
+    User time includes that of guests. Time in interrupts is left out, as it is not in the CPU time of any process.
     """
     words = (text or "").partition("\n")[0].split()
     if len(words) < 9 or words[0] != "cpu" or not all(word.isdigit() for word in words[1:]):  # noqa: PLR2004 - to `steal`
@@ -338,7 +338,7 @@ def _processes(texts: Iterable[str | None]) -> dict[int, ProcessTimes]:
     for text in texts:
         try:
             process = ProcessTimes.of_stat(text or "")
-        except ValueError:  # it has ended meanwhile
+        except ValueError:  # the process has ended meanwhile
             continue
         found[process.pid] = process
     return found

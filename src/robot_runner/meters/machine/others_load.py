@@ -1,4 +1,4 @@
-"""Who else had the processor between two looks at a computer."""
+"""The load by other processes between two states of a computer."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ if TYPE_CHECKING:
     from robot_runner.meters.machine.machine_state import MachineState, ProcessTimes
 
 _PERCENT = 100.0
-#: How many of the busiest processes are looked at: more would be read by nobody.
+#: How many of the busiest processes are listed: nobody would read more.
 _LOOKED_AT = 12
-#: A process that took less than this share of a core, in percent, is not looked at by itself.
+#: A process that took less than this share of a core, in percent, is not listed.
 _NOTABLE = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Share:
-    """What one process, with the children that ended meanwhile, took of the processor.
+    """The CPU time of one process, with that of the children that ended meanwhile.
 
     Attributes:
         percent: of one core.
@@ -35,14 +35,14 @@ class Share:
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """How the processor was shared between two looks, in percent of one core.
+    """The shares of the processor between two states, in percent of one core.
 
     Attributes:
-        seconds: between the looks.
-        busy: everything; None where the computer does not tell.
-        ours: the experiment's processes.
-        others: processes that have nothing to do with the experiment, busiest first; the least busy are left out.
-        unseen: what no process that can be seen took: another container, another guest of the same kernel.
+        seconds: between the states.
+        busy: all CPU time; None where it is unknown.
+        ours: by the experiment's processes.
+        others: processes that do not belong to the experiment, busiest first, without the least busy ones.
+        unseen: by processes that are not visible: of another container, or another guest of the same kernel.
     """
 
     seconds: float
@@ -53,11 +53,11 @@ class Load:
 
     @property
     def foreign(self) -> float:
-        """All that the experiment did not take, as far as it is known."""
+        """All CPU time of others than the experiment, as far as it is known."""
         return sum(share.percent for share in self.others) + self.unseen
 
 
-#: Between two looks, s: they take longer than that.
+#: The least time between two states, s: reading one takes longer.
 _SHORTEST = 1e-3
 
 
@@ -69,14 +69,14 @@ def load_between(
     command_lines: Callable[[Sequence[int]], Mapping[int, Sequence[str]]],
     subjects: Sequence[str] = (),
 ) -> Load:
-    """Return who took the processor between two looks.
+    """Return the load between two states.
 
     Args:
-        before: the first look.
+        before: the first state.
         after: the second one.
         is_ours: returns the pids of the experiment's own processes.
         command_lines: returns the command lines of processes.
-        subjects: selectors of processes that the experiment is about (`process_selector`).
+        subjects: selectors of the measured processes (`process_selector`).
     """
     seconds = max(after.at - before.at, _SHORTEST)
     spent = _spent(before, after)
@@ -103,7 +103,7 @@ def load_between(
 
 
 def is_expected(pid: int, name: str, words: Sequence[str], subjects: Sequence[str]) -> bool:
-    """Whether a process belongs to the experiment although it did not start it: robot software, or a measured subject.
+    """Whether a process that the experiment did not start belongs to it: robot software, or a measured process.
 
     Example:
         >>> is_expected(7, "talker", ["/opt/talker", "--ros-args", "-r", "__node:=talker"], ())
@@ -118,7 +118,7 @@ def is_expected(pid: int, name: str, words: Sequence[str], subjects: Sequence[st
 
 
 def _is_own_loop(words: Sequence[str]) -> bool:
-    """Whether it is a program of ours that samples on board of a computer (measuring/on_board)."""
+    """Whether the command line is that of our sampling program (measuring/on_board)."""
     if len(words) < 2 or not PurePath(words[0]).name.startswith(("python", "sh", "dash", "bash")):  # noqa: PLR2004 - `sh -c`
         return False
     program = words[-1]
@@ -126,10 +126,10 @@ def _is_own_loop(words: Sequence[str]) -> bool:
 
 
 def _spent(before: MachineState, after: MachineState) -> dict[int, float]:
-    """Return the CPU time of each process that is there, s: its own, and that of children which ended meanwhile.
+    """Return the CPU time of each process in `after`, s: its own, and that of children that ended meanwhile.
 
-    Who adopted an orphan has in its counter what that had used before the first look. So children count for no more
-    than the processor was busy.
+    If a process adopted an orphan, its counter includes CPU time from before the first state. So children count for no
+    more than the processor was busy.
     """
     ended = {each.pid: (each.parent, each.own + each.children) for each in _ended(before, after)}
     earlier = counted_before(ended)

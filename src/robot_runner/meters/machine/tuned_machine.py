@@ -1,4 +1,4 @@
-"""The plugin that sets up this machine for an experiment, and the process that puts it back if all else is killed."""
+"""The plugin that sets up this machine for an experiment, and the process that restores it if all others are killed."""
 
 from __future__ import annotations
 
@@ -24,37 +24,37 @@ _log = logging.getLogger(__name__)
 
 _SCOPES = ("experiment", "run")
 _MODULE = "robot_runner.meters.machine.tuned_machine"
-#: How long the guardian may take to end once it is no longer needed, s.
+#: How long the guardian may take to end when it is no longer needed, s.
 _PATIENCE = 5.0
 
 
 def check_left_behind(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> list[Finding]:
-    """Return that this machine is still set up by somebody who was killed, or by hand; a check of each experiment."""
+    """Return a finding if this machine is still set up, by a killed process or by hand; a check of each experiment."""
     del where, parameters
     try:
         return [] if any(isinstance(plugin, Tune) for plugin in plugins) else Machine().left_behind("this machine")
-    except StorageError:  # without a home folder there is none in which anything could have been kept
+    except StorageError:  # without a home folder there is no file of state
         return []
 
 
 class Tune(System):
-    """Sets up this machine before the experiment or before each run, and puts it back afterwards, killed or not.
+    """Sets up this machine before the experiment or before each run, and restores it afterwards, even if killed.
 
-    What was there before is written to a file first. A process of its own puts it back when the experiment was killed,
-    and if that was killed as well, the next experiment with a `Tune` does, or `robot-runner tune --restore`.
+    The previous settings are written to a file first. If the experiment is killed, a separate process restores them; if
+    that is killed as well, the next experiment with a `Tune` does, or `robot-runner tune --restore`.
 
     Args:
-        name: tells several instances apart; the class's name if left out.
-        governor: who chooses the frequency of the processor, such as `performance`.
-        turbo: whether the processor may go beyond its nominal frequency.
-        cores: the cores that the experiment has for itself; all else that may be moved is kept off them meanwhile.
-        drop_caches: whether the kernel forgets before each run what it keeps of files.
-        scope: `experiment`, or `run` to set the machine up for each run and put it back in between.
-        root: the folder that holds this machine's `proc` and `sys`.
-        state: the file that keeps what was there before; left out, one in the user's folder of state.
+        name: distinguishes several instances; None for the class's name.
+        governor: of the processor's frequency, such as `performance`.
+        turbo: whether the processor may exceed its nominal frequency.
+        cores: reserved for the experiment; all other threads that may be moved are kept off them meanwhile.
+        drop_caches: whether the kernel drops its caches of files before each run.
+        scope: `experiment`, or `run` to set the machine up for each run and restore it in between.
+        root: the folder with this machine's `proc` and `sys`.
+        state: the file for the previous settings; None takes one in the user's folder of state.
 
     Raises:
-        PluginError: nothing is asked for, or there is no such scope.
+        PluginError: there is no setting, or no such scope.
 
     Example:
         >>> Tune(governor="performance", turbo=False).wishes.governor
@@ -91,14 +91,14 @@ class Tune(System):
         self._guardian: subprocess.Popen[bytes] | None = None
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: the machine has no such setting, or we may not change it."""
+        """Return errors: the machine has no such setting, or it may not be changed."""
         del circumstances
         return self.machine.findings(f"plugin {self.name}", self.wishes)
 
     def before_experiment(self) -> None:
-        """Set the machine up for the experiment, or put back what somebody who was killed left."""
+        """Set the machine up for the experiment, or restore what a killed process left."""
         words = [sys.executable, "-P", "-m", _MODULE, str(self.machine.root), str(self.machine.state.absolute())]
-        # Its input ends when this process and all that were forked from it are gone: then nobody measures any more.
+        # Its input ends when this process and all its forks are gone: then nobody measures any more.
         self._guardian = subprocess.Popen(words, stdin=subprocess.PIPE, start_new_session=True)  # noqa: S603 - ours
         if self.scope == "experiment":
             self.machine.apply(self.wishes, owner=os.getpid())
@@ -114,13 +114,13 @@ class Tune(System):
             self.machine.drop_caches()
 
     def stop_run(self, context: RobotRunnerContext) -> None:
-        """Put back what was there before the run."""
+        """Restore the settings from before the run."""
         if self.scope == "run":
             for problem in self.machine.restore():
                 context.warn(problem, fix="Set it by hand.")
 
     def after_experiment(self) -> None:
-        """Put back what was there before the experiment."""
+        """Restore the settings from before the experiment."""
         for problem in self.machine.restore():
             _log.warning("%s: %s", self.name, problem)
         guardian, self._guardian = self._guardian, None
@@ -134,7 +134,7 @@ class Tune(System):
 
 
 def _guard(root: Path, state: Path) -> None:
-    """Wait until nobody is left who could put the machine back, and do it; there is nothing to do in the best case."""
+    """Wait until no other process is left that could restore the machine, and do it; usually it is done already."""
     sys.stdin.buffer.read()
     Machine(root, state).restore()
 

@@ -1,4 +1,4 @@
-"""Sets up a Linux machine for measuring, and puts back what was there before, also after the experiment was killed."""
+"""Sets up a Linux machine for measuring, and restores its settings, also after the experiment was killed."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _AS_ROOT = "Execute it as root (sudo), or leave it out."
 
 @dataclass(frozen=True, slots=True)
 class Wishes:
-    """What is asked for; None and empty leave it as it is.
+    """The requested settings; None and empty leave a setting as it is.
 
     Attributes:
-        governor: who chooses the frequency of the processor, such as `performance`.
-        turbo: whether the processor may go beyond its nominal frequency.
-        cores: the cores that the experiment has for itself.
-        drops_caches: whether what the kernel keeps of files is forgotten.
+        governor: of the processor's frequency, such as `performance`.
+        turbo: whether the processor may exceed its nominal frequency.
+        cores: reserved for the experiment.
+        drops_caches: whether the kernel drops its caches of files.
     """
 
     governor: str | None = None
@@ -42,8 +42,8 @@ class Machine:
     """A machine that can be set up.
 
     Args:
-        root: the folder that holds its `proc` and `sys`; a test has a copy elsewhere.
-        state: the file of state; left out, the user's, or one beside the copy.
+        root: the folder with its `proc` and `sys`; tests have a copy elsewhere.
+        state: the file of state; None takes the user's, or one beside the copy.
     """
 
     def __init__(self, root: Path = Path("/"), state: Path | None = None) -> None:
@@ -51,7 +51,7 @@ class Machine:
         self.state = state or (state_file() if root == Path("/") else root / "tuned.json")
 
     def findings(self, where: str, wishes: Wishes) -> list[Finding]:
-        """Return what stands in the way of these wishes; nothing is changed by asking."""
+        """Return findings on why these settings cannot be made, without changing anything."""
         problems = [*self._governor_findings(where, wishes), *self._turbo_findings(where, wishes)]
         problems += self._core_findings(where, wishes)
         if wishes.drops_caches and not os.access(self.root / _CACHES, os.W_OK):
@@ -59,7 +59,7 @@ class Machine:
         return [*problems, *self.left_behind(where, blocks=True)]
 
     def left_behind(self, where: str, *, blocks: bool = False) -> list[Finding]:
-        """Return that the machine is still set up, by hand or by somebody who was killed; `blocks` if that refuses."""
+        """Return a finding if the machine is still set up, by hand or by another process; an error if that `blocks`."""
         try:
             kept = self._kept()
         except PluginError as error:
@@ -80,25 +80,25 @@ class Machine:
 
     @property
     def is_in_use(self) -> bool:
-        """Whether somebody has set it up who goes on, and will put it back."""
+        """Whether a running process has set it up, and will restore it."""
         kept = self._kept()
         return kept is not None and kept.owner is not None and self._is_alive(kept.owner)
 
     def apply(self, wishes: Wishes, *, owner: int | None) -> None:
-        """Set the machine up; what was there before is written down first.
+        """Set the machine up, after writing the previous settings to the file of state.
 
         Args:
-            wishes: what is asked for.
-            owner: the process that restores it; None for nobody but the user.
+            wishes: the settings.
+            owner: the process that restores it; None if only the user does.
 
         Raises:
-            PluginError: it is set up already by somebody who goes on, or the kernel refuses; then it is as before.
+            PluginError: a running process has set it up already, or the kernel refuses; then it is as before.
         """
         where = str(self.state)
         errors = [finding for finding in self.left_behind(where, blocks=True) if finding.is_error]
         if errors:
             raise PluginError(errors[0].problem, where=where, fix=errors[0].fix)
-        problems = self.restore()  # what somebody who was killed left
+        problems = self.restore()  # the settings that a killed process left
         if self._kept() is not None:
             raise PluginError(problems[0], where=where, fix=_AS_ROOT)
         kept = self._planned(wishes, owner)
@@ -112,9 +112,10 @@ class Machine:
             raise
 
     def restore(self) -> list[str]:
-        """Put back what was there before, and return what could not be; nothing to do is fine.
+        """Restore the previous settings, if there are any, and return problems.
 
-        What somebody else has set since is left as it is, and told. What the kernel refuses stays written down.
+        Settings that others have changed since are left as they are, and reported. If the kernel refuses, the file of
+        state stays.
 
         Raises:
             PluginError: the file of state cannot be read.
@@ -156,7 +157,7 @@ class Machine:
         }
 
     def drop_caches(self) -> None:
-        """Have the kernel forget what it keeps of files, after it has written what is to be written.
+        """Make the kernel drop its caches of files, after writing modified data to disk.
 
         Raises:
             PluginError: that is not allowed.
@@ -168,7 +169,7 @@ class Machine:
         return sorted((self.root / _CPU).glob("cpufreq/policy*/scaling_governor"))
 
     def _turbo(self) -> tuple[Path, str, str] | None:
-        """Return the file of turbo, and what stands there for on and for off."""
+        """Return the file of turbo, and its contents for on and for off."""
         for name, on, off in (("intel_pstate/no_turbo", "0", "1"), ("cpufreq/boost", "1", "0")):
             path = self.root / _CPU / name
             if path.is_file():
@@ -250,14 +251,14 @@ class Machine:
             )
 
     def _threads(self) -> Iterator[tuple[int, tuple[str, list[int]]]]:
-        """Yield each thread that is not the kernel's, when it was started, and the cores that it may use."""
+        """Yield each thread that is not the kernel's, with its start and the cores that it may use."""
         for path in (self.root / "proc").glob("[0-9]*/task/[0-9]*"):
             process = _process(path)
             if process is not None and not process.is_kernel and (cores := _affinity(process.pid)):
                 yield process.pid, (process.started, sorted(cores))
 
     def _isolate(self, kept: Kept, cores: tuple[int, ...]) -> None:
-        """Keep the experiment on its cores, and everybody else off them, as far as that is allowed."""
+        """Keep the experiment on its cores, and other threads off them, as far as that is allowed."""
         if not cores:
             return
         ours = _own_threads()
@@ -267,7 +268,7 @@ class Machine:
                 _allow(thread, allowed)
 
     def _free(self, kept: Kept) -> None:
-        """Give each thread its cores back; one that was started since has those of all."""
+        """Give each thread its cores back; one that was started since gets all cores."""
         if not kept.everything:
             return
         mine = set(kept.everything) - set(kept.others)
@@ -275,11 +276,11 @@ class Machine:
             known = kept.threads.get(thread)
             if known is not None and known[0] == started:
                 _allow(thread, known[1])
-            elif set(now) <= set(kept.others) or set(now) <= mine:  # it inherited them
+            elif set(now) <= set(kept.others) or set(now) <= mine:  # a new thread, which inherited them
                 _allow(thread, list(kept.everything))
 
     def _kept(self) -> Kept | None:
-        """Return what is kept of this start of the machine."""
+        """Return the content of the file of state, if it is from since the machine started."""
         kept = Kept.read(self.state)
         return kept if kept is not None and kept.boot == self._boot() else None
 
@@ -303,7 +304,7 @@ def _started(folder: Path) -> str:
 
 
 def _ancestors() -> Iterator[int]:
-    """Yield this process, and those that it was started by."""
+    """Yield this process and its ancestors."""
     pid = os.getpid()
     while pid > 0:
         yield pid
@@ -324,5 +325,5 @@ def _affinity(thread: int) -> set[int]:
 
 
 def _allow(thread: int, cores: list[int]) -> None:
-    with suppress(OSError):  # it has ended, or belongs to somebody else
+    with suppress(OSError):  # the thread has ended, or belongs to another user
         os.sched_setaffinity(thread, cores)

@@ -1,6 +1,6 @@
-"""The watch over computers that an experiment with plugins that measure them gets: a companion of each config.
+"""Adds a `MachineWatch` to experiments with plugins that measure a computer; a companion of each config.
 
-Each start of the program asks for it: what only a watch needs is imported where there is one.
+Each start of the program executes this: modules that only the watch needs are imported if there is one.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def watch_machines(parameters: Parameters, plugins: Sequence[Plugin]) -> Iterable[Plugin]:
-    """Return the watch over the computers that these plugins measure; none where there are none, or none is wanted."""
+    """Return the watch of the computers that these plugins measure; empty if there are none, or it is turned off."""
     if not concerned(plugins):
         return []
     from robot_runner.meters.machine.machine_watch import MachineWatch  # noqa: PLC0415 - as said above

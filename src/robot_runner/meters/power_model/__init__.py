@@ -1,1 +1,1 @@
-"""Estimates the power of a robot from what it does: its utilisation, its motion and its tasks."""
+"""Estimates the power of a robot from its utilisation, its motion and its tasks."""

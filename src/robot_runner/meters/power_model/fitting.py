@@ -1,4 +1,4 @@
-"""Fits the coefficients of a linear power model by least squares, and says how far they can be trusted."""
+"""Fits the coefficients of a linear power model by least squares, with their uncertainty."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 
     Floats = npt.NDArray[np.float64]
 
-#: A processor that knows more frequencies than this changes them in small steps: they are taken together as cycles.
+#: A processor with more frequencies than this changes them in small steps: they are combined to cycles.
 _FREQUENCIES = 6
-#: How much of a direction in which nothing was seen a term must make up to be named as its cause.
+#: A term is named as the cause of a rank deficiency if its share of a direction without data is at least this.
 _CAUSE = 0.1
 
 
 def _solved(pieces: PiecesOfRuns, terms: Sequence[str]) -> Floats:
-    """Return the coefficients that leave the least squares, each piece weighted by its duration.
+    """Return the least-squares coefficients, with each piece weighted by its duration.
 
     Raises:
-        AnalysisError: the data do not tell some of the terms apart.
+        AnalysisError: some of the terms are collinear.
     """
     root = np.sqrt(pieces.seconds)
     weighted = pieces.matrix * root[:, None]
@@ -59,7 +59,7 @@ def _check_rank(scaled: Floats, terms: Sequence[str]) -> None:
 
 
 def terms_of(runs: Sequence[MeasuredRun], sources: Sources) -> tuple[str, ...]:
-    """Return the terms that these runs can tell of: utilisation, motions and tasks, as far as they were seen."""
+    """Return the terms that occur in these runs: utilisation, motions and tasks."""
     states = [state for run in runs for state in run.states]
     terms = ["constant"]
     terms += _computing_terms(states, sources)
@@ -71,7 +71,7 @@ def terms_of(runs: Sequence[MeasuredRun], sources: Sources) -> tuple[str, ...]:
 
 
 def _computing_terms(states: Sequence[RobotState], sources: Sources) -> list[str]:
-    """Return the terms of the computer's parts; with frequencies known, the cores take the place of `cpu`."""
+    """Return the terms of the computer's parts; if frequencies are known, terms of the cores replace `cpu`."""
     terms = []
     clocks = sorted({clock for state in states for clock, _ in state.cores or ()})
     if clocks:
@@ -88,14 +88,14 @@ def fit_model(
     """Return the linear model that fits these runs best.
 
     Args:
-        runs: what the robot did and drew.
+        runs: the measured runs.
         terms: the terms of the model.
         experiment: the name of the experiment, for the report.
         power: the plugin that measured power, for the report.
         left_out: the runs that were left out and why, for the report.
 
     Raises:
-        AnalysisError: the data are too few, or do not tell some of the terms apart.
+        AnalysisError: the data are too few, or some of the terms are collinear.
         PluginError: there is no such term.
     """
     check_terms(terms)
@@ -132,7 +132,7 @@ def fit_model(
 
 
 def _pieces_of(runs: Sequence[MeasuredRun], terms: Sequence[str]) -> PiecesOfRuns:
-    """Return the pieces of time of all runs; those in which something was not sampled are left out."""
+    """Return the pieces of time of all runs, without those where a term was not sampled."""
     kept = [
         (values, watts, state.seconds, number)
         for number, run in enumerate(runs)
@@ -145,11 +145,11 @@ def _pieces_of(runs: Sequence[MeasuredRun], terms: Sequence[str]) -> PiecesOfRun
 
 
 def _without_each(pieces: PiecesOfRuns, terms: Sequence[str]) -> dict[int, Floats]:
-    """Return, for the number of each run, the coefficients of the other runs, where those suffice."""
+    """Return, for each run by number, the coefficients from the other runs, if these suffice."""
     numbers = np.unique(pieces.runs).tolist()
     partial = {}
     for number in numbers if len(numbers) > 1 else ():
-        with suppress(AnalysisError):  # a task that only this run had, say
+        with suppress(AnalysisError):  # such as without a task that only this run had
             partial[number] = _solved(pieces.where(pieces.runs != number), terms)
     return partial
 
@@ -166,7 +166,7 @@ def _r_squared(pieces: PiecesOfRuns, coefficients: Floats) -> float:
 
 
 def _energy_error(pieces: PiecesOfRuns, coefficients: Floats) -> float:
-    """Return by how many percent the modelled energy of a run differs from the measured."""
+    """Return the error of a run's modelled energy, % of the measured one."""
     measured = float(pieces.seconds @ pieces.watts)
     return 100.0 * (float(pieces.seconds @ (pieces.matrix @ coefficients)) / measured - 1.0)
 

@@ -1,4 +1,4 @@
-"""A linear model of power: so many watts for each thing that the robot does, and the file that it is kept in."""
+"""A linear model of power, with a coefficient in watts for each term, and its file."""
 
 from __future__ import annotations
 
@@ -15,26 +15,27 @@ if TYPE_CHECKING:
     from robot_runner.meters.power_model.states import RobotState
 
 FORMAT = "robot-runner power model 1"
-#: Terms that stand for themselves; the others are `motion:<phase>`, `task:<task>` and `frequency:<MHz>`.
+#: Terms without a parameter; the others are `motion:<phase>`, `task:<task>` and `frequency:<MHz>`.
 PLAIN_TERMS = ("constant", "cpu", "memory", "has_moved", "cycles", "network", "gpu")
 _KINDS = ("motion", "task", "frequency")
-#: How far, as a share of the range that was fitted on, a value may lie outside before it is worth a warning.
+#: How far a value may be outside of the range of the fit without a doubt, as a share of that range.
 _TOLERANCE = 0.1
 
 
-#: Curvature is told where chance explains it in fewer than one of 100 experiments, and it is more than this share of
-#: the spread of power that the model is to explain.
+#: Curvature is doubted if chance explains it in fewer than one of 100 experiments, and it is more than this share of
+#: the standard deviation of the modelled power.
 _CHANCE = 0.01
 _BENT = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Linearity:
-    """What Ramsey's RESET says of a model.
+    """The result of Ramsey's RESET of a model.
 
     Attributes:
-        p_value: how often chance alone would bend the power of a straight model as much.
-        curvature_W: root mean square of what squares of the terms, and squares and cubes of the modelled power, add, W.
+        p_value: the probability of at least this curvature if the true model is linear.
+        curvature_W: root mean square of the contribution of squares of the terms, and of squares and cubes of the
+            modelled power, W.
         explained_W: standard deviation of the modelled power, W.
     """
 
@@ -43,7 +44,7 @@ class Linearity:
     explained_W: float  # noqa: N815 - the same
 
     def doubt(self) -> str | None:
-        """Return what is wrong with the model, or None."""
+        """Return the doubt about the model, or None."""
         if self.p_value >= _CHANCE or self.curvature_W <= _BENT * self.explained_W:
             return None
         p_value = "p < 0.001" if self.p_value < 0.001 else f"p = {self.p_value:.3f}"  # noqa: PLR2004 - as p is written
@@ -55,24 +56,25 @@ class Linearity:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitReport:
-    """How a model was fitted, and how well it fits.
+    """The data, quality and uncertainty of a fit.
 
     Attributes:
         experiment: the name of the experiment.
-        runs: the runs that it was fitted on.
+        runs: of the fit.
         left_out: why other runs were left out, by run.
         power_source: the plugin that measured power.
         is_simulated: whether that was a simulated meter.
-        pieces: how many pieces of time it was fitted on.
-        seconds: how long they lasted together, s.
+        pieces: the number of pieces of time of the fit.
+        seconds: their total duration, s.
         r_squared: the share of the variance of power that the model explains, 0..1.
         residual_W: root mean square of measured less modelled power, weighted by time, W.
-        standard_errors: of each coefficient, W; they allow for the correlation of the pieces of a run, and for what
-            these have in common.
+        standard_errors: of each coefficient, W; they allow for the correlation of the pieces of a run, and for
+            differences between runs.
         energy_errors: the error of each run's energy, %, by a model that was fitted on the other runs.
-        intervals: for each coefficient, W, the interval that covers the true one in 95 of 100 experiments.
-        correlation_lag: over how many pieces correlation was allowed for; None in a file of an earlier version.
-        linearity: whether power bends where the model is straight; None where nothing could bend.
+        intervals: the 95 % confidence interval of each coefficient, W.
+        correlation_lag: the number of pieces over which correlation was allowed for; None in a file of an earlier
+            version.
+        linearity: the test of linearity; None if every term is on or off.
     """
 
     experiment: str
@@ -93,13 +95,13 @@ class FitReport:
 
 @dataclass(frozen=True, slots=True)
 class LinearModel:
-    """So many watts for each term, added up.
+    """The sum of coefficient times value over the terms, W.
 
     Attributes:
         coefficients: W for each term; for `cpu`, `memory` and `gpu`, W for each percent; for `network`, W for each
             MB/s; for `frequency:<MHz>`, W for each core that is busy at it; for `cycles`, W for each GHz.
-        ranges: least and largest value of `cpu` and `memory` that it was fitted on.
-        report: how it was fitted; None for coefficients that were given by hand.
+        ranges: the least and largest value of `cpu` and `memory` in the fit.
+        report: of the fit; None for coefficients that were given by hand.
 
     Raises:
         PluginError: a term is not known, or a coefficient is not a finite number.
@@ -123,7 +125,7 @@ class LinearModel:
                 raise PluginError(problem, where="power model", fix="Give a finite number of watts.")
 
     def power(self, state: RobotState) -> float | None:
-        """Return the power in W, or None where something that it depends on was not sampled."""
+        """Return the power in W, or None if the value of a term was not sampled."""
         total = 0.0
         for term, watts in self.coefficients.items():
             value = term_value(term, state)
@@ -133,11 +135,11 @@ class LinearModel:
         return total
 
     def needs(self, *terms: str) -> bool:
-        """Return whether it has one of these terms; `motion` and `task` stand for all of their kind."""
+        """Return whether the model has one of these terms; `motion` and `task` stand for all of their kind."""
         return any(term.partition(":")[0] in terms for term in self.coefficients)
 
     def doubts(self, states: Sequence[RobotState]) -> Iterator[str]:
-        """Yield one sentence for each way in which these states lie outside what the model was fitted on."""
+        """Yield a sentence for each way in which these states are outside of the range of the fit."""
         if self.report is None:
             return
         if self.report.linearity is not None and (bent := self.report.linearity.doubt()):
@@ -150,7 +152,7 @@ class LinearModel:
             yield from _beyond(term, low, high, [term_value(term, state) for state in states])
 
     def as_json(self) -> dict[str, Any]:
-        """Return what is kept in a model's file."""
+        """Return the content of a model's file."""
         return {
             "format": FORMAT,
             "coefficients_W": dict(self.coefficients),
@@ -160,10 +162,10 @@ class LinearModel:
 
     @classmethod
     def of_json(cls, document: Any) -> LinearModel:
-        """Return the model of a document that `as_json` made.
+        """Return the model of a document from `as_json`.
 
         Raises:
-            ValueError, TypeError, KeyError, AttributeError: it is no such document.
+            ValueError, TypeError, KeyError, AttributeError: the document is no power model.
             PluginError: a term or a coefficient is wrong.
         """
         if document["format"] != FORMAT:
@@ -198,10 +200,10 @@ def _beyond(term: str, low: float, high: float, values: Iterable[float | None]) 
 
 
 def check_terms(terms: Iterable[str]) -> None:
-    """Refuse terms that cannot be part of a model.
+    """Refuse unknown terms.
 
     Raises:
-        PluginError: there is no such term; the nearest is named.
+        PluginError: there is no such term; the message names the nearest one.
     """
     for term in terms:
         kind, colon, name = term.partition(":") if isinstance(term, str) else ("", "", "")
@@ -211,10 +213,10 @@ def check_terms(terms: Iterable[str]) -> None:
 
 
 def term_value(term: str, state: RobotState) -> float | None:
-    """Return by what a coefficient is multiplied; None where it was not sampled.
+    """Return the value of a term, by which its coefficient is multiplied; None if it was not sampled.
 
-    That is 1 or 0, a percentage (`cpu`, `memory`, `gpu`), MB/s (`network`), how many cores were busy at a frequency, or
-    GHz (`cycles`: the frequency of each core times the share of the time that it was busy, added up).
+    That is 1 or 0, a percentage (`cpu`, `memory`, `gpu`), MB/s (`network`), the number of busy cores at a frequency, or
+    GHz (`cycles`: the sum over the cores of frequency times busy share of the time).
 
     Example:
         >>> from robot_runner.meters.power_model.states import RobotState
@@ -238,10 +240,10 @@ def term_value(term: str, state: RobotState) -> float | None:
 
 
 def read_model(path: Path) -> LinearModel:
-    """Return the model that a file holds.
+    """Return the model of a file.
 
     Raises:
-        PluginError: the file cannot be read, or holds no power model.
+        PluginError: the file cannot be read, or contains no power model.
     """
     fix = "Name a file that `robot-runner fit-power-model EXPERIMENT --out FILE` has written."
     try:

@@ -1,4 +1,4 @@
-"""What robots did and drew in the runs of an experiment, read for a power model."""
+"""The states and the power of a robot in the runs of an experiment, read for a power model."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _SHORTEST = 0.02
 
 @dataclass(frozen=True, slots=True)
 class MeasuredRun:
-    """What the robot did in a run, and what it drew then.
+    """The states and the power of the robot in a run.
 
     Attributes:
         run_id: the run's.
-        states: what it did, piece by piece.
+        states: of the robot, piece by piece.
         watts: the mean power of each piece, W.
         is_simulated: whether the meter was a simulated one.
     """
@@ -40,19 +40,19 @@ class MeasuredRun:
 def read_runs(
     experiment: Path, power: str, sources: Sources, run_ids: Sequence[str]
 ) -> tuple[list[MeasuredRun], dict[str, str]]:
-    """Return the runs that power was measured in, and for each other one why it is left out.
+    """Return the runs with measured power, and for each other run why it is left out.
 
     Args:
         experiment: the experiment's folder.
-        power: the plugin whose `samples.csv` holds `power_W`, and its `quality.json` the measured window.
-        sources: the plugins that tell what the robot did.
-        run_ids: the runs that are done.
+        power: the plugin with `power_W` in `samples.csv`, and the measured window in `quality.json`.
+        sources: the plugins with the states of the robot.
+        run_ids: the runs to read, which are done.
 
     Raises:
         AnalysisError: no run can be used.
     """
     runs, left_out = [], {}
-    for run_id in dict.fromkeys(run_ids):  # one that is named twice would be held out from itself
+    for run_id in dict.fromkeys(run_ids):  # once each: otherwise a held-out run would also be in the fit
         try:
             runs.append(_read_run(ExperimentFolder(experiment).run(run_id), power, sources))
         except AnalysisError as error:
@@ -80,7 +80,7 @@ def _read_run(folder: Path, meter: str, sources: Sources) -> MeasuredRun:
 
 
 def _read_quality(path: Path) -> dict[str, Any]:
-    """Return what the meter said of its samples; refuse those that do not cover the window."""
+    """Return the quality of the meter's samples; refuse those that do not cover the window."""
     fix = "Name another plugin that measures power, or execute the experiment with one."
     try:
         quality: dict[str, Any] = read_json(path)

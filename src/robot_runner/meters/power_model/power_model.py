@@ -1,4 +1,4 @@
-"""The profiler that estimates power where no meter is."""
+"""The profiler that estimates power without a meter."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from robot_runner.meters.power_model.linear_power_model import LinearModel, read
 from robot_runner.meters.power_model.measured_runs import read_runs
 from robot_runner.meters.power_model.states import RobotState, Sources, read_states
 
-#: From what the robot does to the power that it draws, W.
+#: From the state of the robot to the power that it draws, W.
 PowerFunction = Callable[[RobotState], float | None]
 
-#: The terms for which a model needs each of the plugins that it may read from.
+#: By plugin that a model may read from, the terms that need it.
 _TERMS = {
     "utilisation": ("cpu", "memory", "frequency", "cycles"),
     "phases": ("has_moved", "motion", "task"),
@@ -37,7 +37,7 @@ _FIX = "Fit one: robot-runner fit-power-model EXPERIMENT --out power_model.json.
 
 @dataclass(frozen=True, slots=True)
 class _Estimate:
-    """The power of each piece of the window; None where it could not be told."""
+    """The power of each piece of the window; None where it is unknown."""
 
     states: Sequence[RobotState]
     watts: Sequence[float | None]
@@ -72,20 +72,20 @@ class _Estimate:
 class PowerModel(Profiler):
     """Estimates the energy that a robot draws from its utilisation, its motion and its task.
 
-    It reads what other plugins of the same run have sampled, and measures nothing itself; its values are labelled
-    as estimated. Give it one of `model`, `coefficients` and `function`.
+    It reads the samples of other plugins of the same run, and measures nothing itself; its values are labelled as
+    estimated. Give it one of `model`, `coefficients` and `function`.
 
     Args:
-        name: tells several models apart; the class's name if left out.
-        model: a file that `robot-runner fit-power-model` has written.
+        name: distinguishes several models; None for the class's name.
+        model: a file written by `robot-runner fit-power-model`.
         coefficients: W for each term: `constant`, `cpu`, `memory` and `gpu` (for each percent), `has_moved`,
             `motion:<phase>`, `task:<task>`, `frequency:<MHz>` (for each core that is busy at it), `cycles` (for each
             GHz), `network` (for each MB/s).
-        function: from what the robot does (`RobotState`) to the power in W; None where it cannot tell.
+        function: from the state of the robot (`RobotState`) to the power in W; it returns None for unknown power.
         utilisation: the plugin that samples CPU and memory; None for none.
         phases: the plugin that records the phases of the mission; None for none.
         frequency: the plugin that samples the frequency of each core, for models with `frequency:<MHz>` or `cycles`.
-        network: the plugin that counts what goes over the network, for models with `network`.
+        network: the plugin that counts network traffic, for models with `network`.
         gpu: the plugin that samples the GPUs, for models with `gpu`.
 
     Raises:
@@ -101,7 +101,7 @@ class PowerModel(Profiler):
         Measure("Energy", "J", "Energy over the measured window, estimated by a power model.", over=Over.SUM),
         Measure("MeanPower", "W", "Mean power over the measured window, estimated by a power model.", over=Over.MEAN),
     )
-    #: The states that it computes from are those of a mission.
+    #: No probe: it needs the states of a mission.
     probe_s: float | None = None
     needs: ClassVar[str] = "A power model (robot-runner fit-power-model), and the plugins whose samples it reads."
     bytes_per_run: int = 60_000  # a line of 35 bytes for each of the 10 samples a second of a mission of 95 s
@@ -145,7 +145,7 @@ class PowerModel(Profiler):
         gpu: str | None = None,
         terms: Sequence[str] | None = None,
     ) -> dict[str, Any]:
-        """Return what `model` reads: coefficients by least squares from the measured runs of an experiment.
+        """Return the content of a file for `model`: least-squares coefficients from measured runs of an experiment.
 
         Args:
             experiment: the experiment's folder.
@@ -154,12 +154,12 @@ class PowerModel(Profiler):
             utilisation: the plugin that sampled CPU and memory; None for none.
             phases: the plugin that recorded the phases; None for none.
             frequency: the plugin that sampled the frequency of each core; None for none.
-            network: the plugin that counted what went over the network; None for none.
+            network: the plugin that counted network traffic; None for none.
             gpu: the plugin that sampled the GPUs; None for none.
-            terms: the terms of the model; None for all that were seen.
+            terms: the terms of the model; None for all that occur.
 
         Raises:
-            AnalysisError: no run can be used, or the data do not tell some of the terms apart.
+            AnalysisError: no run can be used, or some of the terms are collinear.
             PluginError: there is no such term.
         """
         try:
@@ -176,7 +176,7 @@ class PowerModel(Profiler):
         return fitted.as_json()
 
     def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: nothing, as other plugins measure what it computes with."""
+        """Return no claims, as it only computes from the samples of other plugins."""
         del robot
         return ()
 
@@ -185,7 +185,7 @@ class PowerModel(Profiler):
         return [] if self._named is None else [InputFile(self._named)]
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no model that can be read, or no plugin that samples what it depends on."""
+        """Return errors: the model cannot be read, or a plugin with samples for its terms is missing."""
         where = f"plugin {self.name}"
         try:
             linear = self._read()
@@ -202,7 +202,7 @@ class PowerModel(Profiler):
         ]
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
-        """Estimate, now that all others have written their samples; no value where too little is known."""
+        """Estimate, now that all other plugins have written their samples; no value if they cover too little."""
         if context.window is None:
             context.doubt("nothing was estimated: there was no mission")
         else:
@@ -214,7 +214,7 @@ class PowerModel(Profiler):
     def _evaluated(self, context: RobotRunnerContext, window: Window) -> Mapping[str, float | None]:
         try:
             mean = self._estimate(context, window).mean_power()
-        except (AnalysisError, PluginError):  # `_report` has told of it
+        except (AnalysisError, PluginError):  # `_report` has reported it
             return {}
         return {"Energy": None if mean is None else mean * window.duration, "MeanPower": mean}
 
@@ -222,7 +222,7 @@ class PowerModel(Profiler):
         """Return the power of each piece of a window.
 
         Raises:
-            AnalysisError: the samples of another plugin are not there, or not as they should be.
+            AnalysisError: the samples of another plugin are missing or malformed.
             PluginError: the model cannot be read, or the function returned no power.
         """
         linear = self._read()
@@ -230,7 +230,7 @@ class PowerModel(Profiler):
         return _Estimate(states, [self._power(linear, state) for state in states], window)
 
     def _report(self, context: RobotRunnerContext, window: Window) -> None:
-        """Keep the estimates of the mission, and doubt what is doubtful about them."""
+        """Write the estimates of the mission, and report doubts about them."""
         try:
             estimate, linear = self._estimate(context, window), self._read()
         except (AnalysisError, PluginError) as error:
@@ -250,18 +250,18 @@ class PowerModel(Profiler):
             )
 
     def _keep(self, context: RobotRunnerContext, linear: LinearModel, estimate: _Estimate) -> None:
-        """Keep the model that was used beside the estimates, and tell of what it was not fitted on."""
+        """Write the model beside the estimates, and doubt them where the mission is outside of the range of the fit."""
         text = json.dumps(linear.as_json(), indent=2, ensure_ascii=False) + "\n"
         (context.raw_data_folder / "model.json").write_text(text, encoding="utf-8")
         for doubt in linear.doubts(estimate.states):
             context.doubt(doubt, fix="Fit the model on runs in which the robot does what it does here.")
 
     def _read(self) -> LinearModel | None:
-        """Return the linear model, or None where a function stands for it."""
+        """Return the linear model, or None if there is a function instead."""
         return read_model(self.model) if self.model is not None else self._linear
 
     def _needed(self, linear: LinearModel | None, run_folder: Path | None = None) -> dict[str, str | None]:
-        """Return the plugins that are read from; of the computer's parts, a function gets what there is in a run."""
+        """Return the plugins to read; for a function, those of the computer's parts that have samples in the run."""
 
         def is_needed(kind: str, plugin: str | None) -> bool:
             if linear is not None:
@@ -278,10 +278,10 @@ class PowerModel(Profiler):
 
 
 def _checked(function: PowerFunction, state: RobotState) -> float | None:
-    """Return what a user's function says of a state.
+    """Return the result of a user's function for a state.
 
     Raises:
-        PluginError: it raises, or says what is no power.
+        PluginError: the function raises an exception, or returns no power.
     """
     where, fix = getattr(function, "__name__", "function"), "Have the function return watts, or None."
     try:

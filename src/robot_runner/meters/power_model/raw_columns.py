@@ -14,7 +14,7 @@ def heading_of(path: Path) -> list[str]:
     """Return the names of a file's columns.
 
     Raises:
-        AnalysisError: the file is not there.
+        AnalysisError: the file is missing.
     """
     try:
         with open_text(path) as file:
@@ -24,10 +24,10 @@ def heading_of(path: Path) -> list[str]:
 
 
 def read_numbers(path: Path, columns: Sequence[str]) -> list[list[float]]:
-    """Return these columns of a file of samples; rows in which one of them is missing are passed over.
+    """Return these columns of a file of samples, without rows in which one of them is empty.
 
     Raises:
-        AnalysisError: the file is not there, lacks one of the columns, or a cell is no number.
+        AnalysisError: the file or one of the columns is missing, or a cell is no number.
     """
     values: list[list[float]] = [[] for _ in columns]
     for row in rows_of(path, columns):
@@ -39,10 +39,10 @@ def read_numbers(path: Path, columns: Sequence[str]) -> list[list[float]]:
 
 
 def rows_of(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
-    """Return the rows of a file that has these columns.
+    """Return the rows of a file with these columns.
 
     Raises:
-        AnalysisError: the file is not there, or lacks one of them.
+        AnalysisError: the file or one of the columns is missing.
     """
     try:
         with open_text(path) as file:
@@ -61,7 +61,7 @@ def number_of(path: Path, cell: str | None) -> float:
     """Return a cell as a number.
 
     Raises:
-        AnalysisError: it is none.
+        AnalysisError: the cell is no number.
     """
     try:
         return float(cell or "")

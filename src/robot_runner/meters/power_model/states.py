@@ -1,4 +1,4 @@
-"""What the robot and its computer did, piece by piece, as other plugins left it in the folder of a run."""
+"""The states of the robot and its computer, piece by piece, from raw data of other plugins."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ _PERCENT, _MEGA = 100.0, 1e6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sources:
-    """The plugins whose raw data tell what the robot did; None for none.
+    """The plugins whose raw data contain the states of the robot; None for none.
 
     Attributes:
-        utilisation: its `samples.csv` holds `cpu_percent` and `memory_percent`, and how busy each core was.
-        phases: its `phases.csv` holds `phase` and `task`.
-        frequency: has `frequency_cpu<n>_Hz`, as LinuxThermal; how busy the cores are comes with the utilisation.
-        network: has `<interface>_rx_bytes` and `<interface>_tx_bytes`, as Network.
-        gpu: has `gpu<n>_gpu_percent`, as Nvml.
+        utilisation: with `cpu_percent`, `memory_percent` and the utilisation of each core in its `samples.csv`.
+        phases: with `phase` and `task` in its `phases.csv`.
+        frequency: with `frequency_cpu<n>_Hz`, as LinuxThermal; the utilisation of the cores is from `utilisation`.
+        network: with `<interface>_rx_bytes` and `<interface>_tx_bytes`, as Network.
+        gpu: with `gpu<n>_gpu_percent`, as Nvml.
     """
 
     utilisation: str | None = None
@@ -46,11 +46,11 @@ class Sources:
 
 @dataclass(frozen=True, slots=True)
 class RobotState:
-    """What the robot did during a short while in which nothing of it changed.
+    """The state of the robot during a short time in which it did not change.
 
     Attributes:
-        start: when it began, s on the run's clock.
-        end: when it ended, s on the run's clock.
+        start: s on the run's clock.
+        end: s on the run's clock.
         cpu: CPU utilisation, 0..100 %; None where it was not sampled.
         memory: memory in use, 0..100 %; None where it was not sampled.
         phase: the phase of the mission, such as `forward`; empty between missions.
@@ -58,8 +58,8 @@ class RobotState:
         has_moved: whether the robot has moved in this run, now or before: it draws more from then on.
         cores: for each core its frequency in MHz, and the share of the time that it was busy, 0..1; None where these
             were not sampled.
-        network: what went over the network, in and out, MB/s; None where it was not sampled.
-        gpu: how busy the GPUs were, 0..100 % each, added up; None where it was not sampled.
+        network: traffic over the network, in and out, MB/s; None where it was not sampled.
+        gpu: sum of the utilisations of the GPUs, 0..100 % each; None where it was not sampled.
 
     Example:
         >>> RobotState(5.0, 5.1, cpu=12.0, memory=25.0, phase="forward", task="", has_moved=True).motion
@@ -79,20 +79,20 @@ class RobotState:
 
     @property
     def motion(self) -> str:
-        """The phase, where it is one in which the robot moves; else empty."""
+        """The phase, if the robot moves in it; else empty."""
         return "" if self.phase in _STILL else self.phase
 
     @property
     def seconds(self) -> float:
-        """How long it lasted, s."""
+        """The duration, s."""
         return self.end - self.start
 
 
 def read_states(run_folder: Path, window: Window, sources: Sources) -> list[RobotState]:
-    """Return what the robot did in a window of a run, on the run's clock, oldest first, without gaps.
+    """Return the states of the robot in a window of a run, on the run's clock, oldest first, without gaps.
 
     Raises:
-        AnalysisError: a file is not there, or not as it should be.
+        AnalysisError: a file is missing or malformed.
     """
     mission = _Mission(_read_phases(run_folder / sources.phases / "phases.csv") if sources.phases else ())
     computer = _Computer(run_folder, sources)
@@ -130,7 +130,7 @@ class _Mission:
     phases: Sequence[_Phase]  # in the order of their start
 
     def at(self, time: float) -> tuple[str, str]:
-        """Return the phase and the task of a moment; both empty where the mission was not going on."""
+        """Return the phase and the task of a moment; both empty outside of missions."""
         place = bisect_right(self.phases, time, key=lambda phase: phase.start) - 1
         if place < 0 or time >= self.phases[place].end:
             return "", ""
@@ -152,13 +152,13 @@ def _read_phases(path: Path) -> list[_Phase]:
 
 @dataclass(frozen=True, slots=True)
 class _Sampled:
-    """Some numbers that were sampled together, oldest first; none at all of what was not sampled."""
+    """Columns of numbers that were sampled together, oldest first; empty for a part that was not sampled."""
 
     times: Sequence[float] = ()
     columns: Sequence[Sequence[float]] = ()
 
     def around(self, start: float, end: float) -> tuple[int, int] | None:
-        """Return the places of the samples that enclose a span; None where there are none."""
+        """Return the places of the samples that enclose a span; None if there are none."""
         after = bisect_left(self.times, end)
         if after == 0 or after == len(self.times) or self.times[after - 1] > start:
             return None
@@ -166,10 +166,10 @@ class _Sampled:
 
 
 class _Computer:
-    """What the parts of a computer did over a run; a part that was not sampled tells None at any time.
+    """The states of the parts of a computer over a run; None for a part that was not sampled.
 
     Raises:
-        AnalysisError: a file is not there, or does not hold what is looked for.
+        AnalysisError: a file or its columns are missing.
     """
 
     def __init__(self, run_folder: Path, sources: Sources) -> None:
@@ -196,7 +196,7 @@ class _Computer:
         return {time for sampled in parts for time in sampled.times}
 
     def utilisation(self, start: float, end: float) -> tuple[float | None, float | None]:
-        """Return CPU and memory of the sample that tells of a span: the first one taken at its end or later."""
+        """Return CPU and memory of the sample that covers a span: the first one at its end or later."""
         places = self._used.around(start, end)
         if places is None:
             return None, None
@@ -204,7 +204,7 @@ class _Computer:
         return cpu, memory
 
     def cores(self, start: float, end: float) -> tuple[tuple[int, float], ...] | None:
-        """Return frequency (MHz) and share of the time that it was busy (0..1) of each core over a span."""
+        """Return frequency (MHz) and busy share of the time (0..1) of each core over a span."""
         busy, clocked = self._busy.around(start, end), self._frequencies.around(start, end)
         if busy is None or clocked is None:
             return None
@@ -213,7 +213,7 @@ class _Computer:
         return tuple(zip(clocks, shares, strict=True))
 
     def network(self, start: float, end: float) -> float | None:
-        """Return what went over the network in a span, in and out, MB/s."""
+        """Return the network traffic in a span, in and out, MB/s."""
         places = self._traffic.around(start, end)
         if places is None:
             return None
@@ -223,7 +223,7 @@ class _Computer:
         return total / _MEGA / (self._traffic.times[after] - self._traffic.times[before])
 
     def gpu(self, start: float, end: float) -> float | None:
-        """Return how busy the GPUs were in a span, 0..100 % each, added up."""
+        """Return the sum of the GPUs' utilisations in a span, 0..100 % each."""
         places = self._gpus.around(start, end)
         return None if places is None else sum(column[places[1]] for column in self._gpus.columns)
 
@@ -231,7 +231,7 @@ class _Computer:
 def _read_utilisation(path: Path) -> _Sampled:
     times, cpu, memory = read_numbers(path, ("time_s", "cpu_percent", "memory_percent"))
     [every] = read_numbers(path, ("time_s",))
-    if every[:1] < times[:1]:  # the first sample has no utilisation, and tells from when on the second one does
+    if every[:1] < times[:1]:  # the first sample has no utilisation, and marks the beginning of the second one's time
         times, cpu, memory = [every[0], *times], [math.nan, *cpu], [math.nan, *memory]
     return _Sampled(times, (cpu, memory))
 

@@ -1,4 +1,4 @@
-"""How far the coefficients of a power model can be trusted, where samples are correlated and runs differ."""
+"""The uncertainty of a power model's coefficients, with correlated samples and differing runs."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ if TYPE_CHECKING:
 
     Floats = npt.NDArray[np.float64]
 
-#: Singular values, relative to the largest, below which columns count as one: rounding in the raw data's third
-#: decimal leaves more than this between terms that truly differ.
+#: Columns with a singular value below this, relative to the largest, are collinear: between terms that truly differ,
+#: rounding to the raw data's third decimal leaves more than this.
 SINGULAR = 1e-6
-#: Residuals smaller than this, W, are rounding: nothing can be said of how they are correlated.
+#: Residuals smaller than this, W, are rounding: their correlation is meaningless.
 _ROUNDING = 1e-9
-#: How many values a term has that only says whether something goes on.
+#: The number of values of a binary term.
 _ON_OR_OFF = 2
 
 
 @dataclass(frozen=True, slots=True)
 class PiecesOfRuns:
-    """What a model was fitted on: one row a piece of time, run after run and oldest first.
+    """The data of a fit: one row for each piece of time, run after run and oldest first.
 
     Attributes:
-        matrix: what power is explained by, shape (pieces, terms).
+        matrix: the values of the terms, shape (pieces, terms).
         watts: the measured power of each piece.
-        seconds: how long each piece lasted; its weight.
-        runs: the number of the run that each piece belongs to.
+        seconds: the duration of each piece, which is its weight.
+        runs: the number of the run of each piece.
     """
 
     matrix: Floats
@@ -49,12 +49,12 @@ class PiecesOfRuns:
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
-    """How far coefficients can be trusted.
+    """The uncertainty of coefficients.
 
     Attributes:
-        lag: over how many pieces correlation was allowed for.
+        lag: the number of pieces over which correlation was allowed for.
         standard_errors: of each coefficient, W.
-        half_widths: of the interval that covers the true coefficient in 95 of 100 experiments, W.
+        half_widths: of the 95 % confidence intervals, W.
     """
 
     lag: int
@@ -63,17 +63,17 @@ class Uncertainty:
 
 
 def uncertainty_of(pieces: PiecesOfRuns, partial: Sequence[Floats]) -> Uncertainty:
-    """Return how far the coefficients of a weighted least-squares fit can be trusted.
+    """Return the uncertainty of the coefficients of a weighted least-squares fit.
 
-    Pieces of one run are correlated: what is unexplained in one is in the next, too. The standard errors are those of
+    Pieces of one run are correlated: an unexplained error continues in the next piece. The standard errors are those of
     Newey and West (heteroskedasticity- and autocorrelation-consistent, Econometrica 55, 1987), within each run, with
     twice the lag of Andrews (Econometrica 59, 1991) for a first-order autoregression, and at least that of Lazarus,
-    Lewis, Stock and Watson (Journal of Business & Economic Statistics 36, 2018). They do not tell of what all pieces of
-    a run have in common: where leaving out one run after the other (jackknife) yields larger errors, those count.
+    Lewis, Stock and Watson (Journal of Business & Economic Statistics 36, 2018). They do not include errors that all
+    pieces of a run share: if leaving out one run after the other (jackknife) yields larger errors, those are returned.
 
     Args:
-        pieces: what the model was fitted on.
-        partial: the coefficients of the fits that left one run out; fewer than two: there is no jackknife.
+        pieces: the data of the fit.
+        partial: the coefficients of the fits without one run each; if fewer than two, there is no jackknife.
     """
     lag = _lag(pieces)
     fitted = _fitted(pieces, pieces.matrix, lag)
@@ -82,12 +82,12 @@ def uncertainty_of(pieces: PiecesOfRuns, partial: Sequence[Floats]) -> Uncertain
 
 
 def check_linearity(pieces: PiecesOfRuns) -> Linearity | None:
-    """Return whether power bends where the model is straight; None where nothing could bend.
+    """Test whether power is a linear function of the terms; None if all terms are binary.
 
-    Ramsey's RESET: squares of the terms that are more than on or off, and squares and cubes of the fitted power, are
-    added; if they explain anything, power is no weighted sum of these terms (Ramsey, Journal of the Royal Statistical
+    Ramsey's RESET: squares of the terms that are not binary, and squares and cubes of the fitted power, are added; if
+    they explain anything, power is no weighted sum of these terms (Ramsey, Journal of the Royal Statistical
     Society B 31, 1969; Ramsey and Schmidt, Journal of the American Statistical Association 71, 1976, for the terms).
-    Its test is made robust against correlation as the standard errors are.
+    The test is robust against correlation in the same way as the standard errors.
     """
     lag = _lag(pieces)
     straight = _fitted(pieces, pieces.matrix, lag)
@@ -108,7 +108,7 @@ def check_linearity(pieces: PiecesOfRuns) -> Linearity | None:
     curvature = math.sqrt(float(pieces.seconds @ difference**2 / pieces.seconds.sum()))
     is_straight = curvature <= _ROUNDING
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # statsmodels tells of covariances of a lower rank, for which it allows
+        warnings.simplefilter("ignore")  # statsmodels warns of covariances with a lower rank, for which it allows
         p_value = 1.0 if is_straight else float(found.wald_test(constraint, use_f=False, scalar=True).pvalue)
     return Linearity(p_value=p_value, curvature_W=curvature, explained_W=scale)
 
@@ -126,7 +126,7 @@ def _fitted(pieces: PiecesOfRuns, matrix: Floats, lag: int) -> Any:
 
 
 def _lag(pieces: PiecesOfRuns) -> int:
-    """Return over how many pieces correlation is allowed for: no more than half of the shortest run."""
+    """Return the number of pieces over which correlation is allowed for: at most half of the shortest run."""
     root = np.sqrt(pieces.seconds)
     weighted = pieces.matrix * root[:, None]
     coefficients = np.linalg.lstsq(weighted, pieces.watts * root, rcond=None)[0]
@@ -139,21 +139,21 @@ def _lag(pieces: PiecesOfRuns) -> int:
         return 0
     rho = min(0.99, max(0.0, float((residuals[1:] * residuals[:-1])[follows].sum()) / power))
     alpha = 4 * rho**2 / ((1 - rho) ** 2 * (1 + rho) ** 2)  # Andrews 1991, equation 6.4
-    # Twice the lag that is best for the error itself: intervals take longer ones to cover what they should (Sun,
-    # Phillips and Jin, Econometrica 76, 2008).
+    # Twice the lag that is best for the standard error: intervals need a longer one for their coverage (Sun, Phillips
+    # and Jin, Econometrica 76, 2008).
     andrews = 2 * 1.1447 * math.cbrt(alpha * length)  # the same, equation 6.2, for Bartlett's kernel
     recommended = 1.3 * math.sqrt(length)  # Lazarus et al. 2018, equation 3
     return min(math.ceil(max(andrews, recommended)), half)
 
 
 def _critical_value(share: float) -> float:
-    """Return by what a standard error is multiplied for an interval of 95 %.
+    """Return the factor from a standard error to half a 95 % confidence interval.
 
     Args:
         share: the lag, as a share of all pieces.
 
-    The errors are estimated, the more coarsely the larger the lag. Source: Kiefer and Vogelsang, Econometric Theory 21
-    (2005), table 1, Bartlett's kernel, 97.5 %.
+    It allows for the errors being estimates, which are the coarser the larger the lag. Source: Kiefer and Vogelsang,
+    Econometric Theory 21 (2005), table 1, Bartlett's kernel, 97.5 %.
     """
     return 1.9600 + 2.9694 * share + 0.4160 * share**2 - 0.5324 * share**3
 
@@ -164,7 +164,7 @@ def _jackknife(partial: Sequence[Floats], terms: int) -> Floats:
     Source: Efron and Tibshirani, An introduction to the bootstrap, equation 11.5.
     """
     count = len(partial)
-    if count < 2:  # noqa: PLR2004 - two are the fewest that can differ
+    if count < 2:  # noqa: PLR2004 - at least two for a difference
         return np.zeros(terms)
     deviations = np.asarray(partial) - np.mean(partial, axis=0)
     errors: Floats = np.sqrt((count - 1) / count * (deviations**2).sum(axis=0))
@@ -172,7 +172,7 @@ def _jackknife(partial: Sequence[Floats], terms: int) -> Floats:
 
 
 def _independent(matrix: Floats, columns: Sequence[Floats]) -> Floats:
-    """Return the matrix with those of the columns that the ones before do not make up."""
+    """Return the matrix with the columns that are linearly independent of it and of each other."""
     for column in columns:
         candidate = np.column_stack([matrix, column])
         norms = np.linalg.norm(candidate, axis=0)

@@ -29,7 +29,7 @@ _NOT_ENCRYPTED = "the network can read along, keys included: use one that you tr
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     parser.add_argument(
         "folder",
         metavar="FOLDER",

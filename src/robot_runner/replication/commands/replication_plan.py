@@ -1,4 +1,4 @@
-"""Before a replication: what will be executed, what differs here, and the questions that come before anything of it."""
+"""Before a replication: print the plan and the differences, and ask for consent."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from robot_runner.replication.contents import config_of
 from robot_runner.replication.differences import Difference, ranked, remaining_differences
 from robot_runner.replication.replicating import Source, original_settings
 
-#: So few are named instead of counted.
+#: Up to so many are named instead of counted.
 _FEW = 5
 
 
@@ -38,7 +38,7 @@ def make_sure(kind: str, *, is_agreed: bool) -> None:
     """Ask at a terminal whether the code of the original, a package or an experiment, may be executed.
 
     Raises:
-        UsageError: it may not, or nobody can be asked.
+        UsageError: the user refuses, or there is no terminal.
     """
     if is_agreed:
         return
@@ -51,17 +51,17 @@ def make_sure(kind: str, *, is_agreed: bool) -> None:
 
 
 def agrees(question: str, *, otherwise: bool) -> bool:
-    """Ask who sits at the terminal; ENTER alone means `otherwise`."""
+    """Ask the user at the terminal; ENTER alone means `otherwise`."""
     answer = input(f"{question} ").strip().casefold()
     return answer in {"y", "yes"} or (otherwise and answer not in {"n", "no"})
 
 
 def wants_own_environment(differing: Sequence[Difference], *, is_agreed: bool) -> bool:
-    """Return whether the package's own environment is to be made, where what its experiment imports differs here.
+    """Return whether to make the package's own environment, because packages that the experiment imports differ here.
 
     Args:
-        differing: what differs.
-        is_agreed: whether everything was agreed to beforehand; otherwise who sits at the terminal is asked.
+        differing: the differences.
+        is_agreed: whether the user agreed to everything beforehand; otherwise the user is asked.
     """
     names = [one_line(each.what) for each in ranked(differing)[0] if each.is_package]
     if not names:
@@ -82,15 +82,15 @@ def print_plan(
     *,
     has_all: bool,
 ) -> None:
-    """Print what will be executed, and what differs from how it was.
+    """Print what will be executed, and the differences from the original.
 
     Args:
-        console: where to.
+        console: prints it.
         source: the package.
-        differing: what differs between its environment and this machine.
-        deviations: what is set otherwise.
-        target: where everything is written.
-        has_all: whether each package is shown that differs, also those that nothing of the experiment imports.
+        differing: the differences between its environment and this machine.
+        deviations: the settings that deviate from the original.
+        target: the folder for all files.
+        has_all: whether to show all differing packages, also those that the experiment does not import.
     """
     manifest, settings = source.manifest, original_settings(source.manifest)
     sealed = ("verified: every file is as it was packed", "green") if source.is_sealed else ("not sealed", "yellow")
@@ -114,7 +114,7 @@ def print_plan(
 
 
 def print_made_environment(console: UserConsole, folder: Path, environment: Mapping[str, Any]) -> None:
-    """Print how a virtual environment differs from that of the package for which it was made."""
+    """Print the differences between a virtual environment and the package's list from which it was made."""
     differing = remaining_differences(folder, environment)
     if not differing:
         same = "the same versions, and the same files where that is known"
@@ -137,7 +137,7 @@ def print_container(console: UserConsole, source: Source, root: Path) -> None:
 
 
 def _replaced(source: Source) -> str:
-    """Return the kinds of secrets that were replaced; a config may not work without those that were in it."""
+    """Return the kinds of replaced secrets, with a hint if configs had some: they may not work without."""
     replaced = source.description.get("replaced", ())
     names = sorted({str(each.get("name")) for each in replaced if str(each.get("name")).startswith("config/")})
     advice = f" (in {', '.join(names)}, too: look whether it works without)" if names else ""
@@ -147,7 +147,7 @@ def _replaced(source: Source) -> str:
 def _print_differences(
     console: UserConsole, differing: Sequence[Difference], head: str, second: str, *, has_all: bool
 ) -> None:
-    """Print what differs as a table: what the experiment imports before the machine; other packages are counted."""
+    """Print the differences as a table: imported packages before the machine; other packages are counted."""
     if not differing:
         return
     console.print(head, style="bold")

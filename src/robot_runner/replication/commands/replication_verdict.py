@@ -1,4 +1,4 @@
-"""After a replication: its results compared with the original's, and the verdict told."""
+"""After a replication: compare its results with the original's, and print the verdict."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _STYLES = {
 def facts_of(
     package: str, source: Source, differing: Sequence[Difference], deviations: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Return what is known before anything is executed, as plain data: no verdict yet, and 0 for the shell."""
+    """Return the facts before the execution as plain data: without a verdict, and with exit code 0."""
     return {
         "package": package,
         "experiment": source.experiment,
@@ -60,12 +60,12 @@ def facts_of(
 
 
 class Comparing:
-    """The comparison of a replication with its original, in whichever environment has the libraries for it.
+    """The comparison of a replication with its original, in an environment with the libraries for it.
 
     Args:
         root: the unpacked package, or the experiment's folder that is replicated.
-        target: where everything is written.
-        bounds: as they were given.
+        target: the folder for all files.
+        bounds: the values of `--bound`.
         is_agreed: whether libraries may be installed below `target` without asking.
 
     Raises:
@@ -88,23 +88,23 @@ class Comparing:
         self._margins = margins_of(units, self._manifest, bounds)
 
     def prepare(self, *, is_simulated: bool) -> None:
-        """Have at hand what statistics need, before a robot moves; what is simulated will hardly need any.
+        """Make the environment for the statistics before a robot moves; a simulated experiment rarely needs it.
 
         Raises:
-            PackageError: an environment that was agreed to cannot be made.
-            StorageError: it cannot be written.
+            PackageError: the environment cannot be made.
+            StorageError: the environment cannot be written.
         """
         if not (is_simulated or _has_libraries()):
             self._environment()
 
     def end(self, replication: Path, facts: dict[str, Any]) -> dict[str, Any]:
-        """Compare, print the verdict, and write it beside the results; without statistics there is one, too.
+        """Compare, print the verdict, and write it beside the results; this also works without statistics.
 
         Returns:
-            What is known, the verdict included.
+            The facts with the verdict.
 
         Raises:
-            StorageError: results cannot be read, or the verdict cannot be written.
+            StorageError: the results cannot be read, or the verdict cannot be written.
         """
         same = identical_values(self.root, replication)
         try:
@@ -127,8 +127,8 @@ class Comparing:
         return facts
 
     def _comparison(self, replication: Path, same: Mapping[str, Sameness]) -> Mapping[str, Any] | None:
-        """Return what the statistics say, as plain data; None where nobody needs them, or wants them here."""
-        # Of texts there is no bound; whether they are compared at all is the comparison's to say.
+        """Return the result of the statistics as plain data; None if they are not needed, or the user declined."""
+        # Texts have no bound; the comparison decides whether it compares them.
         bounded = {each.name for each in self._columns if each.type not in {"string", "any"}} & same.keys()
         bounds = [f"{name}={margin.text.strip()}" for name, margin in self._margins.items() if name in bounded]
         page, beside = self.target / "comparison.html", self.target / "comparison.json"
@@ -145,7 +145,7 @@ class Comparing:
         return found
 
     def _environment(self) -> Path | None:
-        """Return the program of an environment that has the libraries; None where nobody wants one."""
+        """Return the program of an environment with the libraries; None if the user declined to make one."""
         folder = self.target / "comparison_environment"
         question = f"Install what the comparison needs (the extra `analysis`) into {shown_path(folder)}? [Y/n]"
         if not is_complete(folder):
@@ -185,7 +185,7 @@ def _has_libraries() -> bool:
 
 
 def _compared(original: Path, replication: Path, bounds: Sequence[str], page: Path) -> str:
-    """Compare with the libraries of this very environment, and write the page."""
+    """Compare with the libraries of this environment, and write the page."""
     from robot_runner.analysis.comparison.comparing import compare  # noqa: PLC0415 - slow, and an extra
     from robot_runner.analysis.comparison.comparison_document import json_of_comparison, write_comparison  # noqa: PLC0415 - as above
 

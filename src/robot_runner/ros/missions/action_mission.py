@@ -27,21 +27,21 @@ from robot_runner.ros.turtlebot3.steered_robot import Heartbeat
 if TYPE_CHECKING:
     from robot_runner.core.plugin import Circumstances
 
-#: How often it is looked whether the goal is over, s.
+#: How often it is checked whether the goal is over, s.
 _LOOK = 0.02
-#: How often it is looked whether its server is still there, s.
+#: How often it is checked whether the server is still there, s.
 _LOOK_FOR_SERVER = 1.0
 #: How long the result may take once the goal is over, s.
 _RESULT_SECONDS = 5.0
-#: action_msgs/srv/CancelGoal: the server does not cancel any of them.
+#: action_msgs/srv/CancelGoal: the server refuses to cancel.
 _REFUSED = 1
 _NOW = {"sec": 0, "nanosec": 0}
-#: actionlib_msgs/GoalStatus: pending and active, and nobody has asked for the goal's end.
+#: actionlib_msgs/GoalStatus: pending and active, without a cancel request.
 _EXECUTED = {0, 1}
-#: How long a server may take to tell its states after it was asked to cancel, s: it tells them five times a second.
+#: The timeout for a server's states after a cancel request, s: it publishes them five times a second.
 _TOLD_SECONDS = 1.0
-#: A goal that was sent just before its sender was killed may reach the server after the request to cancel it. So it is
-#: asked again, so often, until so long after it was asked first, s.
+#: A goal that was sent just before its client was killed may reach the server after the cancel request. So the request
+#: is repeated: the period, and for how long, s.
 _ASK_AGAIN, _LATE_SECONDS = 0.2, 2.0
 
 
@@ -59,35 +59,35 @@ _MEASURES = (
 
 
 class ActionMission(RobotSystem):
-    """Sends a goal to an action server and waits until it is over; the goal is cancelled when the mission breaks off.
+    """Sends a goal to an action server and waits until it is over; cancels the goal when the mission breaks off.
 
     Args:
         action: the name of the action, relative to the robot's namespace unless it begins with `/`.
         action_type: its ROS type, such as `nav2_msgs/NavigateToPose`.
         goal: its fields; `treatment(...)` may stand for any of them, and what is left out has its ROS default.
-        result: measures that are fields of the result, by name: `{"ErrorCode": "error_code"}`; a `Measure` in the place
-            of the name tells its unit. Times and durations are in s.
+        result: measures that are fields of the result, by name: `{"ErrorCode": "error_code"}`; a `Measure` in place of
+            the name gives its unit. Times and durations are in s.
         feedback: measures of the feedback: `"count"`, or how and which field: `("last", "number_of_recoveries")`.
         timeout_s: how long the goal may take, s of the run's clock; it is cancelled then.
-        failure: what a goal means that is rejected, aborted, cancelled by others or late: `fail` fails the run,
-            `measure` keeps it as a measure, as where the rate of success is what is studied.
-        success: fields of the result and what they have to be for a success, where the status alone does not tell:
+        failure: what to do where a goal is rejected, aborted, cancelled by others or late: `fail` fails the run,
+            `measure` records it as a measure, as in a study of the success rate.
+        success: fields of the result with the values that they have in a success, where the status alone is not enough:
             `{"error_code": 0}`.
         odometry: topic of `nav_msgs/Odometry` for the measure `PathLength`; None for none.
-        path_frames: the same by transforms instead of odometry: the frame in which the robot moves, and the robot's
+        path_frames: the same from transforms instead of odometry: the frame in which the robot moves, and the robot's
             own, such as `("map", "base_link")`.
-        tf_topic: where `path_frames` are told; `tf` for a robot that tells them in its namespace (`/alice/tf`), as
-            Nav2 does where it is started for several robots.
+        tf_topic: the topic of the transforms for `path_frames`; `tf` for a robot that publishes them in its namespace
+            (`/alice/tf`), as Nav2 does where it is started for several robots.
         scan: topic of `sensor_msgs/LaserScan` for the measure `ClosestObstacle`; None for none.
-        stop_topic: topic of the robot's velocity commands, where a robot is told to stand still when the mission breaks
-            off and its server may not do so any more; None for none.
+        stop_topic: topic of the robot's velocity commands, on which zero is commanded when the mission breaks off, as
+            the server may be unable to; None for none.
         connect_timeout_s: how long the server may take to be found and to accept the goal, s.
         cancel_timeout_s: how long a goal may take to end once it was cancelled, s.
         name: tells several instances apart; the class's name if left out.
         namespace: the robot's ROS namespace, such as `/alice`.
 
     Raises:
-        PluginError: a parameter cannot be.
+        PluginError: a parameter is not valid.
 
     Example:
         >>> mission = ActionMission(
@@ -101,12 +101,12 @@ class ActionMission(RobotSystem):
         ['Duration', 'Success', 'Outcome', 'Recoveries', 'PathLength']
     """
 
-    #: What every goal yields; an instance has those of its result, its feedback and its way, too.
+    #: The measures of every goal; an instance has those of its result, its feedback and its way, too.
     measures: Sequence[Measure] = _MEASURES
     needs: ClassVar[str] = "A robot with an action server, or robot='simulated' with a node that offers one."
     does: ClassVar[str] = "sends goals to a robot"
     for_example: ClassVar[str] = "ros2"
-    #: What it commands, for `Together`.
+    #: The topics and actions that it commands, for `Together`.
     commands: Sequence[str] = ()
 
     def __init__(  # noqa: PLR0913 - one keyword for each thing in which missions differ
@@ -166,7 +166,7 @@ class ActionMission(RobotSystem):
             raise PluginError(f"two of its measures are named {twice[0]!r}", where=self.name, fix=fix)
 
     def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
-        """Return the action, and the topics that are named."""
+        """Return the action and the given topics."""
         del circumstances
         fix = "Start the node that offers it, or correct its name or the plugin's namespace."
         yield GraphNeed.action(self.action, plain_type(self.action_type), fix=fix, goals=[self.goal])
@@ -176,7 +176,7 @@ class ActionMission(RobotSystem):
             yield GraphNeed.subscribed(self.stop_topic, *sorted(VELOCITIES), fix=fix)
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Connect, and see that what is measured beside arrives."""
+        """Connect, and check that the messages for measures of the way arrive."""
         self._goal = self._values = None
         self._of_feedback.begin()
         self._link = connect_robot(context, namespace=self.namespace)
@@ -188,7 +188,7 @@ class ActionMission(RobotSystem):
         """Send the goal and wait until it is over.
 
         Raises:
-            LinkError: there is no such server, or it is gone; or the goal failed, and that fails the run; or it could
+            LinkError: there is no such server, or it is gone; or the goal failed, if that fails the run; or it could
                 not be cancelled.
         """
         link = self.started(self._link)
@@ -207,7 +207,7 @@ class ActionMission(RobotSystem):
             raise LinkError(reason, where=self._where, fix=fix)
 
     def stop_run(self, context: RobotRunnerContext) -> None:
-        """Leave; a goal that is not over is cancelled."""
+        """Close the link; a goal that is not over is cancelled."""
         heartbeat, self._heartbeat = self._heartbeat, None
         with closing(self._of_way), heartbeat or nullcontext():
             self._cancel()
@@ -223,7 +223,7 @@ class ActionMission(RobotSystem):
         """Cancel the goal, also in a process that did not send it, and command zero where a stop topic is named."""
         link = connect_robot(context, namespace=self.namespace)
         namespace = robot_namespace(context, self.namespace)
-        with ExitStack() as each:  # whatever fails with another
+        with ExitStack() as each:  # all steps are done, also after one has failed
             wheels = None if self.stop_topic is None else Wheels(link, namespace=namespace, topic=self.stop_topic)
             if wheels is not None:
                 each.callback(wheels.command, 0.0, 0.0)
@@ -231,10 +231,10 @@ class ActionMission(RobotSystem):
                 each.callback(self._cancel)
             elif not link.is_simulated:
                 name, timeout = full_name(namespace, self.action), self.cancel_timeout_s
-                # Who was never connected stands by for a process that died, and its goal may still be on its way.
+                # Without a link, this is the standby of a dead process, whose goal may still be on its way.
                 late = _LATE_SECONDS if self._link is None else 0.0
                 each.callback(_cancel_all_goals, link, self.action, name, timeout=timeout, late_seconds=late)
-            if wheels is not None:  # first of all, and again when the goal is over
+            if wheels is not None:  # at first, and again when the goal is over
                 wheels.command(0.0, 0.0)
 
     @property
@@ -242,7 +242,7 @@ class ActionMission(RobotSystem):
         return f"{self.name}, action {self.action}"
 
     def _executed(self, link: RobotLink, context: RobotRunnerContext) -> tuple[str, ActionResult | None]:
-        """Return what became of the goal, and its result where there is one."""
+        """Return the outcome of the goal, and its result if there is one."""
         try:
             self._goal = goal = link.send_goal(
                 self.action,
@@ -256,7 +256,7 @@ class ActionMission(RobotSystem):
                 raise
             context.warn(error.problem, fix=error.fix)
             return GoalStatus.REJECTED.value, None
-        self._accepted_at = context.clock.now()  # to find its server may have taken seconds
+        self._accepted_at = context.clock.now()  # finding the server may have taken seconds
         try:
             is_over = self._await_end(goal, link, context)
         except BaseException as fault:
@@ -292,7 +292,7 @@ class ActionMission(RobotSystem):
         return True
 
     def _reason_of_failure(self, outcome: str, ended: ActionResult | None) -> str:
-        """Return why the goal is no success; nothing where it is one."""
+        """Return why the goal is no success; an empty text if it is one."""
         if outcome == _TIMED_OUT:
             return f"the goal was not over within {self.timeout_s:g} s, and was cancelled"
         if outcome != GoalStatus.SUCCEEDED:
@@ -310,7 +310,7 @@ class ActionMission(RobotSystem):
             goal.cancel(timeout=self.cancel_timeout_s)
 
     def _cancel_after(self, fault: BaseException) -> None:
-        """Cancel the goal; that this fails, too, does not hide what came first."""
+        """Cancel the goal; a failure of this does not hide the first exception."""
         try:
             self._cancel()
         except LinkError as error:
@@ -320,17 +320,17 @@ class ActionMission(RobotSystem):
 def _cancel_all_goals(
     link: RobotLink, action: str, full_name: str, *, timeout: float, late_seconds: float = 0.0
 ) -> None:
-    """Ask an action server to cancel all of its goals, also those of others; without a server nothing is executed.
+    """Request the cancelling of all goals of an action server, also those of others; do nothing without a server.
 
-    No time stamp is sent, by which actionlib would cancel later goals as well: where clocks differ, or the graph's time
-    is simulated, it would go on to cancel the goals of others.
+    The request has no time stamp, up to which actionlib would cancel later goals as well: where clocks differ, or the
+    graph's time is simulated, it would go on cancelling the goals of others.
 
     Args:
         link: to the robot.
         action: its name, as the link takes it.
         full_name: its name on the graph.
-        timeout: how long the server may take to answer, s.
-        late_seconds: for how long to ask again, s: a goal may still be on its way.
+        timeout: of the server's answer, s.
+        late_seconds: for how long to repeat the request, s: a goal may still be on its way.
     """
     begun = time.monotonic()
     while True:
@@ -341,9 +341,9 @@ def _cancel_all_goals(
 
 
 def _ask_to_cancel(link: RobotLink, action: str, full_name: str, *, timeout: float) -> bool:
-    """Ask a server to cancel all of its goals, and return whether it is there.
+    """Request the cancelling of all goals of a server, and return whether it is there.
 
-    Both generations have it so: an empty goal id with a stamp of zero means all goals (action_msgs/srv/CancelGoal, and
+    In both generations, an empty goal id with a stamp of zero means all goals (action_msgs/srv/CancelGoal, and
     actionlib's "cancel policy": http://wiki.ros.org/actionlib/DetailedDescription).
     """
     if link.encoding is Encoding.ROS1:
@@ -361,7 +361,7 @@ def _ask_to_cancel(link: RobotLink, action: str, full_name: str, *, timeout: flo
 
 
 def _cancel_in_ros1(link: RobotLink, action: str, full_name: str, *, timeout: float) -> bool:
-    """Ask until the server's states tell that it executes none, or cancels them: ROS 1 knows no answer to a request."""
+    """Repeat the request until the server's states show no active goal, as ROS 1 does not answer such a request."""
     deadline = time.monotonic() + timeout
     while True:
         link.publish(f"{action}/cancel", "actionlib_msgs/GoalID", {"stamp": _NOW, "id": ""})

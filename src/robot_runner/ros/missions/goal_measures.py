@@ -1,4 +1,4 @@
-"""Measures that are fields of an action's result, or what became of a field of its feedback."""
+"""Measures that are fields of an action's result, or statistics of fields of its feedback."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ _PAIR = 2
 _COUNT = "count"
 
 
-#: How the values that a field of the feedback had make one.
+#: The functions that reduce the values of a feedback field to one.
 _OVER: Mapping[str, Callable[[Sequence[Any]], Any]] = MappingProxyType(
     {"first": itemgetter(0), "last": itemgetter(-1), "minimum": min, "maximum": max, "mean": fmean}
 )
-#: Those of numbers only.
+#: Those that need numbers.
 _OF_NUMBERS = frozenset({"minimum", "maximum", "mean"})
 
 
 @dataclass(frozen=True, slots=True)
 class _Taken:
-    """One measure, and where it comes from."""
+    """One measure and its source."""
 
     measure: Measure
     over: str
@@ -41,7 +41,7 @@ class ResultMeasures:
     """Measures that are fields of a result.
 
     Raises:
-        PluginError: one of them is no field.
+        PluginError: a field's name is not valid.
 
     Example:
         >>> ResultMeasures({"ErrorCode": "error_code"}, where="Arm").values({"error_code": 0})
@@ -75,13 +75,13 @@ class FeedbackMeasures:
     """Measures of the feedback of one goal.
 
     Args:
-        wanted: for each measure `"count"` for how often feedback came, or how the values of a field make one, and the
-            field: `("last", "number_of_recoveries")`; `first`, `last`, `minimum`, `maximum` or `mean`. The latter three
-            leave out what is NaN or infinite.
+        wanted: for each measure `"count"` for the number of feedback messages, or a function and a field:
+            `("last", "number_of_recoveries")`. The functions are `first`, `last`, `minimum`, `maximum` and `mean`; the
+            latter three leave out NaN and infinite values.
         where: the plugin, for errors.
 
     Raises:
-        PluginError: one of them cannot be.
+        PluginError: one of them is not valid.
 
     Example:
         >>> feedback = FeedbackMeasures({"Recoveries": ("last", "number_of_recoveries")}, where="Navigation")
@@ -104,12 +104,12 @@ class FeedbackMeasures:
         return [each.measure for each in self._taken]
 
     def begin(self) -> None:
-        """Forget what came before."""
+        """Discard the feedback from before."""
         self._count = 0
         self._came: dict[str, list[Any]] = {each.measure.name: [] for each in self._taken}
 
     def take(self, message: Message) -> None:
-        """Take what was told."""
+        """Take one feedback message."""
         self._count += 1
         for each in self._taken:
             if each.over != _COUNT:
@@ -120,7 +120,7 @@ class FeedbackMeasures:
         return {each.measure.name: self._value(each) for each in self._taken}
 
     def _keep(self, each: _Taken, came: list[Any], value: MeasureValue) -> None:
-        if each.over in _OF_NUMBERS and value is None:  # NaN or infinite: what is not known yet
+        if each.over in _OF_NUMBERS and value is None:  # NaN or infinite: not known yet
             return
         if each.over in _OF_NUMBERS and not isinstance(value, bool | int | float):
             problem = f"the field {each.field!r} of the feedback is {value!r}, which has no {each.over}"
@@ -166,7 +166,7 @@ def _as_measure(name: str | Measure, description: str, unit: str = "") -> Measur
 
 
 def _value_of(message: Message, field: str, where: str) -> MeasureValue:
-    """Return a field as a value of the run table: times in s, and None for what is not finite.
+    """Return a field as a value of the run table: times in s, and None for a number that is not finite.
 
     Raises:
         LinkError: there is no such field, or it is neither a number nor a text.

@@ -1,7 +1,7 @@
-"""Several missions at the same time on one clock: each in a thread of its own, joined, and stopped where one fails.
+"""Several missions at the same time on one clock, each in its own thread; where one fails, the others are stopped.
 
-The clock of a simulation moves on only while it is slept on. There the missions take turns: whichever wakes up first is
-executed until it sleeps again, and the clock moves on to the next one's awakening. So they share the simulated seconds,
+The clock of a simulation moves on only in `sleep`. There the missions take turns: the one that wakes up first is
+executed until it sleeps again, and the clock moves on to the next wake-up time. So they share the simulated seconds,
 and the order is the same each time. On any other clock each mission sleeps by itself.
 """
 
@@ -21,11 +21,11 @@ from robot_runner.core.events.context import Clock
 from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.words import enumerated
 
-#: How long a sleeping mission takes to notice that it is to stop, s.
+#: How long a sleeping mission takes to notice a stop request, s.
 _NOTICE = 0.05
-#: How long a mission may take to end once it was told to, s of its clock: a goal is cancelled and a robot stopped.
+#: The timeout for a mission to end after a stop request, s of its clock: it may cancel a goal and stop a robot.
 _ENDING = 10.0
-#: The same in real time, s; one that hangs longer is left behind, and made safe by who called.
+#: The same in real time, s; a mission that hangs longer is left behind, and the caller makes its system safe.
 _PATIENCE = 12.0
 _TICK = 1e-9
 
@@ -39,9 +39,9 @@ class JointMission:
     """One of the missions that are executed together.
 
     Attributes:
-        name: whose it is, for errors.
-        work: the mission; what it sleeps on is a `SharedClock`, or the clock of a simulation.
-        error: what it raised.
+        name: of its system, for errors.
+        work: the mission; it sleeps on a `SharedClock`, or on the clock of a simulation.
+        error: its exception.
         has_ended: whether it is over.
     """
 
@@ -58,14 +58,14 @@ _of_thread = threading.local()
 
 
 def sleep_with_others(seconds: float) -> bool:
-    """Sleep beside the other missions where this thread executes one of several; return whether it does.
+    """Sleep together with the other missions if this thread executes one of several; return whether it does.
 
-    The clock of a simulation asks this first, so that links that wait on it let the other missions go on.
+    The clock of a simulation calls this first, so that links that wait on it let the other missions go on.
     """
     sleep: Callable[[float], None] | None = getattr(_of_thread, "sleep", None)
     if sleep is None:
         return False
-    _of_thread.sleep = None  # what it sleeps on may ask again
+    _of_thread.sleep = None  # the clock may call this again
     try:
         sleep(max(0.0, seconds))
     finally:
@@ -74,12 +74,12 @@ def sleep_with_others(seconds: float) -> bool:
 
 
 def sleep_by(sleep: Callable[[float], None]) -> None:
-    """Have this thread sleep by a function of its own wherever it would sleep on the clock of a simulation."""
+    """Let this thread sleep by a function of its own wherever it would sleep on the clock of a simulation."""
     _of_thread.sleep = sleep
 
 
 class SharedClock:
-    """The clock of a run as several missions have it: who sleeps on it lets the others go on, and can be stopped."""
+    """A run's clock for several missions: a mission that sleeps lets the others go on, and can be stopped."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -88,11 +88,11 @@ class SharedClock:
         return getattr(self._clock, name)
 
     def now(self) -> float:
-        """Return what the run's clock shows, s."""
+        """Return the time of the run's clock, s."""
         return self._clock.now()
 
     def sleep(self, seconds: float) -> None:
-        """Let so many seconds go by.
+        """Sleep for so many seconds.
 
         Raises:
             StoppedWithOthers: another mission failed, or the run ends.
@@ -102,13 +102,13 @@ class SharedClock:
 
 
 def execute_together(missions: Sequence[JointMission], clock: Clock, *, takes_turns: bool) -> None:
-    """Execute missions at the same time until all have ended; where one fails, or this is interrupted, stop the others.
+    """Execute missions at the same time until all have ended; if one fails, or this is interrupted, stop the others.
 
-    They take turns on the clock of a simulation, on which one thread at a time may sleep.
+    On the clock of a simulation they take turns, as only one thread at a time may sleep there.
 
     Raises:
-        PluginError: one failed: which, why, and which others were stopped or go on.
-        BaseException: what interrupted this.
+        PluginError: one failed; the message says which, why, and which others were stopped or go on.
+        BaseException: the interruption.
     """
     together = (_InTurns if takes_turns else _SideBySide)(missions, clock)
     try:
@@ -146,7 +146,7 @@ def _left_behind(missions: Sequence[JointMission]) -> list[str]:
 
 
 class _Together(ABC):
-    """What the two ways share.
+    """The base of both ways of execution.
 
     Attributes:
         clock: the run's.
@@ -169,7 +169,7 @@ class _Together(ABC):
 
     @abstractmethod
     def stop(self) -> None:
-        """Tell those that go on to end, and wait for them."""
+        """Stop the missions that go on, and wait for them."""
 
     @abstractmethod
     def sleep(self, mission: JointMission, seconds: float) -> None:
@@ -195,7 +195,7 @@ class _Together(ABC):
         self._check_stopped(mission)
 
     def _check_stopped(self, mission: JointMission) -> None:
-        """Tell a mission once that it is to stop, and again when it takes too long to end."""
+        """Interrupt a mission that is to stop once, and again when it takes too long to end."""
         if not self._is_stopping:
             return
         now = self.clock.now()
@@ -205,7 +205,7 @@ class _Together(ABC):
 
 
 class _SideBySide(_Together):
-    """On a clock that goes by itself."""
+    """Executes missions on a clock that runs by itself."""
 
     def execute(self) -> None:
         for thread in self._threads:
@@ -229,7 +229,7 @@ class _SideBySide(_Together):
 
 
 class _InTurns(_Together):
-    """On the clock of a simulation, which moves on while this thread sleeps on it."""
+    """Executes missions on the clock of a simulation, which moves on while this thread sleeps on it."""
 
     def execute(self) -> None:
         now = self.clock.now()
@@ -237,7 +237,7 @@ class _InTurns(_Together):
             mission.wakes_at = now
             thread.start()
         while (going_on := self._going_on) and not self._has_failed:
-            mission = min(going_on, key=lambda each: each.wakes_at)  # of several, the first
+            mission = min(going_on, key=lambda each: each.wakes_at)  # the first of several
             self.clock.sleep(mission.wakes_at - self.clock.now())
             self._let_go_on(mission)
 
@@ -248,7 +248,7 @@ class _InTurns(_Together):
             mission.wakes_at = now  # at once, whatever it slept for
         while (going_on := self._going_on) and (left := deadline - time.monotonic()) > 0:
             mission = min(going_on, key=lambda each: each.wakes_at)
-            with suppress(Exception):  # a callback that raised, as the one that may have brought us here
+            with suppress(Exception):  # another callback may raise, as the one may have that caused this stop
                 self.clock.sleep(mission.wakes_at - self.clock.now())
             self._let_go_on(mission, left)
 
@@ -268,7 +268,7 @@ class _InTurns(_Together):
         return [each for each in self._missions if not each.has_ended]
 
     def _let_go_on(self, mission: JointMission, seconds: float | None = None) -> None:
-        """Let a mission go on until it sleeps or ends, for so many real seconds at most."""
+        """Let a mission go on until it sleeps or ends, for at most `seconds` of real time."""
         mission.turn.set()
         self._rested.acquire(timeout=seconds)
 

@@ -1,4 +1,4 @@
-"""The system that is made of several: their missions begin together, are joined, and are stopped together."""
+"""The system that combines several: their missions begin together, and are stopped together."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ _FEWEST = 2
 
 
 class Together(System):
-    """Has several systems execute their missions at the same time: two robots that drive at once.
+    """Executes the missions of several systems at the same time, such as of two robots.
 
-    The missions begin together, and the mission of the run lasts until the last has ended. Where one fails, the others
-    are stopped at once, and the failure says which it was. What a system measures is prefixed by its name:
-    `alice.Distance`; so are its phases: `alice_leg_1`; its raw data lie in a folder of its name. On a simulated robot
-    all of them share the simulated seconds, as two robots in one room would.
+    The missions begin together, and the mission of the run lasts until the last has ended. If one fails, the others are
+    stopped at once, and the error names the one that failed. The measures of a system are prefixed by its name
+    (`alice.Distance`), and so are its phases (`alice_leg_1`); its raw data are in a folder of its name. On a simulated
+    robot all missions share the simulated seconds, as of two robots in one room.
 
     Args:
         *systems: two or more, each with a name of its own; each may bind parameters to factors.
         name: the class's name if left out.
 
     Raises:
-        PluginError: they are fewer than two, one is no system, or two have one name.
+        PluginError: they are fewer than two, one is no system, or two have the same name.
 
     Example:
         >>> from robot_runner.plugins.systems import BasicTurtlebot3
@@ -85,11 +85,11 @@ class Together(System):
             raise PluginError(problem, where=self.name, fix=fix)
 
     def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what any of its systems claims."""
+        """Return the claims of all its systems."""
         return dict.fromkeys(claim for system in self.systems for claim in system.claims(robot))
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way of any of its systems, and that two of them command the same."""
+        """Return the findings of its systems, and an error where two of them command the same topic."""
         others = tuple(each for each in circumstances.plugins if each is not self)
         asked = replace(circumstances, plugins=(*others, *self.systems))
         for system in self.systems:
@@ -108,7 +108,7 @@ class Together(System):
                 yield Finding.error(f"plugin {self.name}", problem, fix)
 
     def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
-        """Return what its systems need, each below its own namespace."""
+        """Return the needs of its systems, each below its own namespace."""
         for system in self.systems:
             prefix = namespace_prefix(getattr(system, "namespace", "") or "")
             for need in system.required_graph(circumstances):
@@ -116,12 +116,12 @@ class Together(System):
                 yield replace(need, name=name)
 
     def input_files(self) -> Iterable[InputFile]:
-        """Return what its systems read."""
+        """Return the input files of its systems."""
         for system in self.systems:
             yield from system.input_files()
 
     def duration_s(self, combination: Mapping[str, Any]) -> float | None:
-        """Return how long the longest of the missions takes, s; None where one of them is not known."""
+        """Return the duration of the longest mission, s; None where one is not known."""
         known = [system.duration_s(combination) for system in self.systems]
         return max((each for each in known if each is not None), default=None) if None not in known else None
 
@@ -135,19 +135,19 @@ class Together(System):
         execute_together(missions, context.clock, takes_turns=is_simulated(context.robot))
 
     def make_safe(self, context: RobotRunnerContext) -> None:
-        """Make each of its systems safe, whatever fails with another."""
+        """Make all its systems safe, even if one fails."""
         with ExitStack() as each_of_them:
             for system in self.systems:  # the last one first
                 each_of_them.callback(system.make_safe, self._context_of(system, context))
 
     def stand_by(self, context: RobotRunnerContext) -> None:
-        """Have each of its systems get ready, whatever fails with another."""
+        """Let all its systems get ready, even if one fails."""
         with ExitStack() as each_of_them:
             for system in self.systems:
                 each_of_them.callback(system.stand_by, self._context_of(system, context))
 
     def _pass_on(self, event: RobotRunnerEvents, context: Any) -> dict[str, Any] | None:
-        """Call the callbacks of its systems; of a closing event, those whose opening one was called, in reverse."""
+        """Call the callbacks of its systems; at a closing event, of those that got the opening one, in reverse."""
         if event.is_closing:
             self._close(event, context)
             return None
@@ -186,7 +186,7 @@ def _called(system: Plugin, event: RobotRunnerEvents, context: ExperimentContext
 
 
 class _BrokerOfOne:
-    """The broker of a run as one of the systems has it: what it measures goes by its name, and all else says whose."""
+    """A run's broker for one of the systems: prefixes its measures, findings and notes by its name."""
 
     def __init__(self, broker: MeasureBroker, together: str, system: System) -> None:
         self._broker = broker
@@ -207,7 +207,7 @@ class _BrokerOfOne:
 
     def doubt(self, owner: str, problem: str, fix: str, measures: Sequence[str]) -> None:
         del owner
-        given = [measures] if isinstance(measures, str) else measures  # not its letters
+        given = [measures] if isinstance(measures, str) else measures  # a text is one name, not a sequence of letters
         named = [f"{self._name}.{name}" for name in given or self._measures]
         if named:
             self._broker.doubt(self._together, f"{self._name}: {problem}", fix, named)
@@ -220,7 +220,7 @@ class _BrokerOfOne:
 
 
 class _TimesOfOne:
-    """The times of a mission as one of the systems has them: its phases go by its name."""
+    """The times of a mission for one of the systems: its phases are prefixed by its name."""
 
     def __init__(self, times: MissionTimes, name: str) -> None:
         self._times = times

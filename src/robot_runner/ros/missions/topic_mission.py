@@ -23,27 +23,27 @@ from robot_runner.ros.turtlebot3.steered_robot import Heartbeat
 if TYPE_CHECKING:
     from robot_runner.core.plugin import Circumstances
 
-#: A clock rounds: what is due within this many seconds is done now.
+#: Clocks round: a message that is due within so many seconds is sent now.
 _TICK = 1e-6
 
 
 class TopicMission(RobotSystem):
-    """Publishes a message again and again until a condition holds or some time has gone by, and a safe one afterwards.
+    """Publishes a message periodically until a condition holds or some time has passed, and a safe one afterwards.
 
     Args:
-        topic: where it is published, relative to the robot's namespace unless it begins with `/`.
+        topic: its name, relative to the robot's namespace unless it begins with `/`.
         message_type: its ROS type, such as `geometry_msgs/Twist`.
         publish: the message; `treatment(...)` may stand for any field, and what is left out has its ROS default.
-        until: a condition, such as `topic_above(...)`, which has a `namespace` of its own to say whom it is about; or a
-            number of seconds.
-        rate_hz: how often it is published, 1/s; 0 for once.
+        until: a condition, such as `topic_above(...)`, which has a `namespace` argument of its own; or a number of
+            seconds.
+        rate_hz: messages a second, 1/s; 0 for a single message.
         timeout_s: how long the condition may take, s of the run's clock; the run fails then.
-        afterwards: the safe message, published when the mission is over or breaks off, and by whoever is left when the
-            run dies. A velocity command is followed by zero where it is left out, and any other message by nothing.
+        afterwards: the safe message, published when the mission is over or breaks off, and by the standby when the run
+            dies. Left out, it is zero after a velocity command, and none after any other message.
         name: tells several instances apart; the class's name if left out.
         namespace: the robot's ROS namespace, such as `/alice`.
-        sole_control: whether a run fails where somebody else publishes on the topic during it; where it is False, the
-            run's values are doubtful then.
+        sole_control: whether a run fails if another node publishes on the topic during it; if False, the run's values
+            are doubtful then.
 
     Raises:
         PluginError: a parameter is out of its range.
@@ -58,7 +58,7 @@ class TopicMission(RobotSystem):
         Measure("Duration", "s", "How long the mission published, on the run's clock."),
         Measure("Messages", "1", "How many messages it published until the condition held."),
     )
-    #: What it commands, for `Together`.
+    #: The topics that it commands, for `Together`.
     commands: Sequence[str] = ()
     needs: ClassVar[str] = "A robot that subscribes the topic, or robot='simulated'."
     does: ClassVar[str] = "publishes to a robot"
@@ -100,12 +100,12 @@ class TopicMission(RobotSystem):
         self._result: tuple[float, int] | None = None
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no robot, or what the condition finds."""
+        """Return findings: there is no robot, or those of the condition."""
         yield from super().check(circumstances)
         yield from self.until.check(circumstances.robot)
 
     def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
-        """Return that somebody subscribes what is published."""
+        """Return the need for a subscriber of the topic."""
         del circumstances
         fix = "Start the node that subscribes it, or correct its name or the plugin's namespace."
         messages = [self.publish, *([] if self.afterwards is None else [self.afterwards])]
@@ -113,12 +113,12 @@ class TopicMission(RobotSystem):
         yield GraphNeed.subscribed(self.topic, plain, is_sole=is_sole, fix=fix, messages=messages)
 
     def duration_s(self, combination: Mapping[str, Any]) -> float | None:
-        """Return how long it takes, s, where that is fixed."""
+        """Return the duration, s, if it is fixed."""
         del combination
         return self.until.seconds if isinstance(self.until, _Elapsed) else None
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Connect, and see that nobody else publishes what this mission commands."""
+        """Connect, and check that no other node publishes on the topic."""
         self._result = None
         self._link = connect_robot(context, namespace=self.namespace)
         if self._is_velocity:
@@ -129,14 +129,14 @@ class TopicMission(RobotSystem):
             self._link, namespace=namespace, command_topic=self.topic, where=self.name, types=types
         )
         self._control.take(context, sole=self.sole_control)
-        if isinstance(self._link, Advertiser):  # to be discovered may take seconds, which are not to be measured
+        if isinstance(self._link, Advertiser):  # discovery may take seconds, which must not be measured
             self._link.advertise(self.topic, self.message_type)
 
     def launch_mission(self, context: RobotRunnerContext) -> None:
-        """Publish until the condition holds; the safe message follows whatever happens.
+        """Publish until the condition holds; the safe message follows in any case.
 
         Raises:
-            ConditionTimeout: it did not hold in time; what was seen last is told.
+            ConditionTimeout: it did not hold in time; the message says what was seen last.
             LinkError: the robot cannot be reached, or the message does not follow its definition.
         """
         link = self.started(self._link)
@@ -189,7 +189,7 @@ class TopicMission(RobotSystem):
         return count
 
     def _patience(self, elapsed: float) -> float:
-        """Return how long to sleep at most until the condition is looked at again, s."""
+        """Return how long to sleep at most until the condition is checked again, s."""
         if isinstance(self.until, _Elapsed):
             return self.until.seconds - elapsed
         return min(self.until.every_s, self.timeout_s - elapsed)
@@ -208,7 +208,7 @@ class TopicMission(RobotSystem):
 
 
 class _Elapsed(Condition):
-    """So many seconds have gone by since the watching began."""
+    """So many seconds have passed since the watch began."""
 
     def __init__(self, seconds: float) -> None:
         self.seconds = seconds

@@ -1,4 +1,4 @@
-"""Measures of a robot's way that no action tells: how long it was, and how near the closest obstacle came."""
+"""Measures of a robot's way that no action reports: its length, and the distance of the closest obstacle."""
 
 from __future__ import annotations
 
@@ -27,29 +27,29 @@ _SCAN, _TRANSFORMS = "sensor_msgs/LaserScan", "tf2_msgs/TFMessage"
 _FIX = "Look whether the robot publishes it, or leave the parameter out."
 _FIX_SILENCE = "Look at the network, and whether what publishes it kept up: `ros2 topic hz` or `rostopic hz`."
 _PAIR = 2
-#: How long the robot's place may not have been told, s, before its way is doubted.
+#: For how long the robot's position may be missing, s, before its way is doubted.
 _SILENCE = 2.0
-#: So far may its stamps go back, s: messages overtake each other; a simulator that is reset goes back by more.
+#: How far stamps may go back, s, as messages overtake each other; a reset of a simulator sets them back by more.
 _SET_BACK = 1.0
-#: Nothing drives or flies faster, m/s: the odometry was set anew, or the robot was put elsewhere in a simulation.
+#: No robot is faster, m/s: the odometry was reset, or the robot was placed elsewhere in a simulation.
 _FASTEST = 100.0
 
 
 class WayMeasures:
-    """Follows odometry or transforms, and laser scans, during a mission, as far as they are asked for.
+    """Follows odometry or transforms, and laser scans, during a mission, as requested.
 
     Args:
         odometry: topic of `nav_msgs/Odometry`, or None.
         scan: topic of `sensor_msgs/LaserScan`, or None.
         frames: instead of odometry the frame in which the robot moves, and the robot's own: `("map", "base_link")`.
         where: the plugin, for errors.
-        tf_topic: on which the frames are told.
+        tf_topic: the topic of the transforms.
 
     Attributes:
-        measures: what it yields.
+        measures: those that `end_mission` returns.
 
     Raises:
-        PluginError: the frames are no pair of names, or the way is to come from both.
+        PluginError: the frames are no pair of names, or both odometry and frames are given.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class WayMeasures:
         self._closing = ExitStack()
 
     def required(self) -> Iterable[GraphNeed]:
-        """Return the topics that are followed."""
+        """Return the needed topics."""
         if self._odometry is not None:
             yield GraphNeed.published(self._odometry, ODOMETRY, is_sole=True, fix=_FIX)
         if self._frames is not None:
@@ -93,10 +93,10 @@ class WayMeasures:
             yield GraphNeed.published(self._scan, _SCAN, fix=_FIX)
 
     def begin(self, link: RobotLink, context: RobotRunnerContext, *, timeout: float) -> None:
-        """Subscribe, and wait so many seconds at most until it is known where the robot is.
+        """Subscribe, and wait at most `timeout` seconds for the robot's position.
 
         Raises:
-            LinkError: that is not known in time.
+            LinkError: it is not known in time.
         """
         self._closing.close()
         self._clock = context.clock
@@ -124,13 +124,13 @@ class WayMeasures:
             self._coarse_before = self._way.coarse.lengths
 
     def end_mission(self, context: RobotRunnerContext) -> dict[str, float | None]:
-        """Return what was measured since `begin_mission`; a value that is not known is doubted."""
+        """Return the values since `begin_mission`; a value that is not known is doubted."""
         values: dict[str, float | None] = {}
         if self._way is not None and self._way_before is not None:
             values[PATH_LENGTH.name] = length = self._way.travelled - self._way_before
             try:
                 self._way.pose()
-                doubts = [*self._rivals()]  # two odometries in turn add up to any length
+                doubts = [*self._rivals()]  # messages of two sources in turn add up to any length
             except LinkError as error:
                 doubts = [error.as_finding()]
             if self._way.set_back > _SET_BACK:
@@ -165,7 +165,7 @@ class WayMeasures:
         return values
 
     def close(self) -> None:
-        """Follow no more; closing twice does nothing."""
+        """End the subscriptions; closing twice does nothing."""
         self._closing.close()
 
     def _take_scan(self, message: Message) -> None:
@@ -174,9 +174,9 @@ class WayMeasures:
             now = self._clock.now()
             self._longest_pause, self._scanned_at = max(self._longest_pause, now - self._scanned_at), now
         near, far = message["range_min"], message["range_max"]
-        # Beyond its bounds a range says nothing, but that -inf is what is too near (REP 117); NaN compares as False.
+        # Ranges beyond the bounds say nothing, except that -inf is an object too near (REP 117); NaN compares as False.
         self._too_near += -math.inf in message["ranges"]
-        # A scanner may name no greatest range, or no least one: inf and 0 are nothing seen then, too.
+        # A scanner may have no greatest or no least range: inf and 0 mean that nothing was seen, also then.
         seen = min((each for each in message["ranges"] if near <= each <= far and 0 < each < math.inf), default=None)
         if seen is not None and (self._closest is None or seen < self._closest):
             self._closest = float(seen)
@@ -187,12 +187,12 @@ def _is_name(frame: object) -> bool:
 
 
 class _WayOfFrame:
-    """The way that one frame covers in another, by what is told on tf.
+    """The way of one frame in another, from transforms.
 
     Attributes:
-        travelled: the way so far, m. Where localisation mends the place of the robot, that counts as a way, too.
-        set_back: the most by which the stamps went back from one place to the next, s.
-        unseen: the longest time between two places that differ.
+        travelled: the way so far, m; a correction of the position by localisation counts, too.
+        set_back: the most by which the stamps went back from one position to the next, s.
+        unseen: the longest time between two positions that differ.
         coarse: the same way, measured coarsely.
     """
 
@@ -207,14 +207,14 @@ class _WayOfFrame:
         self._told_at = 0.0
 
     def begin(self, link: RobotLink, opened: ExitStack, clock: Clock, timeout: float) -> None:
-        """Follow the frame until `opened` is closed; a `LinkError` says that it is not known within the timeout."""
+        """Follow the frame until `opened` is closed; raise a `LinkError` if it is not known within the timeout."""
         self._clock = clock
         self._buffer.subscribe(link, opened, topic=self._topic)
         opened.callback(link.subscribe(self._topic, _TRANSFORMS, self._take).close)
         self._buffer.wait_for(self._fixed, self._moving, clock, timeout=timeout)
 
     def pose(self) -> Transform:
-        """Return where the frame is; a `LinkError` says that this is not known any more."""
+        """Return the frame's position; raise a `LinkError` if it is no longer known."""
         silence = 0.0 if self._clock is None or self._last is None else self._clock.now() - self._told_at
         if silence > _SILENCE:
             problem = f"where {self._moving!r} is in {self._fixed!r} was not told for {silence:.1f} s"
@@ -223,7 +223,7 @@ class _WayOfFrame:
 
     @property
     def findings(self) -> Sequence[Finding]:
-        """What was wrong with what was told of frames between both, but that stamps went back (`set_back`)."""
+        """The faults of the transforms between both frames, except stamps that went back (`set_back`)."""
         try:
             between = self._buffer.between(self._fixed, self._moving)
         except LinkError:
@@ -235,7 +235,7 @@ class _WayOfFrame:
         del message  # the buffer has it
         try:
             now = self._buffer.look_up(self._fixed, self._moving)
-        except LinkError:  # its part of the tree has not been told of yet
+        except LinkError:  # this part of the tree is not known yet
             return
         if self._clock is not None and (self._last is None or now.time is None or now.time != self._last.time):
             self._told_at = self._clock.now()

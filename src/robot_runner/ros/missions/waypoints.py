@@ -1,4 +1,4 @@
-"""The mission from place to place of a robot that only knows velocity, in a closed loop on its odometry."""
+"""The mission from waypoint to waypoint for a robot with velocity commands only, in a closed loop on its odometry."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from robot_runner.ros.turtlebot3.steered_robot import Robot, SteeredSystem
 if TYPE_CHECKING:
     from robot_runner.core.plugin import Circumstances
 
-#: What a robot may be commanded beyond its cruising speed to mend what it is off by, and beyond that the odometry
-#: counts as jumping.
+#: Multiples of the cruising speed: the greatest command, so that errors can be corrected, and the speed beyond which a
+#: change of the odometry counts as a jump.
 _HEADROOM, _JUMPING = 1.25, 5.0
-#: The least that counts as driving fast, m/s: the odometry of a slow robot rounds, too.
+#: The least speed that counts as a jump, m/s: the odometry of a slow robot rounds, too.
 _SLOWEST_JUMP = 1.3
-#: A way or a turn too short to be driven, m and rad.
+#: Ways and turns below these are not driven, m and rad.
 _NO_WAY, _NO_TURN = 0.005, 0.01
-#: How often a waypoint is gone at again that was missed.
+#: How often the robot tries to reach a waypoint.
 _MOST_TRIES = 4
 _SHORTEST = 2
 #: Beyond a full turn, rad, a yaw is probably in degrees.
@@ -46,24 +46,24 @@ class _Waypoint:
 class Waypoints(SteeredSystem):
     """Drives from waypoint to waypoint: on the spot to face it, straight to it, and on the spot to the yaw there.
 
-    Each leg is a phase of the mission, `leg_1`, `leg_2` and so on, for which the config's `phases` may ask. The way is
-    kept in `trajectory.csv`.
+    Each leg is a phase of the mission, `leg_1`, `leg_2` and so on, which the config's `phases` may name. The way is
+    written to `trajectory.csv`.
 
     Args:
-        waypoints: where to go, each `(x, y)` or `(x, y, yaw)` in m and rad; `treatment(...)` may stand for any number.
+        waypoints: each `(x, y)` or `(x, y, yaw)` in m and rad; `treatment(...)` may stand for any number.
         name: tells several robots apart; the class's name if left out.
         namespace: the robot's ROS namespace, such as `/alice`.
-        relative_to: `odom` for the frame of the odometry, `start` for where the robot stands when the mission begins.
-        speed: the speed to cruise at, m/s.
-        turn_rate: the same of a turn, rad/s.
-        tolerance_m: how near a waypoint has to be reached, m.
-        tolerance_rad: the same of its yaw, rad.
+        relative_to: `odom` for the frame of the odometry, `start` for the robot's pose when the mission begins.
+        speed: the cruising speed, m/s.
+        turn_rate: the same for a turn, rad/s.
+        tolerance_m: the greatest distance from a waypoint, m.
+        tolerance_rad: the greatest error of its yaw, rad.
         command_topic: of the robot's velocity commands: `Twist`, or `TwistStamped` where it subscribes that.
         odometry_topic: of its `nav_msgs/Odometry`.
         connect_timeout_s: how long to wait for the robot's first odometry, s.
         odometry_timeout_s: how long the odometry may be silent before the mission is broken off, s.
-        sole_control: whether a run fails where somebody else commands the robot, or more than one node tells its
-            odometry; where it is False, the run's values are doubtful then.
+        sole_control: whether a run fails if another node commands the robot, or more than one publishes its odometry;
+            if False, the run's values are doubtful then.
 
     Raises:
         PluginError: there is no waypoint, or a parameter is out of its range.
@@ -73,7 +73,7 @@ class Waypoints(SteeredSystem):
         ['Duration', 'Distance', 'FinalError', 'FinalYawError', 'Leg1', 'Leg2']
     """
 
-    #: What a way yields; an instance has the duration of each leg, too, and no error of a yaw that is not given.
+    #: The common measures; an instance has the duration of each leg, too, and no yaw error if no yaw is given.
     measures: Sequence[Measure] = (
         Measure("Duration", "s", "Duration of the mission on the run's clock."),
         Measure("Distance", "m", "Way covered during the mission, by odometry."),
@@ -119,7 +119,7 @@ class Waypoints(SteeredSystem):
         self.measures = (*type(self).measures[: None if with_yaw else -1], *_legs(len(self.waypoints)))
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Yield what stands in the way: no robot; a way whose runs differ; and yaws that are probably in degrees."""
+        """Yield findings: no robot; a start that differs between runs; yaws that are probably in degrees."""
         yield from super().check(circumstances)
         for each in self.waypoints:
             if each.yaw is not None and abs(each.yaw) > _MOST_YAW:
@@ -136,13 +136,13 @@ class Waypoints(SteeredSystem):
             yield Finding.warning(f"plugin {self.name}", problem, fix)
 
     def _is_left_where_it_ends(self, circumstances: Circumstances) -> bool:
-        """Whether nobody puts the robot back between runs, nor can: the odometry would not know."""
+        """Whether the robot is not put back between runs, and must not be, as the odometry would not notice."""
         robot = circumstances.robot
         is_reset = any(isinstance(each, Simulation) and each.reset != "none" for each in circumstances.plugins)
         return self.relative_to == "odom" and robot is not None and not (is_simulated(robot) or is_reset)
 
     def duration_s(self, combination: Mapping[str, Any]) -> float | None:
-        """Return how long the legs between the waypoints take, s; None where the first begins anywhere."""
+        """Return the duration of all legs, s; None where the start of the first is not known."""
         del combination
         if self.relative_to != "start":
             return None
@@ -161,11 +161,10 @@ class Waypoints(SteeredSystem):
         return Ramp.covering(angle, self.turn_rate).seconds if abs(angle) > _NO_TURN else 0.0
 
     def launch_mission(self, context: RobotRunnerContext) -> None:
-        """Drive from waypoint to waypoint; the robot is stopped whatever happens.
+        """Drive from waypoint to waypoint; the robot is stopped in any case.
 
         Raises:
-            LinkError: a waypoint was not reached, the odometry fell silent, or the robot does not move as it is
-                commanded.
+            LinkError: a waypoint was not reached, the odometry fell silent, or the robot does not move as commanded.
         """
         robot = self.started(self._robot)
         with self.keeping_way(robot, context), ExitStack() as stopping:
@@ -173,7 +172,7 @@ class Waypoints(SteeredSystem):
             self._values = self._driven(robot, context)
 
     def reached(self, context: RobotRunnerContext) -> Robot:
-        """Return the robot, whose odometry is subscribed from now on."""
+        """Connect to the robot, subscribe its odometry, and return it."""
         fastest = max(_SLOWEST_JUMP, _JUMPING * self.speed)
         odometer = Odometer(context.clock, timeout=self.odometry_timeout_s, where=self.name, fastest=fastest)
         return Robot(
@@ -239,7 +238,7 @@ class Waypoints(SteeredSystem):
 
 
 def _in_odometry(waypoint: _Waypoint, start: Pose | None) -> _Waypoint:
-    """Return a waypoint in the frame of the odometry; `start` is the origin of its own, None for the odometry's."""
+    """Return a waypoint in the frame of the odometry; `start` is the origin of its frame, None for the odometry's."""
     if start is None:
         return waypoint
     cos, sin = math.cos(start.heading), math.sin(start.heading)

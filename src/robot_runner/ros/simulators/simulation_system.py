@@ -1,4 +1,4 @@
-"""The system that resets a simulator between runs, sees that it was reset, and measures how fast its time goes."""
+"""The system that resets a simulator between runs, checks the reset, and measures the real-time factor."""
 
 from __future__ import annotations
 
@@ -22,38 +22,38 @@ from robot_runner.ros.simulators.watched_pose import WatchedPose, checked_spot
 from robot_runner.ros.simulators.watched_time import CLOCK_TOPIC, WatchedTime
 
 _RESETS = ("world", "simulation", "none")
-#: How long the first time of a simulator is awaited, s: Gazebo publishes it ten times a second at least.
+#: The timeout for a simulator's first time, s: Gazebo publishes it at least ten times a second.
 _FIRST_TIME = 2.0
 _LOOK = 0.02
 
 
 class Simulation(OfTheRobot, System):
-    """Resets a simulator before each run, sees that robot and time were reset, and measures its real-time factor.
+    """Resets a simulator before each run, checks that robot and time were reset, and measures the real-time factor.
 
-    The simulator is found on the robot's graph. Where a run is to start it, put what starts it before this system:
+    The simulator is found on the robot's graph. If a run is to start it, list the subject that does before this system:
     `RosLaunch("my_sim", "world.launch.py", arguments={"world": treatment("World")})`. Between runs it is paused.
     List it before the systems that operate the robot, so that they find it reset.
 
     Args:
-        simulator: how it is spoken to: `robot_runner` (robot-runner simulate), `gazebo_classic` (ROS 1),
-            `gazebo_classic_ros2`, `gz`, `webots`, `isaac`, or `simulation_interfaces` for others that keep to it.
+        simulator: its kind: `robot_runner` (robot-runner simulate), `gazebo_classic` (ROS 1), `gazebo_classic_ros2`,
+            `gz`, `webots`, `isaac`, or `simulation_interfaces` for others that implement that.
         name: tells several simulators apart; the class's name if left out.
-        namespace: the robot's, for its pose and for services that stand in it.
-        world: of gz, the world's name; of the others, what stands before the names of their services.
-        robot: the name of the robot's model in the simulator, where it is placed or told apart.
+        namespace: the robot's, for its pose and for services in this namespace.
+        world: for gz, the world's name; for the others, the prefix of their services.
+        robot: the name of the robot's model in the simulator, needed to place it or to distinguish several.
         reset: `world` (poses; time goes on), `simulation` (time begins again, too) or `none`.
-        start: where the robot is to be seen after a reset: x, y (m) and yaw (rad).
-        is_placed: whether the robot is put there after the reset, for a start that is not the world's own.
-        pose_topic: the topic that tells where it stands.
-        tolerance_m: how far from its start it may be seen, m.
+        start: the pose that the robot must have after a reset: x, y (m) and yaw (rad).
+        is_placed: whether the robot is placed there after the reset, for a start that is not the world's own.
+        pose_topic: the topic of the robot's pose.
+        tolerance_m: how far from its start the robot may be, m.
         tolerance_rad: how far its heading may be off, rad.
         pauses: whether the simulator is paused between runs.
-        lowest_real_time_factor: below this, in the slowest second of the mission, the values of a run are doubtful;
+        lowest_real_time_factor: a run's values are doubtful if the factor is less in the slowest second of the mission;
             0 for never.
         timeout_s: how long each answer, and the reset, may take, s.
 
     Raises:
-        PluginError: there is no such simulator, or it cannot do what is asked for.
+        PluginError: there is no such simulator, or it does not support what is requested.
 
     Example:
         >>> Simulation("gz", world="maze", reset="simulation").measures[0].name
@@ -104,7 +104,7 @@ class Simulation(OfTheRobot, System):
         self._closing = ExitStack()
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no robot; and what is of no use."""
+        """Return findings: no robot; parameters without effect."""
         where = f"plugin {self.name}"
         if circumstances.robot is None:
             fix = "Name how its graph is reached: robot = 'ros2' (or ros1, dds, rosbridge)."
@@ -121,7 +121,7 @@ class Simulation(OfTheRobot, System):
                 yield Finding.warning(where, problem, f"List {self.name!r} before {each.name!r} in `plugins`.")
 
     def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
-        """Need where the robot stands, and the services whose names are known beforehand."""
+        """Return the topic of the pose, and the services whose names are known beforehand."""
         del circumstances
         if self._reset is not None:
             fix = "Name the topic that tells where the robot stands: pose_topic='odom'."
@@ -133,9 +133,9 @@ class Simulation(OfTheRobot, System):
                 yield GraphNeed.service(demand.services[0], demand.service_type, fix=fix)
 
     def before_run(self, context: RobotRunnerContext) -> None:
-        """Let the simulator go on where the run lives by its time: a run cannot begin while that stands still.
+        """Unpause the simulator if the run follows its time: a run cannot begin while that stands still.
 
-        Whoever is killed from here on, it is left going on: a process waits for that.
+        Whichever process is killed from here on, a guardian process unpauses the simulator.
         """
         if self.pauses and follows_graph_clock(context.robot):
             self._unpause_from_elsewhere(context)
@@ -144,16 +144,16 @@ class Simulation(OfTheRobot, System):
             guard_pauses(robot, self.namespace, unpause, self.timeout_s, signs=self._signs)
 
     def after_experiment(self, context: ExperimentContext) -> None:
-        """Leave the simulator as it was found: going on."""
+        """Leave the simulator unpaused, as it was found."""
         if self.pauses and context.robot is not None and not is_simulated(context.robot):
             self._unpause_from_elsewhere(context, self._signs)
             guard_pauses_no_more(context.robot, self.namespace)
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Reset the simulator, and see that it was reset.
+        """Reset the simulator, and check that it was reset.
 
         Raises:
-            LinkError: it cannot be reset, or is not seen to be reset in time; it says what is seen instead.
+            LinkError: it cannot be reset, or does not appear as reset in time; the message says what is seen instead.
         """
         self._reset_duration, self._time = None, None
         self._closing.close()
@@ -175,7 +175,7 @@ class Simulation(OfTheRobot, System):
             self._time.begin()
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
-        """Measure the simulator's time no more."""
+        """End measuring the simulator's time."""
         del context
         if self._time is not None:
             self._time.end()
@@ -209,25 +209,25 @@ class Simulation(OfTheRobot, System):
             )
 
     def make_safe(self, context: RobotRunnerContext) -> None:
-        """Let the simulator go on, also in a process that has not been connected before: none is left paused."""
+        """Unpause the simulator, also in a process that was not connected before."""
         link = connect_robot(context, namespace=self.namespace)
         if self.pauses and not link.is_simulated:
             self._demand(self._dialect.unpause, link, robot_namespace(context, self.namespace))
 
     @property
     def _signs(self) -> Sequence[str]:
-        """The topics that it publishes: a subject that started it may have ended it."""
+        """The topics by which the simulator is known to exist: the subject that started it may have ended it."""
         return CLOCK_TOPIC, self.pose_topic
 
     def _reset_and_see(self, reset: Demand, link: RobotLink, namespace: str) -> float:
-        """Return how long it took, s."""
+        """Reset the simulator, check it, and return how long that took, s."""
         with ExitStack() as closing:
             pose = WatchedPose(link, self.pose_topic, namespace=namespace, model=self.robot)
             closing.callback(pose.close)
             before = None if self._time is None else self._time.begin_reset(timeout=_FIRST_TIME)
             begun = time.monotonic()
             self._demand(reset, link, namespace)
-            self._demand(self._dialect.unpause, link, namespace)  # some come back paused
+            self._demand(self._dialect.unpause, link, namespace)  # some simulators are paused after a reset
             self._demand(self._place, link, namespace)
             pose.see(self.start, metres=self.tolerance_m, radians=self.tolerance_rad, timeout=self.timeout_s)
             if before is not None:
@@ -235,10 +235,10 @@ class Simulation(OfTheRobot, System):
             return time.monotonic() - begun
 
     def _see_time(self, before: float, deadline: float) -> None:
-        """See that time began again, or that it did not, as the reset was declared."""
+        """Check that time began again, or that it did not, as `reset` says."""
         while True:
             now = before if self._time is None else self._time.now() or 0.0
-            # It may be past `before` again by now: a simulator that was just started, or whose time flies.
+            # It may be past `before` again by now, if the simulator was just started or is fast.
             heard = None if self._time is None else self._time.earliest
             earliest = now if heard is None else heard
             if self.reset == "world" and earliest < before:

@@ -1,4 +1,4 @@
-"""By which services each simulator is reset, paused and told where its robot stands: one table."""
+"""The services by which each simulator is reset and paused, and its robot placed."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from robot_runner.core.errors import LinkError, PluginError, did_you_mean
 from robot_runner.core.links.graph_names import full_name, missing, namespace_prefix
 from robot_runner.core.links.robot import Message, RobotLink
 
-#: Where a robot is to stand: x, y (m) and yaw (rad).
+#: The place of a robot: x, y (m) and yaw (rad).
 Spot = tuple[float, float, float]
 
 _LOOK = 0.02
-#: A graph on which no service is seen for so long, s, does not tell its services.
+#: A graph that lists no service for so long, s, cannot list services.
 _SILENT = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """A service that makes a simulator do something.
+    """A call of a simulator's service.
 
     Attributes:
-        services: the names that it may have, the likeliest first, relative to the robot's namespace unless they begin
-            with `/`; one that is not there is looked for under any other name in that namespace with the same end.
+        services: the possible names, the likeliest first, relative to the robot's namespace unless they begin with `/`;
+            if none exists, any other service in that namespace with the same last part is used.
         service_type: its type.
-        request: what it is called with.
-        refusal: says of a response why it was refused; empty where it was done.
+        request: the request.
+        refusal: returns from a response why the call was refused; empty if it was done.
     """
 
     services: tuple[str, ...]
@@ -52,13 +52,13 @@ class Demand:
             )
 
     def _awaited(self, link: RobotLink, namespace: str, deadline: float) -> str:
-        """Return the name of the service; a graph that was just joined takes a moment to be discovered."""
+        """Return the name of the service, once it is discovered."""
         silent_until = min(deadline, time.monotonic() + _SILENT)
         while True:
             try:
                 return self._found(link, namespace)
             except LinkError:
-                if time.monotonic() > silent_until and not link.services():  # a graph that does not tell its services
+                if time.monotonic() > silent_until and not link.services():  # a graph that cannot list services
                     return full_name(namespace, self.services[0])
                 if time.monotonic() > deadline:
                     raise
@@ -84,15 +84,15 @@ class Demand:
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """How one simulator is spoken to. None stands for what it offers no documented service for.
+    """The calls for one simulator; None where it has no documented service.
 
     Attributes:
         title: the simulator's name.
-        pause, unpause: let its time stand still, or go on.
-        reset_world: puts everything back; time goes on.
-        reset_simulation: begins again, time too.
-        place: puts the robot of this name somewhere.
-        hint: what must be running besides, and where that is documented.
+        pause, unpause: stop its time, or let it go on.
+        reset_world: resets all poses; time goes on.
+        reset_simulation: resets everything, time included.
+        place: places the robot of this name.
+        hint: what else must be running, and where that is documented.
     """
 
     title: str
@@ -105,11 +105,11 @@ class Dialect:
 
 
 def dialect_of(simulator: str, world: str) -> Dialect:
-    """Return how a simulator is spoken to.
+    """Return the dialect of a simulator.
 
     Args:
         simulator: a key of `DIALECTS`.
-        world: the world's name, or what stands before the names of its services, where those depend on it.
+        world: the world's name, or the prefix of its services, where these depend on it.
 
     Raises:
         PluginError: there is no such simulator.
@@ -151,7 +151,7 @@ def _pose(spot: Spot) -> dict[str, Any]:
 
 
 def _by_empty(title: str, prefix: str, hint: str, place: Callable[[str, Spot], Demand] | None = None) -> Dialect:
-    """Return how a simulator is spoken to by services that take nothing, below a prefix or where its node stands."""
+    """Return a dialect of services with empty requests, below a prefix or in the namespace of the simulator's node."""
 
     def call(name: str) -> Demand:
         return Demand((f"{prefix}{name}", f"/{name}"), "std_srvs/Empty", {}, _nothing_to_refuse)
@@ -162,7 +162,7 @@ def _by_empty(title: str, prefix: str, hint: str, place: Callable[[str, Spot], D
 
 def _gazebo_classic(world: str) -> Dialect:
     del world
-    # ROS 1 has them below /gazebo, ROS 2 where the node of gazebo_ros stands.
+    # In ROS 1 the services are below /gazebo, in ROS 2 in the namespace of gazebo_ros' node.
     hint = "gazebo_ros; on ROS 2 placing a robot takes libgazebo_ros_state.so in the world"
     return _by_empty("Gazebo classic", "/gazebo/", hint, _in_gazebo_classic)
 
@@ -250,7 +250,7 @@ def _robot_runner(world: str) -> Dialect:
     return _by_empty("robot-runner simulate", "", "robot-runner simulate turtlebot3")
 
 
-#: By the name that a config gives. Sources of the services' names and types: docs/decisions/0059.
+#: By the name in a config. Sources of the services' names and types: docs/decisions/0059.
 DIALECTS: Mapping[str, Callable[[str], Dialect]] = MappingProxyType(
     {
         "robot_runner": _robot_runner,

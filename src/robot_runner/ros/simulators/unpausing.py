@@ -1,4 +1,4 @@
-"""Lets a simulator go on from a process of its own: for the orchestrator, which may start no threads, and after it."""
+"""Unpauses a simulator from a separate process: for the orchestrator, which must start no threads, or after its end."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from robot_runner.ros.graph_links import GRAPH_LINKS
 if TYPE_CHECKING:
     from robot_runner.ros.simulators.simulator_dialects import Demand
 
-#: How long a client library may take to be imported and to find the simulator, s.
+#: The timeout for importing a client library and finding the simulator, s.
 _CONNECTING = 20.0
 _REFUSED = 3
 #: How long a guardian may take to end, s.
@@ -26,15 +26,15 @@ _ENDING = 5.0
 _GUARD = "guard"
 
 
-#: Our guardians, by the robot and the namespace: a plugin with bound parameters is made anew for each run.
+#: Our guardians, by robot and namespace; global, as a plugin with bound parameters is built again for each run.
 _guardians: dict[tuple[str, str], subprocess.Popen[str]] = {}
 
 
 def guard_pauses(robot: str, namespace: str, unpause: Demand, timeout: float, *, signs: Sequence[str] = ()) -> None:
-    """Have a process wait for the end of this one, and let the simulator go on where that comes unasked.
+    """Start a guardian process that unpauses the simulator if this process dies.
 
-    It reads from a pipe, which the processes of a run hold as well: it acts once all of them are gone. Another call
-    tells it another service. What it is told is what `unpause_from_elsewhere` takes.
+    The guardian reads from a pipe, which the processes of a run have open as well: it acts once all of them are gone.
+    Another call replaces the service. The arguments are those of `unpause_from_elsewhere`.
     """
     told = json.dumps(_told(robot, namespace, unpause, timeout, signs))
     guardian = _guardians.get((robot, namespace))
@@ -45,17 +45,17 @@ def guard_pauses(robot: str, namespace: str, unpause: Demand, timeout: float, *,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             text=True,
-            start_new_session=True,  # what a terminal interrupts is not its end
+            start_new_session=True,  # Ctrl-C in a terminal must not end it
         )
     _tell(guardian, told)
 
 
 def guard_pauses_no_more(robot: str, namespace: str) -> None:
-    """End the guardian of a simulator, which was left going on."""
+    """End the guardian of a simulator, which is not paused."""
     guardian = _guardians.pop((robot, namespace), None)
     if guardian is not None:
         _tell(guardian, json.dumps(None))
-        with suppress(BrokenPipeError, subprocess.TimeoutExpired):  # it will end, now that it was told
+        with suppress(BrokenPipeError, subprocess.TimeoutExpired):  # the guardian will end, as it has been told to
             guardian.communicate(timeout=_ENDING)
 
 
@@ -69,17 +69,17 @@ def _tell(guardian: subprocess.Popen[str], line: str) -> None:
 def unpause_from_elsewhere(
     robot: str, namespace: str, unpause: Demand, timeout: float, *, signs: Sequence[str] = ()
 ) -> None:
-    """Call the service that lets a simulator go on, in a process that ends with it.
+    """Call the service that unpauses a simulator, in a process that ends afterwards.
 
     Args:
         robot: how its graph is reached, as a config names it.
         namespace: of the robot.
         unpause: the service.
-        timeout: how long it may take to answer, s.
-        signs: topics that it publishes, where it may have ended: one that is not there is not left paused.
+        timeout: of its answer, s.
+        signs: topics of the simulator, where it may have ended: without them, there is nothing to unpause.
 
     Raises:
-        LinkError: it was not called; it says why.
+        LinkError: the service was not called; the message says why.
     """
     told = _told(robot, namespace, unpause, timeout, signs)
     command = [sys.executable, "-P", "-m", __name__, json.dumps(told)]
@@ -112,13 +112,13 @@ def _told(robot: str, namespace: str, unpause: Demand, timeout: float, signs: Se
 
 
 def _guard() -> int:
-    """Wait for the end of what is told on standard input, and let the simulator go on; end at once where null is told.
+    """Wait for the end of standard input, then unpause the simulator; return at once after a line `null`.
 
-    Another process may hold the pipe for longer than whoever says null waits.
+    Closing the pipe is not enough to end the guardian, as other processes may have it open.
     """
     told = None
     for line in sys.stdin:
-        if line.endswith("\n"):  # who writes may be killed in the middle of a line
+        if line.endswith("\n"):  # the writer may be killed in the middle of a line
             told = json.loads(line)
             if told is None:
                 break

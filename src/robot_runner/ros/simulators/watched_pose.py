@@ -1,4 +1,4 @@
-"""Where a simulator says that its robot stands, by whichever topic tells it."""
+"""The pose of a robot in a simulator, from a topic of one of several types."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from robot_runner.ros.transforms import yaw_of
 if TYPE_CHECKING:
     from robot_runner.ros.simulators.simulator_dialects import Spot
 
-#: How many messages in a row must tell of the place: the first after a reset may still be of the time before.
+#: How many messages in a row must show the place: the first after a reset may be from before it.
 _IN_A_ROW = 2
 
 
 def distance_between(one: Spot, other: Spot) -> tuple[float, float]:
-    """Return how far two places are apart: m, and rad between the headings.
+    """Return the distance of two places, m, and the angle between their headings, rad.
 
     Example:
         >>> distance_between((0.0, 0.0, 3.1), (3.0, 4.0, 3.1))
@@ -35,17 +35,17 @@ def _of_pose(pose: Message) -> Spot:
 
 
 class WatchedPose:
-    """Hears where a robot stands, from now on.
+    """Receives the pose of a robot, from now on.
 
     Args:
         link: to the graph.
-        topic: that tells it: nav_msgs/Odometry, geometry_msgs/Pose, PoseStamped, PoseWithCovarianceStamped, or
+        topic: of the type nav_msgs/Odometry, geometry_msgs/Pose, PoseStamped, PoseWithCovarianceStamped, or
             gazebo_msgs/ModelStates.
         namespace: of the robot.
-        model: its name in the simulator, for a topic that tells of all models.
+        model: its name in the simulator, for a topic with the poses of all models.
 
     Raises:
-        LinkError: there is no such topic, or it does not tell where a robot stands.
+        LinkError: there is no such topic, or its type has no pose.
     """
 
     def __init__(self, link: RobotLink, topic: str, *, namespace: str, model: str) -> None:
@@ -76,10 +76,10 @@ class WatchedPose:
         self._subscription = link.subscribe(self._name, kind, self._take)
 
     def see(self, spot: Spot, *, metres: float, radians: float, timeout: float) -> None:
-        """Return once the robot is seen to stand there.
+        """Return once the robot is at this place.
 
         Raises:
-            LinkError: it does not within `timeout` seconds of this machine; it says where it stands.
+            LinkError: it is not within `timeout` seconds of this machine; the message says where it is.
         """
 
         def is_there(seen: Spot) -> bool:
@@ -106,7 +106,7 @@ class WatchedPose:
         )
 
     def close(self) -> None:
-        """Hear no more; closing twice does nothing."""
+        """End the subscription; closing twice does nothing."""
         self._subscription.close()
 
     def _take(self, message: Message) -> None:
@@ -125,10 +125,10 @@ def _of_model(message: Message, model: str) -> Spot | None:
 
 
 def checked_spot(given: object) -> Spot:
-    """Return a place as a config gives it.
+    """Return a place from a config, after checking it.
 
     Raises:
-        PluginError: it is none.
+        PluginError: it is not valid.
     """
     values = list(given) if isinstance(given, list | tuple) else []
     numbers = [float(each) for each in values if isinstance(each, int | float) and math.isfinite(each)]

@@ -1,4 +1,4 @@
-"""How fast a simulator's time goes by this machine's clock, and whether it goes back."""
+"""The real-time factor of a simulator, by this machine's clock, and whether its time goes back."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from robot_runner.core.links.robot import Message, RobotLink
 
 CLOCK_TOPIC = "/clock"
 _TYPE = "rosgraph_msgs/Clock"
-#: Over how long, s of this machine, the slowest stretch is looked for: shorter ones are the network's.
+#: The length of the slowest stretch, s of this machine: shorter ones depend on the network.
 _STRETCH = 1.0
 
 
 class WatchedTime:
-    """Hears `/clock` from now on.
+    """Receives `/clock` from now on.
 
     Args:
         link: to the graph.
-        tell: called with both times, s, where the simulator's time goes back while it is measured.
+        tell: called with both times, s, if the simulator's time goes back during the measurement.
 
     Attributes:
-        factor: simulated seconds a real second, from the first to the last message of the measured time, or to its end
-            where nothing came in its last second; None where there were too few.
+        factor: simulated seconds a real second, from the first to the last message of the measurement, or to its end
+            if no message came in its last second; None if there were too few.
         slowest: the same over the slowest second; None likewise.
-        earliest: the least simulated time that was heard since `begin_reset`, s; None where nothing was.
+        earliest: the least simulated time received since `begin_reset`, s; None if there was none.
     """
 
     def __init__(self, link: RobotLink, tell: Callable[[float, float], object]) -> None:
@@ -42,13 +42,13 @@ class WatchedTime:
         self._subscription = link.subscribe(CLOCK_TOPIC, _TYPE, self._take)
 
     def now(self, *, timeout: float = 0.0) -> float | None:
-        """Return the simulated time that was heard last, s, waiting for the first; None where none came in time."""
+        """Return the last simulated time, s; wait for the first, and return None if it does not come in time."""
         with self._changed:
             self._changed.wait_for(lambda: self._now is not None, timeout)
             return self._now
 
     def begin_reset(self, *, timeout: float) -> float | None:
-        """Return as `now`, and begin to look for the earliest time."""
+        """Return the same as `now`, and begin to look for the earliest time."""
         before = self.now(timeout=timeout)
         with self._changed:
             self.earliest = None
@@ -61,7 +61,7 @@ class WatchedTime:
             self._is_measured = True
 
     def end(self) -> None:
-        """Measure no more; a time that was not told lately has stood still since."""
+        """End the measurement; without recent messages, time counts as standing still since the last."""
         real = time.monotonic()
         with self._changed:
             if self._is_measured and self._now is not None and real - self._heard_at >= _STRETCH:
@@ -69,7 +69,7 @@ class WatchedTime:
             self._is_measured = False
 
     def close(self) -> None:
-        """Hear no more; what was measured stays."""
+        """End the subscription; the results are kept."""
         self._subscription.close()
 
     def _take(self, message: Message) -> None:

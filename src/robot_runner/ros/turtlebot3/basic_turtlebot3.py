@@ -20,7 +20,7 @@ from robot_runner.ros.turtlebot3.steered_robot import Robot, SteeredSystem, Task
 _KNOWN_TASKS = tuple(task.value.capitalize() for task in Task)
 #: How far from its beginning, m, a mission may end before the run is warned of.
 _NEAR = 0.1
-#: Share of the planned way below which the robot was blocked or its wheels slipped; as much above it, it was pushed.
+#: The share of the planned way below which the robot was blocked or its wheels slipped; as far above it, it was pushed.
 _MOST = 0.9
 
 
@@ -28,22 +28,22 @@ class BasicTurtlebot3(SteeredSystem):
     """Executes the paper's circular mission on a TurtleBot3: 95 s of sleeping, driving and three times a task.
 
     The robot drives away and comes back, in a closed loop on its odometry, so that it need not be
-    repositioned between runs. It is stopped at the end whatever happens in between.
+    repositioned between runs. It is stopped at the end in any case.
 
     Args:
         name: tells several robots apart; the class's name if left out.
         namespace: the robot's ROS namespace, such as `/alice`.
         task_factor: the factor whose treatment names the task of a run; None if no factor does.
-        task: the task of all runs, where no factor names it: Computation, Video or Network.
+        task: the task of all runs, if no factor names it: Computation, Video or Network.
         sleep_s: each of the six sleeps, s.
         drive_s: the way out, and the way back, s.
         task_s: each of the three tasks, s.
         rotate_s: the turn by 180 degrees, s.
-        speed: the speed to cruise at, m/s; 0.22 at most.
+        speed: the cruising speed, m/s; at most 0.22.
         connect_timeout_s: how long to wait for the robot's first odometry, s.
         odometry_timeout_s: how long the odometry may be silent before the mission is broken off, s.
-        sole_control: whether a run fails where somebody else commands the robot, or more than one node tells its
-            odometry; where it is False, the run's values are doubtful then.
+        sole_control: whether a run fails if another node commands the robot, or more than one publishes its odometry;
+            if False, the run's values are doubtful then.
 
     Raises:
         PluginError: a parameter is out of its range.
@@ -58,7 +58,7 @@ class BasicTurtlebot3(SteeredSystem):
         Measure("Distance", "m", "Way covered during the mission, by odometry."),
         Measure("PoseError", "m", "Distance between the first and the last position of the mission, by odometry."),
     )
-    #: 23 s instead of 95: the way out is 0.6 m long, and the turn is still slower than the robot can.
+    #: 23 s instead of 95: the way out is 0.6 m long, and the turn is still slower than the robot's limit.
     smoke_parameters: ClassVar[Mapping[str, float]] = MappingProxyType(
         {"sleep_s": 1.0, "drive_s": 3.0, "task_s": 2.0, "rotate_s": 5.0}
     )
@@ -93,39 +93,40 @@ class BasicTurtlebot3(SteeredSystem):
         self._performance: Performance | None = None
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no robot, or treatments that are no tasks."""
+        """Return findings: there is no robot, or treatments are no tasks."""
         yield from super().check(circumstances)
         yield from self._check_namespace(circumstances)
         yield from self._check_tasks(circumstances)
 
     def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
-        """Return odometry, velocity commands, and the services of the tasks that runs may have."""
+        """Return the needs: odometry, velocity commands, and the services of the possible tasks."""
         yield from super().required_graph(circumstances)
         named = [self.task] if self.task is not None else circumstances.factors.get(self.task_factor or "", ())
         for task in dict.fromkeys(filter(None, map(Task.named, named))):
             yield from required_services(task)
 
     def duration_s(self, combination: Mapping[str, Any]) -> float:
-        """Return how long the mission takes, s: 95 with the defaults, by the sum of its phases."""
+        """Return the duration of the mission, s, as the sum of its phases: 95 with the defaults."""
         del combination
         return self.mission.seconds
 
     def check_ready(self, robot: Robot, context: RobotRunnerContext) -> None:
-        """See that the robot has the services of the run's task, and works on none."""
+        """Check that the robot has the services of the run's task, and end a task that is still running."""
         robot.tasks.check(self._task_of(context), context.clock, where=self.name)
         self._end_left_task(robot.tasks, context)
 
     def _end_left_task(self, tasks: TaskServices, context: RobotRunnerContext) -> None:
-        """Stop a task that an earlier run, or somebody else, left running: it would be measured, and refuse ours."""
+        """Stop a task that was left running: it would be measured, and the robot would refuse the run's own."""
         told = tasks.stop_all()
-        if any(told.startswith(f"{task.value} ") for task in Task):  # else: "nothing was running"
+        if any(told.startswith(f"{task.value} ") for task in Task):  # otherwise "nothing was running"
             context.warn(f"a task was still running on the robot: {told}", fix="Look what left it running.")
 
     def launch_mission(self, context: RobotRunnerContext) -> None:
         """Execute the mission.
 
-        Its phases go to `phases.csv` and, as they begin, to the other plugins; its way goes to `trajectory.csv`. They
-        are phases of the run, too: `sleep`, `forward`, `task` and `rotate`, for which the config's `phases` may ask.
+        Its phases are written to `phases.csv` and announced to the other plugins as they begin; its way is written to
+        `trajectory.csv`. They are phases of the run, too, which the config's `phases` may name: `sleep`, `forward`,
+        `task` and `rotate`.
         """
         task, robot = self._task_of(context), self.started(self._robot)
 
@@ -147,7 +148,7 @@ class BasicTurtlebot3(SteeredSystem):
         super().populate_run_data(context)
 
     def reached(self, context: RobotRunnerContext) -> Robot:
-        """Return the robot, whose odometry is subscribed from now on."""
+        """Connect to the robot, subscribe its odometry, and return it."""
         link, namespace = connect_robot(context, namespace=self.namespace), robot_namespace(context, self.namespace)
         odometer = Odometer(context.clock, timeout=self.odometry_timeout_s, where=self.name)
         return Robot(link, odometer, context.clock, namespace=namespace, where=self.name)
@@ -156,7 +157,7 @@ class BasicTurtlebot3(SteeredSystem):
         own = self.namespace.strip("/")
         for other in circumstances.plugins:
             if other is self:
-                return  # the later of the two says it
+                return  # the later of the two yields the finding
             if isinstance(other, BasicTurtlebot3) and other.namespace.strip("/") == own:
                 yield Finding.error(
                     f"plugin {self.name}",

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class PhaseKind(Enum):
-    """What the robot does in a phase."""
+    """The activity of the robot in a phase."""
 
     SLEEP = "sleep"
     FORWARD = "forward"
@@ -34,8 +34,8 @@ class Phase:
     """One phase of a mission.
 
     Attributes:
-        kind: what the robot does.
-        seconds: how long, s.
+        kind: the activity of the robot.
+        seconds: the duration, s.
     """
 
     kind: PhaseKind
@@ -57,8 +57,8 @@ class CircularMission:
         drive_s: the way out, and the way back, s.
         task_s: each of the three tasks, s.
         rotate_s: the turn, s.
-        speed: the speed to cruise at, m/s.
-        angle: how far to turn, rad, anticlockwise.
+        speed: the cruising speed, m/s.
+        angle: of the turn, rad, anticlockwise.
 
     Raises:
         PluginError: a duration is not positive, or the robot cannot move so fast.
@@ -104,7 +104,7 @@ class CircularMission:
 
     @property
     def seconds(self) -> float:
-        """How long the whole mission takes, s."""
+        """The duration of the whole mission, s."""
         return sum(phase.seconds for phase in self.phases)
 
 
@@ -112,9 +112,9 @@ def _refusal(parameter: str, value: float, fix: str) -> PluginError:
     return PluginError(f"{parameter} is {value!r}", where=_WHERE, fix=fix)
 
 
-#: How often a robot that stands still is asked whether it is still there, s.
+#: How often the odometry is checked while the robot stands still, s.
 _LOOK_PERIOD = 0.5
-#: How long a robot may take to come to rest, s, and how far it may move from then on, m: the odometry of one that
+#: How long a robot may take to come to rest, s, and how far it may move after that, m: the odometry of a robot that
 #: stands still does not drift.
 _SETTLING, _MOST_DRIFT = 2.0, 0.1
 #: The share of the planned way below which the robot did not move at all.
@@ -177,15 +177,15 @@ class Performer:
         announce: Callable[[int, Phase], None],
         mark: Callable[[str], AbstractContextManager[object]] = nullcontext,
     ) -> Performance:
-        """Carry out the mission; the robot is stopped whatever happens.
+        """Carry out the mission; the robot is stopped in any case.
 
         Args:
-            announce: is told of each phase as it begins.
-            mark: returns what to carry out a phase of a kind in, such as `context.phase`.
+            announce: called with each phase as it begins.
+            mark: returns the context manager for a kind of phase, such as `context.phase`.
 
         Raises:
-            LinkError: the odometry fell silent, or the robot cannot be reached, does not move as it is commanded, or
-                moves where it is to stand still.
+            LinkError: the odometry fell silent, or the robot cannot be reached, does not move as commanded, or moves
+                where it has to stand still.
         """
         try:
             performance = self._perform(announce, mark)
@@ -196,7 +196,7 @@ class Performer:
         return performance
 
     def _make_safe_after(self, fault: BaseException) -> None:
-        """Make the robot safe; that it cannot be reached for that, either, does not hide what came first."""
+        """Make the robot safe; a failure of this does not hide the first exception."""
         try:
             self._robot.make_safe()
         except LinkError as error:
@@ -207,7 +207,7 @@ class Performer:
     ) -> Performance:
         odometer = self._robot.odometer
         home, way_before = odometer.pose(), odometer.travelled
-        self._aim = home  # where the robot should be, were it to move without error
+        self._aim = home  # where the robot would be without errors
         begun = due = self._clock.now()
         for number, phase in enumerate(self._mission.phases, start=1):
             announce(number, phase)
@@ -226,7 +226,7 @@ class Performer:
         return performance
 
     def _carry_out(self, phase: Phase, due: float) -> None:
-        """Carry out one phase. Movements take their full time; what they were late by comes off the sleeps."""
+        """Carry out one phase. Movements take their full time; delays are taken off the sleeps."""
         match phase.kind:
             case PhaseKind.SLEEP:
                 self._rest(due)

@@ -20,7 +20,7 @@ COMMAND_TOPIC = "cmd_vel"
 
 
 class Wheels:
-    """Tells a robot how fast to move: as `TwistStamped` where its graph carries that, and as `Twist` elsewhere.
+    """Commands a robot's velocity: as `TwistStamped` where its graph uses that, otherwise as `Twist`.
 
     A TurtleBot3 subscribes `Twist` up to ROS 2 Humble, and `TwistStamped` by default from Jazzy on. A robot that cannot
     be reached, or subscribes neither type, is a `LinkError`.
@@ -46,7 +46,7 @@ class Wheels:
         self._link.publish(self._own_topic, message_type, velocity_command(message_type, speed, rate))
 
     def get_ready(self) -> None:
-        """Be heard from the first command on: to be discovered may take seconds, which are not to be measured."""
+        """Wait for the subscriber of commands: its discovery may take seconds, which must not be measured."""
         if isinstance(self._link, Advertiser):
             self._link.advertise(self._own_topic, self._type or self._subscribed_type())
 
@@ -69,9 +69,9 @@ MAXIMUM_TURN_RATE = 2.84
 #: Commands a second: the Burger's own odometry comes at about 30 Hz.
 _CONTROL_PERIOD = 0.05
 _LONGEST_RAMP = 1.0  # s from standing to cruising
-#: The last moments of a movement, s, in which the robot only mends what it is off by.
+#: The last moments of a movement, s, in which the robot only corrects its error.
 _LONGEST_SETTLING = 0.5
-#: A moment too short to be worth sleeping, s: clocks round.
+#: Shorter sleeps are left out, s: clocks round.
 TICK = 0.001
 #: Gains, 1/s. A loop of this kind with a delay of T swings where gain x T exceeds 1/e; odometry, commands and motors
 #: together take about 0.15 s.
@@ -157,16 +157,16 @@ def _moving_time(seconds: float) -> float:
 
 
 class Pilot:
-    """Moves one robot. Who uses it must call `stop` in the end, whatever happened.
+    """Moves one robot. Callers must call `stop` in the end, in any case.
 
-    A `LinkError` says that the odometry fell silent, or that the robot cannot be reached or does not move.
+    Methods raise a `LinkError` if the odometry fell silent, or the robot cannot be reached or does not move.
 
     Args:
         wheels: of the robot.
-        odometer: where it is.
+        odometer: of the robot.
         clock: the run's.
         where: the plugin, for errors.
-        limits: the most that it is commanded, m/s and rad/s.
+        limits: the greatest commands, m/s and rad/s.
     """
 
     def __init__(
@@ -187,8 +187,8 @@ class Pilot:
     def drive(self, start: Pose, ramp: Ramp, begun: float) -> None:
         """Drive straight from `start` along its heading; `begun` is when the way began on the run's clock.
 
-        The line is the one asked for, not the one that the robot happens to stand on: errors of the phases
-        before are mended on the way.
+        The line is the requested one, not that on which the robot happens to stand: errors of earlier phases are
+        corrected on the way.
         """
 
         def steer(time: float) -> tuple[float, float]:
@@ -212,7 +212,7 @@ class Pilot:
         self._follow(steer, begun, ramp.seconds)
 
     def stop(self) -> None:
-        """Stand still; a `LinkError` says that the robot cannot be reached."""
+        """Command zero; raise a `LinkError` if the robot cannot be reached."""
         self._wheels.command(0.0, 0.0)
 
     def _check_moving(self, lag: float, ramp: Ramp, covered: str, due: str) -> None:

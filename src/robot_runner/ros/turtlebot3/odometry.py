@@ -1,4 +1,4 @@
-"""Where the robot says it is, and the way that it takes during a mission."""
+"""The pose of the robot by its odometry, and its way during a mission."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 #: The topic of the robot's odometry.
 POSE_TOPIC = "odom"
 ODOMETRY = "nav_msgs/Odometry"
-#: How often the first pose is looked for, s.
+#: How often it is checked whether the first pose has arrived, s.
 _POLL = 0.02
 #: How fast a pose may change, m/s: what a TurtleBot3 can do, five times over; odometry comes in bursts where a network
 #: has to send again, so that the stamps of the robot count, not their arrival.
@@ -36,7 +36,7 @@ _NOISE_SHARE, _NOISE_ROOM = 0.2, 0.2
 _MOMENT, _MOST_TIMES = 0.5, 2.0
 #: A clock that is set, or a message that is overtaken, steps back now and then; two robots on one topic do always.
 _MOST_STEPS_BACK = 5
-#: What makes a pose useless, and its remedy.
+#: Why a pose cannot be used, and the fix.
 _NO_NUMBER = (
     "the odometry told a pose that is no number (NaN or infinite)",
     "Look at the node that publishes it, such as a filter that has diverged, and start it again.",
@@ -86,18 +86,18 @@ class Pose:
 
 
 class Unseen(NamedTuple):
-    """The longest time in which the place of a robot was not told, though it changed.
+    """The longest time without a position of the robot, though it changed.
 
     Attributes:
         seconds: by the stamps or the arrivals, whichever is less.
-        step: how far the places before and after are apart, m.
+        step: the distance of the positions before and after, m.
     """
 
     seconds: float = 0.0
     step: float = 0.0
 
     def after(self, seconds: float, step: float) -> Unseen:
-        """Return the longer one of this and of what came then; a robot that stood is not said to have driven.
+        """Return the longer of this and a later gap; a gap in which the robot stood still does not count.
 
         Example:
             >>> Unseen(1.0, 0.2).after(3.0, 0.4).after(9.0, 0.01)
@@ -107,14 +107,14 @@ class Unseen(NamedTuple):
 
 
 class CoarseLengths(NamedTuple):
-    """How long a way is that is measured coarsely, m: by steps of 5 cm, and from place to place each half second."""
+    """The length of a way, measured coarsely, m: by steps of 5 cm, and by positions each half second."""
 
     by_steps: float = 0.0
     by_moments: float = 0.0
 
 
 class CoarseWay:
-    """A way that is measured coarsely, to which noise adds little.
+    """A way, measured coarsely so that noise adds little.
 
     Example:
         >>> way = CoarseWay()
@@ -138,7 +138,7 @@ class CoarseWay:
         return CoarseLengths(self._by_steps, self._by_moments + since)
 
     def take(self, time: float, place: Sequence[float]) -> None:
-        """Go on to a place, m, where it was at a time, s."""
+        """Add the position, m, at a time, s."""
         if self._step_from is None:
             self._step_from, self._moment, self._moment_from = place, time, place
         if (step := math.dist(self._step_from, place)) >= _COARSE:
@@ -150,7 +150,7 @@ class CoarseWay:
 
 
 def noise_finding(where: str, length: float, before: CoarseLengths, after: CoarseLengths) -> Finding | None:
-    """Return that much of a way is noise; None where it is not.
+    """Return a finding if much of a way is noise, otherwise None.
 
     Args:
         where: the plugin.
@@ -182,10 +182,10 @@ class Odometer:
         timeout: how long, s, the odometry may be silent.
         where: the plugin, for errors.
         fastest: a change of the pose beyond this is a jump, m/s.
-        needs_heading: whether the robot is steered by its direction, so that it has to be told.
+        needs_heading: whether the robot is steered by its direction, which must then be valid.
 
     Attributes:
-        on_pose: called with each pose and its moment on the clock; None for no call.
+        on_pose: called with each pose and its time on the clock; None for no call.
         set_back: the most by which the stamps went back from one message to the next, s.
         unseen: the longest time without a message in which the place changed.
         coarse: the same way, measured coarsely.
@@ -251,10 +251,10 @@ class Odometer:
         """Return the robot's pose.
 
         Raises:
-            LinkError: the odometry has been silent for longer than it may, jumped, told what is no number or no
-                direction, or two robots tell theirs on one topic.
+            LinkError: the odometry has been silent for too long, jumped, or contains NaN or no direction, or two robots
+                publish theirs on one topic.
         """
-        if self._lost is not None:  # a controller that is fed NaN commands its limits
+        if self._lost is not None:  # with NaN, the controller would command its limits
             problem, fix = self._lost
             raise LinkError(problem, where=self._where, fix=fix)
         if self._jump is not None:
@@ -283,7 +283,7 @@ class Odometer:
         return self._pose
 
     def wait(self, patience: float) -> Pose:
-        """Return the robot's pose once it is known, after `patience` seconds at most.
+        """Return the robot's pose once it is known; wait at most `patience` seconds.
 
         Raises:
             LinkError: no odometry arrived in time.
@@ -304,7 +304,7 @@ _RATE = 10.0
 
 
 class Trajectory:
-    """Keeps at most ten poses a second, and writes them when the mission is over.
+    """Records at most ten poses a second, and writes them when the mission is over.
 
     Example:
         >>> from robot_runner.ros.turtlebot3.odometry import Pose
@@ -324,7 +324,7 @@ class Trajectory:
         return len(self._rows)
 
     def add(self, time: float, pose: Pose) -> None:
-        """Take a pose of this moment on the run's clock, s; one that comes too soon after the last is left out."""
+        """Add the pose at a time on the run's clock, s; leave it out if it is too soon after the last."""
         if time < self._due - 1e-9:  # clocks round
             return
         self._due = time + 1.0 / _RATE
@@ -333,7 +333,7 @@ class Trajectory:
             self._live.show(lambda: _columns(self._rows[-1:]))
 
     def write(self, path: Path) -> None:
-        """Write what was taken, with times in s, places in m and headings in rad."""
+        """Write the poses, with times in s, positions in m and headings in rad."""
         write_samples(path, _columns(self._rows))
         if self._live is not None:
             self._live.close()

@@ -1,4 +1,4 @@
-"""The robot as the mission uses it: odometry, wheels, tasks of its computer, and the heartbeat of its watchdog."""
+"""A steered robot: odometry, wheels, tasks of its computer, and the heartbeat for its watchdog."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, MAXIMUM_SPEED, MAX
 from robot_runner.ros.turtlebot3.odometry import ODOMETRY, POSE_TOPIC, Odometer, Trajectory
 from robot_runner.ros.watchdog import HEARTBEAT_TOPIC, HEARTBEAT_TYPE
 
-#: The watchdog is patient for 0.4 s: three beats may be lost on the air.
+#: The watchdog waits for 0.4 s: three beats may be lost on the air.
 _PERIOD = 0.1
 #: How long the thread may take to end, s: publishing does not wait for subscribers.
 _PATIENCE = 2.0
-#: How often services that are not there yet are looked for, s.
+#: How often missing services are looked for, s.
 _LOOK = 0.1
 
 _logger = logging.getLogger(__name__)
 
 
 class Heartbeat:
-    """Beats from a thread of the run's process until it is ended.
+    """Publishes heartbeats from a thread of the run's process until it is ended.
 
-    When the process dies or the link is lost, the beats cease, and the robot's watchdog stops it.
+    When the process dies or the link is lost, the heartbeats cease, and the robot's watchdog stops the robot.
 
     The embedded robot lives in the run's own process and needs none.
 
@@ -68,19 +68,19 @@ class Heartbeat:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """End; with a farewell where nothing was raised, as the robot was made safe then."""
+        """End, with a farewell if nothing was raised, as the robot was made safe then."""
         self.end()
         if kind is None:
             self.say_farewell()
 
     def end(self) -> None:
-        """Beat no more; ending twice does nothing. Without a farewell the watchdog stops the robot."""
+        """End the heartbeats; ending twice does nothing. Without a farewell the watchdog stops the robot."""
         self._is_over.set()
         if self._thread is not None:
             self._thread.join(_PATIENCE)
 
     def say_farewell(self) -> None:
-        """Tell the watchdog that the robot is left to others and stands still; a `LinkError` where it is not there."""
+        """Tell the watchdog that the run has left the robot standing still; raise a `LinkError` if that fails."""
         if self._thread is not None:
             self._link.publish(HEARTBEAT_TOPIC, HEARTBEAT_TYPE, {"data": 0})
 
@@ -98,7 +98,7 @@ class Heartbeat:
 
 
 class Task(Enum):
-    """What the robot's computer does in a task phase (paper, section II.C); the value names its services."""
+    """The work of the robot's computer in a task phase (paper, section II.C); the value names its services."""
 
     COMPUTATION = "computation"
     VIDEO = "video"
@@ -127,7 +127,7 @@ def required_services(task: Task) -> Iterator[GraphNeed]:
 
 
 class TaskServices:
-    """Calls `task/<task>/start`, `task/<task>/stop` and `task/stop`, which stops whichever is going on.
+    """Calls `task/<task>/start`, `task/<task>/stop` and `task/stop`, which stops any task.
 
     Each raises a `LinkError` where the robot cannot be reached, has no such service, or refuses.
     """
@@ -137,7 +137,7 @@ class TaskServices:
         self._namespace = namespace
 
     def check(self, task: Task, clock: Clock, *, where: str) -> None:
-        """See that the robot offers the services of a task, before it has driven to where the task begins.
+        """Check that the robot offers the services of a task, before it has driven to where the task begins.
 
         Raises:
             LinkError: it does not, or they are of another type.
@@ -158,11 +158,11 @@ class TaskServices:
         self._call(f"task/{task.value}/start")
 
     def stop(self, task: Task) -> None:
-        """Stop a task that is going on."""
+        """Stop a running task."""
         self._call(f"task/{task.value}/stop")
 
     def stop_all(self) -> str:
-        """Stop whatever is going on, and return what the robot says of it; that nothing is, is no fault."""
+        """Stop any running task, and return the robot's answer; if none was running, that is no fault."""
         return str(self._link.call("task/stop", _TRIGGER).get("message", ""))
 
     def _call(self, service: str) -> None:
@@ -181,9 +181,9 @@ _LOOK_PERIOD = 0.1
 
 
 class Robot:
-    """One robot that is reached: what it says and what it can be told.
+    """One connected robot: its odometry, and its commands.
 
-    Each method raises a `LinkError` where it cannot be reached any more.
+    Each method raises a `LinkError` if the robot cannot be reached any more.
 
     Args:
         link: to the robot.
@@ -193,14 +193,14 @@ class Robot:
         where: the plugin, for errors.
         command_topic: of its velocity commands.
         pose_topic: of its odometry.
-        limits: the most that it is commanded, m/s and rad/s.
-        has_tasks: whether its computer offers the services of tasks, which are stopped with it.
+        limits: the greatest commands, m/s and rad/s.
+        has_tasks: whether its computer offers the services of tasks, which are stopped with the robot.
 
     Attributes:
         odometer: takes the robot's odometry until the robot is closed.
         pilot: moves it.
         tasks: starts and stops its tasks.
-        control: sees that nobody else commands it or tells its pose.
+        control: checks that no other node commands it or publishes its pose.
     """
 
     def __init__(  # noqa: PLR0913 - one keyword for each thing in which robots differ
@@ -236,14 +236,14 @@ class Robot:
         self._heartbeat = Heartbeat(link)
 
     def is_simulated(self) -> bool:
-        """Whether it is a simulated one; to be asked after its mission, whose window that would lengthen."""
+        """Whether the robot is simulated; to be read after the mission, which it would make longer."""
         return is_simulation(self._link, self._namespace)
 
     def check_commands_subscribed(self, *, where: str) -> None:
-        """See that velocity commands have a subscriber and reach it, before a mission begins that goes nowhere.
+        """Check that velocity commands have a connected subscriber, before the mission begins.
 
         Raises:
-            LinkError: they have none, or it takes neither type.
+            LinkError: they have none, or it subscribes neither type.
         """
         deadline = self._clock.now() + _LISTING_SECONDS
         while self._command_topic not in (topics := self._link.topics()):
@@ -273,11 +273,11 @@ class Robot:
 
 
 class SteeredSystem(RobotSystem):
-    """A system that steers a robot in a closed loop on its odometry, and keeps its way in `trajectory.csv`.
+    """A system that steers a robot in a closed loop on its odometry, and writes its way to `trajectory.csv`.
 
     Attributes:
-        commands: the one topic that it commands, for `Together`, too.
-        odometry_topic: the one that it is steered by.
+        commands: the topic that it commands, for `Together`, too.
+        odometry_topic: the topic by which it is steered.
     """
 
     commands: Sequence[str] = (COMMAND_TOPIC,)
@@ -302,14 +302,14 @@ class SteeredSystem(RobotSystem):
         self._is_simulated = False
 
     def reached(self, context: RobotRunnerContext) -> Robot:
-        """Return the robot, whose odometry is subscribed from now on."""
+        """Connect to the robot, subscribe its odometry, and return it."""
         raise NotImplementedError
 
     def check_ready(self, robot: Robot, context: RobotRunnerContext) -> None:
-        """See that the robot has what else the mission needs; nothing, if not overridden."""
+        """Check whatever else the mission needs of the robot; nothing, if not overridden."""
 
     def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
-        """Return odometry and velocity commands."""
+        """Return the needs: odometry and velocity commands."""
         del circumstances
         fix = "Start the robot's bringup, or correct the plugin's namespace."
         yield GraphNeed.published(self.odometry_topic, ODOMETRY, is_sole=self.sole_control, fix=fix)
@@ -317,7 +317,7 @@ class SteeredSystem(RobotSystem):
             yield GraphNeed.subscribed(topic, *sorted(VELOCITIES), is_sole=self.sole_control, fix=fix)
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Connect, and see that the robot answers and obeys nobody else."""
+        """Connect, and check that the robot answers and that no other node commands it."""
         self._robot = self._values = None
         self._robot = robot = self.reached(context)
         robot.odometer.wait(self.connect_timeout_s)
@@ -327,7 +327,7 @@ class SteeredSystem(RobotSystem):
 
     @contextmanager
     def keeping_way(self, robot: Robot, context: RobotRunnerContext) -> Iterator[None]:
-        """While it lasts, keep the robot's way, and write it afterwards."""
+        """Record the robot's way for a while, and write it afterwards."""
         path = context.raw_data_folder / "trajectory.csv"
         trajectory = Trajectory(LiveSamples(path))
         with ExitStack() as ending:
@@ -353,5 +353,5 @@ class SteeredSystem(RobotSystem):
         link, namespace = connect_robot(context, namespace=self.namespace), robot_namespace(context, self.namespace)
         with ExitStack() as closing:
             closing.callback(lambda: self.reached(context).close())
-            for topic in self.commands:  # before anything that has to ask the graph first
+            for topic in self.commands:  # before steps that have to query the graph first
                 Wheels(link, namespace=namespace, topic=topic).command(0.0, 0.0)

@@ -26,7 +26,7 @@ _CONVERT = (
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     parser.add_argument("robot", metavar="ROBOT", help="the robot to offer: turtlebot3, or an MJCF file (robot.xml)")
     parser.add_argument(
         "--link",
@@ -67,7 +67,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def execute(arguments: Namespace) -> int:
-    """Let the robot live on the graph until it is stopped."""
+    """Offer the robot on the graph until the command is stopped."""
     model = Path(arguments.robot) if arguments.robot.endswith(_MODEL) else None
     if model is None and arguments.robot not in _ROBOTS:
         is_urdf = arguments.robot.endswith(".urdf")
