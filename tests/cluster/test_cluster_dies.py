@@ -8,13 +8,17 @@ import signal
 import socket
 import subprocess
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from tests.cluster.conftest import BIN, LEASE, PATIENCE, Cluster, Proxy, Watched, journal_of, table_of, until
+from tests.process.conftest import kill_together
 
+from robot_runner.cluster.cluster_places import resource_of
 from robot_runner.core.execution.left_systems import goes_on
+from robot_runner.testing.rosbridge_server import RosbridgeServer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -66,6 +70,34 @@ def test_the_run_of_a_worker_that_is_killed_is_lost_with_its_reason_and_executed
     assert "worker killed" in lost
     assert [record["place"] for record in journal_of(watched.folder, "attempt_started")][:2] == ["killed", "other"]
     assert cluster.left_on("other") == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("is_real", [True, False], ids=["a real robot", "no robot"])
+def test_of_the_robot_of_a_worker_whose_machine_failed_it_is_told_that_nobody_knows_whether_it_stands_still(
+    cluster: Cluster, watched: Watched, is_real: bool
+) -> None:
+    with closing(RosbridgeServer()) as server:
+        if is_real:
+            robot = f"    robot = {server.url!r}\n    grace_in_s"
+            watched.config.write_text(watched.config.read_text().replace("    grace_in_s", robot))
+        offered = ["--resources", f"{resource_of(f'robot:{server.url}')}=1"]
+        worker = cluster.worker("failed", *offered, MARKED="failed")
+        experiment = cluster.experiment(watched.config)
+        watched.pid()
+        left = [int(each.name) for each in Path("/proc").glob("[0-9]*") if _is_marked(each, b"MARKED=failed")]
+        assert worker.pid in left
+        kill_together(left)
+        cluster.worker("other", *offered)
+        answer = " ".join(_ends_well(experiment, watched).split())
+        assert ("whether its robot stands still is not known" in answer) == is_real
+
+
+def _is_marked(process: Path, assignment: bytes) -> bool:
+    try:
+        return assignment in (process / "environ").read_bytes().split(b"\0")
+    except OSError:
+        return False
 
 
 @pytest.mark.soak

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from unittest.mock import Mock
 
+import distributed
 import pytest
 from tests.cluster.conftest import BIN, PATIENCE, Cluster, Watched, apart_from, journal_of, table_of, until
 
@@ -381,6 +382,20 @@ def test_an_experiment_ends_whose_runs_claim_what_no_worker_offers_within_its_pa
         lacking.after(1)
     assert "--resources robot:alice=1" in ended.value.fix
     assert "as a resource" not in ended.value.problem, "said once is enough"
+
+
+@pytest.mark.long
+def test_a_real_robot_is_offered_by_the_command_that_is_told(lacking: Lacking, cluster: Cluster) -> None:
+    lacking.after(0)
+    [place] = lacking.places.all
+    assert place.claimed(["robot:dds:domain=7,namespace=a b"], {}) is None
+    command = next(each for each in lacking.after(10) if "domain=7" in each).partition("--resources ")[2]
+    cluster.worker("one", "--resources", command.split()[0])
+    with distributed.Client(cluster.address) as client:
+        client.wait_for_workers(1, timeout=PATIENCE)
+        [worker] = client.scheduler_info()["workers"].values()
+    place.worker |= {"resources": sorted(worker["resources"])}
+    assert place.claimed(["robot:dds:domain=7,namespace=a b"], {}) == frozenset({"robot:dds:domain=7,namespace=a b"})
 
 
 def test_an_experiment_goes_on_where_a_worker_offers_what_was_claimed(lacking: Lacking) -> None:

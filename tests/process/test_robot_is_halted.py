@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,11 +19,13 @@ from tests.ros.real_graph import over
 from tests.ros.ros1_master import RUDE
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.execution.left_systems import robots_left
 from robot_runner.core.execution.standby import locked_by
 from robot_runner.core.links import commanded_topics
 from robot_runner.core.links.commanded_topics import keep_commanding_zero
 from robot_runner.core.links.connect import open_robot
 from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.outliving import process_stat
 from robot_runner.testing.rosbridge_server import RosbridgeServer
 
 if TYPE_CHECKING:
@@ -239,13 +243,22 @@ def two_robots(graph: str) -> Iterator[dict[str, tuple[str, Robot]]]:
         }
 
 
-def leave_driving(experiment: Experiment, both: dict[str, tuple[str, Robot]]) -> None:
-    """Kill both runs, their keepers, those who stand by, and the orchestrator, while both robots drive."""
+def leave_driving(experiment: Experiment, both: dict[str, tuple[str, Robot]], *, stopped: str = "") -> None:
+    """Kill both runs, their keepers, those who stand by, and the orchestrator, while both robots drive.
+
+    Args:
+        experiment: that drives them.
+        both: the robots.
+        stopped: `standby` or `keeper`: those are stopped only, and stay.
+    """
     robots, folder = [robot for _, robot in both.values()], ExperimentFolder.found_at(experiment.folder)
     wait_until(lambda: all(robot.moves() for robot in robots), "both of them drive")
     # One that is forked only now would not be killed.
-    wait_until(lambda: all(locked_by(folder.at_slot(slot)) for slot in (1, 2)), "somebody stands by for each")
-    kill_together(experiment.processes())
+    standbys = wait_until(lambda: standbys_of(folder), "somebody stands by for each")
+    left = {"standby": standbys, "keeper": [int(process_stat(pid)[1]) for pid in standbys]}.get(stopped, [])
+    for pid in left:
+        os.kill(pid, signal.SIGSTOP)
+    kill_together(pid for pid in experiment.processes() if pid not in left)
     experiment.end()
     assert [robot.stood_still() for robot in robots] == [False, False], "nobody has stopped them"
 
@@ -278,15 +291,16 @@ def test_robots_that_nobody_was_left_to_stop_are_stopped_by_the_next_execution_b
 
 @over("dds", "ros1", "rosbridge")
 @pytest.mark.long
+@pytest.mark.parametrize("stopped", ["", "standby", "keeper"])
 def test_robots_that_a_killed_experiment_left_moving_are_stopped_before_another_one_that_uses_them_begins(
-    graph: str, start: Callable[..., Experiment], tmp_path: Path
+    graph: str, start: Callable[..., Experiment], tmp_path: Path, stopped: str
 ) -> None:
     config = tmp_path / "config.py"
     with two_robots(graph) as both:
         config.write_text(TWO_ROBOTS.format(**{name: link for name, (link, _) in both.items()}))
         robots = [robot for _, robot in both.values()]
         experiment = start(config=config)
-        leave_driving(experiment, both)
+        leave_driving(experiment, both, stopped=stopped)
         (tmp_path / "killed").touch()
         (tmp_path / "begun").unlink()
         config.write_text(config.read_text().replace('"trial"', '"another"'))
@@ -298,6 +312,81 @@ def test_robots_that_a_killed_experiment_left_moving_are_stopped_before_another_
         for link, _ in both.values():
             assert f"({link}), and nobody was left to make its systems safe; its robot was told to stand still" in told
         assert not any((tmp_path / "results" / "trial").glob(".to_make_safe*"))
+        assert experiment.nobody_is_left()
+
+
+@over("dds", "ros1", "rosbridge")
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["trial", "another"], ids=["the same", "another"])
+@pytest.mark.parametrize("becomes_of_it", [shutil.rmtree, lambda folder: folder.rename(folder.with_name("old"))])
+def test_robots_are_stopped_also_where_the_folder_of_the_killed_experiment_was_removed_or_renamed(
+    graph: str, start: Callable[..., Experiment], tmp_path: Path, name: str, becomes_of_it: Callable[[Path], object]
+) -> None:
+    config = tmp_path / "config.py"
+    with two_robots(graph) as both:
+        config.write_text(TWO_ROBOTS.format(**{name: link for name, (link, _) in both.items()}))
+        robots = [robot for _, robot in both.values()]
+        experiment = start(config=config)
+        leave_driving(experiment, both)
+        becomes_of_it(experiment.folder)
+        assert len(robots_left()) == 2, "which `robot-runner doctor` tells"
+        (tmp_path / "killed").touch()
+        (tmp_path / "begun").unlink()
+        config.write_text(config.read_text().replace('"trial"', f'"{name}"'))
+        following = start("", "--only", "r_1", config=config)
+        following.wait_for("begun")
+        assert not any(robot.moves() for robot in robots), "both stand still before anything else begins"
+        assert following.end() == 0, following.output
+        told = " ".join(following.output.split())
+        for link, _ in both.values():
+            assert f"({link}), and nobody was left to make its systems safe; its robot was told to stand still" in told
+        assert robots_left() == []
+
+
+#: Tells that who stands by for a run has joined the robot's graph.
+TOLD = """
+from robot_runner.plugins import System
+
+class Told(System):
+    def claims(self, robot):
+        return []
+    def stand_by(self, context):
+        (HERE / f"joined_{context.run_id}").touch()
+    def make_safe(self, context):
+        pass
+
+class RobotRunnerConfig(ExperimentConfig):
+    plugins = [Told()]
+"""
+
+
+@over("dds")
+@pytest.mark.long
+def test_robots_are_stopped_by_who_stands_by_also_where_it_can_open_and_write_no_file_any_more(
+    graph: str, start: Callable[..., Experiment], tmp_path: Path
+) -> None:
+    config = tmp_path / "config.py"
+    with two_robots(graph) as both:
+        text = TWO_ROBOTS.format(**{name: link for name, (link, _) in both.items()})
+        config.write_text(text.replace("\nclass RobotRunnerConfig(ExperimentConfig):\n", TOLD))
+        robots = [robot for _, robot in both.values()]
+        experiment = start(config=config)
+        for run in ("r_1", "r_2"):
+            experiment.wait_for(f"joined_{run}")
+        wait_until(lambda: all(robot.moves() for robot in robots), "both of them drive")
+        folder = ExperimentFolder.found_at(experiment.folder)
+        standbys = wait_until(lambda: standbys_of(folder), "somebody stands by for each")
+        for pid in standbys:
+            resource.prlimit(pid, resource.RLIMIT_NOFILE, (0, 0))
+            resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, 0))
+        kill_together(pid for pid in experiment.processes() if pid not in standbys)
+        wait_until(lambda: not any(robot.moves() for robot in robots), "both stand still")
+
+
+def standbys_of(folder: ExperimentFolder) -> list[int]:
+    """Return who stands by for the first two slots, once somebody does for both."""
+    found = [pid for slot in (1, 2) if (pid := locked_by(folder.at_slot(slot))) is not None]
+    return found if len(found) == 2 else []
 
 
 #: A robot that hears its commands, in a process of its own.

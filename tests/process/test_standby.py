@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -149,6 +151,71 @@ def test_an_answer_after_one_run_leaves_what_is_to_be_made_safe_after_another_th
     again = start("", "--only", "r_2", config=experiment.config)
     again.wait_for("made_safe")
     assert [call[1:] for call in calls(again)] == [["r_1", "Video"]]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("with_keeper", [True, False], ids=["and the keeper killed", "and not the keeper"])
+@pytest.mark.parametrize("when", ["before", "as it makes them safe"])
+def test_where_the_standby_is_stopped_the_systems_are_made_safe_by_who_is_left(
+    lamp: Callable[..., Any], when: str, with_keeper: bool
+) -> None:
+    lasting = "not (HERE / 'stopped').exists() and time.sleep(60)"
+    experiment = lamp(make_safe=lasting)
+    standby, run, keeper = experiment.standby(), experiment.run_process(), experiment.keeper()
+    if when == "before":
+        os.kill(standby, signal.SIGSTOP)
+    kill(*([keeper] if with_keeper else []), run)
+    if when != "before":
+        experiment.wait_for("made_safe")
+        os.kill(standby, signal.SIGSTOP)
+    (experiment.config.parent / "stopped").touch()
+    assert experiment.end() == 1
+    assert not is_on(experiment)
+    assert "MAY BE MOVING" not in experiment.output
+    assert calls(experiment)[-1][0] != str(standby)
+    assert experiment.nobody_is_left(), "nobody goes on with it once it is continued, in the midst of another run"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("stopped", ["standby", "keeper", "both"])
+def test_what_a_killed_execution_has_left_stopped_is_not_waited_for_by_the_next(
+    lamp: Callable[..., Any], start: Start, stopped: str
+) -> None:
+    experiment = lamp(tasks='"Video", "Network"', mission=f"(HERE / 'killed').exists() or {LONG}")
+    processes = {"standby": experiment.standby(), "keeper": experiment.keeper()}
+    left = [pid for name, pid in processes.items() if stopped in {name, "both"}]
+    for pid in left:
+        os.kill(pid, signal.SIGSTOP)
+    kill(*(pid for pid in experiment.processes() if pid not in left))
+    (experiment.config.parent / "killed").touch()
+    experiment.end()
+    again = start("", "--only", "r_2", config=experiment.config)
+    assert again.end() == 0, again.output
+    assert "waited for" not in again.output
+    assert "were still being made safe" not in again.output
+    assert not is_on(again)
+    assert experiment.nobody_is_left()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("is_hanging", [True, False], ids=["hangs in C", "goes on"])
+@pytest.mark.parametrize("keeper_is", ["stopped", "killed"])
+def test_a_run_is_ended_and_its_systems_made_safe_where_neither_orchestrator_nor_keeper_can(
+    lamp: Callable[..., Any], keeper_is: str, is_hanging: bool
+) -> None:
+    hang = f"signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGTERM,)); {LONG}"
+    experiment = lamp(mission=f"import signal; {hang}" if is_hanging else LONG, more="    grace_in_s = 1\n")
+    keeper, run = experiment.keeper(), experiment.run_process()
+    if keeper_is == "stopped":
+        os.kill(keeper, signal.SIGSTOP)
+        kill(experiment.process.pid)
+    else:
+        kill(experiment.process.pid, keeper)
+    experiment.end()
+    wait_until(lambda: not is_on(experiment), "the lamp is off")
+    wait_until(lambda: run not in experiment.processes(), "the run has ended")
+    if keeper_is == "killed":
+        assert experiment.nobody_is_left()
 
 
 #: What comes before any run, and even before the experiment.

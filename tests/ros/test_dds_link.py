@@ -11,6 +11,7 @@ from contextlib import ExitStack
 import pytest
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.other_node import OtherNode
+from tests.waiting import wait_until
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
@@ -109,6 +110,22 @@ def test_the_graph_shows_the_other_node_and_the_other_node_this_one(other, link)
     assert set(mine.nodes()) == {"/lamp_node", fact["node"]}
     assert mine.topics() == {"/chatter": STRING, "/cmd_vel": "geometry_msgs/Twist"}
     assert mine.services() == {"/lamp": "std_srvs/SetBool"}
+
+
+def test_a_subscriber_that_goes_while_it_is_to_acknowledge_is_not_said_to_be_reached(link, monkeypatch):
+    mine, robot = link(), link()
+    robot.subscribe("cmd_vel", "geometry_msgs/Twist", lambda message: None)
+    assert mine.advertise("cmd_vel", "geometry_msgs/Twist")
+    kind = dds_transport._Publisher
+    is_acknowledged = kind._is_acknowledged
+
+    def goes_meanwhile(self, seconds):
+        robot.close()
+        wait_until(lambda: not dds_transport.matched_subscriptions(self._writer), "it counts as gone")
+        return is_acknowledged(self, seconds)
+
+    monkeypatch.setattr(kind, "_is_acknowledged", goes_meanwhile)
+    assert not mine.advertise("cmd_vel", "geometry_msgs/Twist")
 
 
 @pytest.mark.long

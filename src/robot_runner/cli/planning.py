@@ -89,7 +89,7 @@ class Plan:
             return ""
         if self.is_recorded:
             return "the experiment has begun: executing it goes on in this order"
-        if isinstance(self.model, ListedRunTableModel):
+        if isinstance(self.model, ListedRunTableModel) and not self.model.seed_is_given:
             return "another order is drawn each time until the experiment has begun: then it is recorded"
         if self.model.seed_is_registered:
             return "the registration has the seed: this order comes again each time"

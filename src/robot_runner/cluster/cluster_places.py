@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import time
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
@@ -15,7 +16,7 @@ from typing import Any
 from robot_runner.cluster.cluster_checks import cluster_settings
 from robot_runner.cluster.experiment_snapshot import snapshot_of
 from robot_runner.cluster.piped_process import PipedProcess
-from robot_runner.cluster.run_at_worker import RunAtWorker
+from robot_runner.cluster.run_at_worker import LOOK_AT_ROBOT, RunAtWorker, may_be_left_moving
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.left_over import MARK_OF_ELSEWHERE, RunsElsewhere, forget_runs_elsewhere
@@ -145,11 +146,11 @@ class ClusterPlaces:
 
     def miss(self, claims: Collection[str]) -> None:
         """Take down that a worker does not offer what a run claims; what no other one offers is told in time."""
-        offered = {each for place in self._places if not place.is_aside for each in place.worker["resources"]}
-        self._lacking |= set(claims) - offered
+        offered = {each for place in self._places if not place.is_unavailable for each in place.worker["resources"]}
+        self._lacking |= {each for each in claims if resource_of(each) not in offered}
 
     def _started_with(self, claim: str) -> str:
-        return f"dask worker {self._address} --nthreads 1 --resources {claim}=1"
+        return f"dask worker {self._address} --nthreads 1 --resources {resource_of(claim)}=1"
 
     @property
     def _is_lack_untold(self) -> bool:
@@ -195,7 +196,7 @@ class ClusterPlaces:
             self._is_gone = True
             self._end_of_gateway += f" with code {self._gateway.wait(_GOODBYE)}"
             for place in self._places:
-                place.is_aside = True
+                place.is_unavailable = True
             # It cannot renew leases any more, so the runs of all workers end.
             until = time.monotonic() + self.longest_end
             for run in self._runs.values():
@@ -231,10 +232,11 @@ class ClusterPlaces:
         self._alone_since = time.monotonic()  # only now is there somebody who looks for workers
         if self._was_killed:
             waits = f"its runs may go on for {self.longest_end:g} s, and none is begun before that"
-            self._say(f"cluster {self._address}", f"an earlier execution was killed; {waits}")
+            fix = LOOK_AT_ROBOT if may_be_left_moving(self._experiment) else ""
+            self._say(f"cluster {self._address}", f"an earlier execution was killed; {waits}", fix)
 
     def _add(self, worker: dict[str, Any]) -> None:
-        self._places = [place for place in self._places if not place.is_aside or place.is_busy]
+        self._places = [place for place in self._places if not place.is_unavailable or place.is_busy]
         slots = range(1, worker["threads"] + 1)
         self._places += [ClusterPlace(self, self._experiment, worker, slot) for slot in slots]
         self._joining.discard(worker["address"])
@@ -244,12 +246,12 @@ class ClusterPlaces:
 
     def _set_aside(self, kind: str, fields: dict[str, Any]) -> None:
         for place in self._places:
-            if place.worker["worker"] == fields["worker"] and not place.is_aside:
-                place.is_aside = True
+            if place.worker["worker"] == fields["worker"] and not place.is_unavailable:
+                place.is_unavailable = True
                 fix = "" if kind == "gone" else "Mend this there, and start the worker again."
                 self._say(f"worker {place.worker['name']}", f"executes no more runs: {fields['because']}", fix)
                 self._changed = time.monotonic()
-        if all(place.is_aside for place in self._places) and self._alone_since is None:
+        if all(place.is_unavailable for place in self._places) and self._alone_since is None:
             self._alone_since = time.monotonic()
 
     def _say(self, where: str, problem: str, fix: str = "") -> None:
@@ -303,6 +305,16 @@ def _closing_of(experiment: Experiment) -> float:
     return experiment.parameters.grace_in_s + _KILLING + making_safe
 
 
+def resource_of(claim: str) -> str:
+    """Return the resource of Dask's that stands for a claim: `--resources` can have no space, comma or second `=`.
+
+    Example:
+        >>> resource_of("robot:alice"), resource_of("robot:dds:domain=7")
+        ('robot:alice', 'robot:dds:domain_7')
+    """
+    return re.sub(r"[\s,=]", "_", claim)
+
+
 class ClusterPlace:
     """One thread of a worker: it executes one run at a time.
 
@@ -316,7 +328,7 @@ class ClusterPlace:
     def __init__(self, places: ClusterPlaces, experiment: Experiment, worker: Mapping[str, Any], thread: int) -> None:
         self.experiment = experiment
         self.worker = worker
-        self.is_aside = False
+        self.is_unavailable = False
         self.is_busy = False
         self.name = worker["name"] if worker["threads"] == 1 else f"{worker['name']}/{thread}"
         self._places = places
@@ -328,11 +340,12 @@ class ClusterPlace:
         The worker itself is offered by every worker.
         """
         del combination
-        lacking = [claim for claim in claims if claim not in {THIS_MACHINE, *self.worker["resources"]}]
+        offered = self.worker["resources"]
+        lacking = [claim for claim in claims if claim != THIS_MACHINE and resource_of(claim) not in offered]
         if lacking:
             self._places.miss(lacking)
             return None
-        self._claims = tuple(claims)  # the last one asked for before `begin` is the run's
+        self._claims = tuple(map(resource_of, claims))  # the last one asked for before `begin` is the run's
         return frozenset(f"host:{self.worker['host']}" if claim == THIS_MACHINE else claim for claim in claims)
 
     def begin(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunAtWorker:

@@ -214,7 +214,8 @@ class Gateway:
     def _begin(self, order: dict[str, Any]) -> None:
         member = self._members.get(order["address"])
         if self._client is None or member is None or member.is_lost or member.id != order["worker"]:
-            self._replies.tell("over", {"token": order["token"], "lost": f"worker {order['name']} is gone"})
+            lost = {"lost": f"worker {order['name']} is gone", "is_certain": True}  # it was not begun
+            self._replies.tell("over", {"token": order["token"], **lost})
             return
         attempt = self._attempts[order["token"]] = _Attempt(order, member)
         attempt.future = self._client.submit(
@@ -346,7 +347,7 @@ class Gateway:
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(attempt.killed.wait(), max(0.0, end - time.monotonic()))
         self._forget(attempt)
-        self._replies.tell("over", {"token": attempt.token, "lost": because})
+        self._replies.tell("over", {"token": attempt.token, "lost": because, "is_certain": is_certain})
 
     def _tell_over(self, attempt: _Attempt, over: dict[str, Any]) -> None:
         if not attempt.is_over:

@@ -12,6 +12,21 @@ from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.execution.places import Watch
 from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 from robot_runner.core.execution.worker import described_task
+from robot_runner.core.links.connect import is_simulated
+
+#: What is said of a run that is lost, and of which its worker has not told that it was stopped.
+_NOT_KNOWN = "whether its robot stands still is not known: the worker has fallen silent, and only that could have told"
+#: What is to be done about it.
+LOOK_AT_ROBOT = (
+    "Look where it stands: the worker's processes stop it, unless their machine has failed. A watchdog on the robot "
+    "stops it in any case."
+)
+
+
+def may_be_left_moving(experiment: Experiment) -> bool:
+    """Return whether a run's robot goes on where the worker's machine fails: it is a real one."""
+    robot = experiment.parameters.robot
+    return robot is not None and not is_simulated(robot)
 
 
 class Orders(Protocol):
@@ -89,8 +104,8 @@ class RunAtWorker:
     def advance(self) -> bool:
         """Take what the gateway tells; return whether the attempt is over."""
         self._places.take_replies()
-        if self._lost is not None and time.monotonic() >= self._lost[1]:
-            self._ended = self._ended or {"lost": self._lost[0]}
+        if self._ended is None and self._lost is not None and time.monotonic() >= self._lost[1]:
+            self.end({"lost": self._lost[0]})
         return self._ended is not None
 
     def stop(self, because: str, *, is_interruption: bool = False) -> None:
@@ -140,6 +155,8 @@ class RunAtWorker:
         for name in ended.get("skipped", ()):
             problem = f"{name!r} is no regular file, and stayed on the worker, where it was removed"
             self.take([["finding", {"owner": "cluster", "problem": problem, "fix": "Write files, and no links."}]])
+        if "lost" in ended and not ended.get("is_certain") and may_be_left_moving(self._place.experiment):
+            self.take([["finding", {"owner": "cluster", "problem": _NOT_KNOWN, "fix": LOOK_AT_ROBOT}]])
         self._ended = ended
 
     def lose(self, because: str, until: float) -> None:

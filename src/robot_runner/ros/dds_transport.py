@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 
     from robot_runner.ros.graph_addresses import DdsSettings
 
-#: How long a publisher that leaves waits until its readers have what it published, s.
+#: How long a publisher that is closed waits until its readers have received what it published, s.
 _CLOSING_SECONDS = 0.5
-#: How long readers that are on the graph may take to be matched, s; one that asks for more than is offered never is.
+#: How long readers on the graph may take to be matched, s; one that requests more than is offered never is.
 _MATCHING_SECONDS = 1.0
 #: Before the source timestamp of any sample, in ns.
 _NEVER = -(2**63)
@@ -62,7 +62,7 @@ class DdsTransport:
         self.actions = Ros2Actions(self)
 
     def advertise(self, topic: str, message_type: str, qos: Qos) -> _Publisher:
-        """Return a publisher, once the readers that are there already are matched."""
+        """Return a publisher, once the existing readers are matched."""
         return _Publisher(self._session, topic, message_type, qos)
 
     def subscribe(
@@ -76,7 +76,7 @@ class DdsTransport:
             receive(ReceivedBytes(data, self._now_ns(), decode))
 
         subscription = _Subscription(self._session, topic, message_type, take, qos)
-        # Opened and noted in one: a publisher that is discovered meanwhile is adapted to, by whichever comes second.
+        # Under one lock: a publisher that is discovered meanwhile is adapted to either here or in `_adapt`.
         with self._lock:
             subscription.open()
             self._subscriptions = [each for each in self._subscriptions if each.is_open]
@@ -84,7 +84,7 @@ class DdsTransport:
         return subscription
 
     def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
-        """Call a service and return its response; a client is kept, because it takes time to be discovered."""
+        """Call a service and return its response; the client is kept, as its discovery takes a while."""
         deadline = time.monotonic() + timeout
         await_service(self._session, service, service_type, deadline)
         if is_foreign(self._session, service):
@@ -110,24 +110,24 @@ class DdsTransport:
         return self._session.graph.topics()
 
     def services(self) -> Mapping[str, str]:
-        """Return the type of each service that is answered."""
+        """Return the type of each service that is offered."""
         self._session.settle(lambda: False)
         return self._session.graph.services()
 
     def nodes(self) -> Iterable[str]:
-        """Return the full names of the nodes that the participants tell of."""
+        """Return the full names of the nodes that participants have announced."""
         self._session.settle(lambda: False)
         return self._session.nodes.names()
 
     def publishers(self, topic: str) -> Iterable[GraphEndpoint]:
-        """Return who publishes a topic."""
+        """Return the publishers of a topic."""
         self._session.settle(lambda: False)
         return map(self._endpoint, self._session.graph.writers(wire_topic(topic)))
 
     def subscribers(self, topic: str) -> Iterable[GraphEndpoint]:
-        """Return who subscribes a topic; on a graph that was just joined, as soon as there is anybody else."""
+        """Return the subscribers of a topic; on a graph that was just joined, as soon as there is another node."""
         wire, own = wire_topic(topic), self._session.guid
-        # Who has to stop a robot must not wait until everybody on the graph is discovered.
+        # A process that has to stop a robot must not wait until everything on the graph is discovered.
         self._session.settle(lambda: any(reader.participant != own for reader in self._session.graph.readers(wire)))
         return map(self._endpoint, self._session.graph.readers(wire))
 
@@ -163,7 +163,7 @@ class _Publisher:
         _check_types(session, topic, self._wire_type)
         self._offered = writer_profile(qos, session.type_hash(message_type))
         self._writer = session.writer(self._wire, self._wire_type, self._offered)
-        # A message that is published before its readers are discovered is lost to them.
+        # A message that is published before its readers are discovered does not reach them.
         session.settle(lambda: bool(matched_subscriptions(self._writer)))
         try:
             _check_types(session, topic, self._wire_type)
@@ -187,11 +187,14 @@ class _Publisher:
         graph, offered = self._session.graph, policies_of(self._offered)
         reachable = sum(policies_of(each.qos).shortfall(offered) is None for each in graph.readers(self._wire))
         is_matched = graph.wait_for(lambda: len(matched_subscriptions(self._writer)) >= reachable, _MATCHING_SECONDS)
-        # One that is cut off stays matched for seconds, and takes nothing of what was published.
-        return is_matched and self._is_acknowledged(_MATCHING_SECONDS)
+        # A reader that is cut off stays matched for seconds, and receives nothing of what is published.
+        # Once it counts as gone, nobody is left who has to acknowledge anything.
+        matched = set(matched_subscriptions(self._writer))
+        is_taken = is_matched and self._is_acknowledged(_MATCHING_SECONDS)
+        return is_taken and matched.issubset(matched_subscriptions(self._writer))
 
     def flush(self, seconds: float) -> None:
-        # A process of Fast DDS may be matched here seconds before it knows of us, and takes what was sent meanwhile.
+        # A process of Fast DDS may be matched here seconds before it discovers us; then it gets what was sent since.
         seconds = max(seconds, LONGEST_DISCOVERY)
         if not self._is_acknowledged(seconds):
             fix = "Look whether the robot is on and in this network."
@@ -201,16 +204,16 @@ class _Publisher:
         try:
             return bool(self._writer.wait_for_acks(int(seconds * 1e9)))
         except (AttributeError, DDSException):
-            # cyclonedds 11.0 raises AttributeError where time runs out: it looks for the code of that on a wrong class.
+            # cyclonedds 11.0 raises AttributeError at a timeout: it looks for that error code on a wrong class.
             return False
 
     def close(self) -> None:
-        self._is_acknowledged(_CLOSING_SECONDS)  # a subscriber that takes nothing must not keep us for longer
+        self._is_acknowledged(_CLOSING_SECONDS)  # not longer, for subscribers that do not acknowledge
         self._session.nodes.remove(self._writer.guid)
         delete(self._writer)
 
     def _check_demands(self, qos: Qos) -> None:
-        """Refuse what none of the subscribers takes, because all ask for more."""
+        """Refuse a QoS with which no subscriber receives anything, as all request more."""
         if matched_subscriptions(self._writer):
             return
         for reader in self._session.graph.readers(self._wire):
@@ -224,7 +227,7 @@ class _Publisher:
 
 
 class _Subscription:
-    """Receives one topic as bytes; adapts to the topic's publishers where no profile is asked for."""
+    """Receives one topic as bytes; adapts to the topic's publishers where no profile is requested."""
 
     def __init__(
         self, session: Session, topic: str, message_type: str, take: Callable[[bytes], None], qos: Qos | None
@@ -236,7 +239,7 @@ class _Subscription:
         self._qos = qos
         self._lock = threading.Lock()
         self._is_closed = False
-        # The stamp of the last sample of each publisher, and that after which a reader that took over has to begin.
+        # The stamp of the last sample of each publisher, and the one after which a reader that takes over begins.
         self._last: dict[int, int] = {}
         self._before: dict[int, int] = {}
         self._user_data = session.type_hash(message_type)
@@ -256,7 +259,7 @@ class _Subscription:
         return bool(self._source.is_open)
 
     def explain(self) -> str:
-        """Say what to do where nothing came; raise a `LinkError` where a publisher that came later does not fit."""
+        """Return the fix where no message arrived; raise a `LinkError` where a later publisher does not fit the QoS."""
         _check_types(self._session, self._topic, self._wire_type)
         self._check_offers()
         if self._session.is_alone():
@@ -266,9 +269,9 @@ class _Subscription:
         return ""
 
     def adapt(self, writer: Endpoint) -> None:
-        """Ask for what the topic's publishers offer, now that there is another."""
+        """Request what the topic's publishers offer, now that there is another."""
         if self._qos is None and writer.topic == self._wire_topic:
-            # Not while its callback waits: messages that have arrived would be lost, or handed on out of turn.
+            # Not while its callback waits: messages that have arrived would be lost, or handled out of order.
             self._session.reception.when_idle(self._source, self._adapt)
 
     def close(self) -> None:
@@ -290,12 +293,12 @@ class _Subscription:
         self._asked = asked
         former, fresh = self._source, self._reading()
         self._session.reception.drain(former)
-        # A callback may have waited, and another thread may have closed it, or it has adapted once more.
+        # While a callback waited, another thread may have closed this, or it may have adapted once more.
         with self._lock:
             takes_over = not self._is_closed and self._source is former
             if takes_over:
                 self._source, self._before = fresh, dict(self._last)
-                self._session.reception.serve(fresh)  # only now: what both have received is known
+                self._session.reception.serve(fresh)  # only now is it known what both have received
         self._end(former if takes_over else fresh)
 
     def _check_offers(self) -> None:
@@ -320,13 +323,13 @@ class _Subscription:
         info = sample.sample_info
         if not info.valid_data or info.source_timestamp <= self._before.get(info.publication_handle, _NEVER):
             return
-        self._before.pop(info.publication_handle, None)  # from now on they come in order, whatever its clock shows
+        self._before.pop(info.publication_handle, None)  # from now on samples arrive in order, whatever their stamps
         self._last[info.publication_handle] = info.source_timestamp
         self._take(sample.data)
 
 
 def _check_types(session: Session, topic: str, wire_type: WireType) -> None:
-    """Refuse a topic that others publish or subscribe with another type, which DDS keeps apart in silence."""
+    """Refuse a topic whose other publishers or subscribers have another type, as DDS silently does not match them."""
     wire = wire_topic(topic)
     endpoints = (*session.graph.writers(wire), *session.graph.readers(wire))
     check_type(

@@ -42,14 +42,14 @@ except ModuleNotFoundError:  # Humble
 
 _logger = logging.getLogger(__name__)
 
-#: How long after joining the graph the publishers and subscribers of a topic are known, s: Fast DDS finds a process
+#: How long after joining the graph the publishers and subscribers of a topic are known, s: Fast DDS discovers a process
 #: within 3.2 s (see LONGEST_DISCOVERY), and its topics right afterwards.
 _FINDING = 4.0
-#: How long a message may take to leave where the middleware does not tell whether it has, s.
+#: How long to wait for a message to be sent where the middleware does not tell whether it was, s.
 _UNTOLD = 0.2
 #: How long a publisher waits for the subscribers that are known, s.
 _MATCHING = 1.0
-#: How long it waits until those have acknowledged what was published, s: Fast DDS asks them for it each 3 s.
+#: How long it waits for their acknowledgements, s: Fast DDS requests these every 3 s.
 _ACKNOWLEDGING = 3.5
 
 
@@ -59,7 +59,7 @@ class Ros2Transport:
     Args:
         domain: DDS domain id; None for what ROS_DOMAIN_ID says.
         now_ns: the time that raw messages are stamped with.
-        use_sim_time: whether the node lives by the time on `/clock`.
+        use_sim_time: whether the node follows the time on `/clock`.
 
     Raises:
         LinkError: the graph cannot be joined.
@@ -79,13 +79,13 @@ class Ros2Transport:
         self.topics, self.services, self.nodes = self._graph.topics, self._graph.services, self._graph.nodes
 
     def advertise(self, topic: str, message_type: str, qos: Qos) -> _Publisher:
-        """Return a publisher, once the subscribers that are there already are reached."""
+        """Return a publisher, once the existing subscribers are connected."""
         return _Publisher(self._node, self._graph, topic, message_type, qos)
 
     def subscribe(
         self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
     ) -> _Subscription:
-        """Have `receive` called with each message, in the node's thread that calls back."""
+        """Call `receive` with each message, in the node's thread for callbacks."""
         del is_raw
         cls = message_class(message_type)
 
@@ -99,7 +99,7 @@ class Ros2Transport:
         return _Subscription(self._node, self._graph, topic, message_type, take, qos)
 
     def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
-        """Call a service and return its response; a client is kept, because it takes time to be discovered."""
+        """Call a service and return its response; clients are reused, because their discovery takes time."""
         with self._lock:
             key = service, service_type
             if key not in self._clients:
@@ -108,7 +108,7 @@ class Ros2Transport:
         return client.call(request, timeout)
 
     def serve(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> ExitStack:
-        """Offer a service; a request at which `answer` raises is not answered: services of ROS 2 cannot say so."""
+        """Offer a service; where `answer` raises, no response is sent: services of ROS 2 cannot report a failure."""
         cls, offer = service_class(service_type), ExitStack()
         self._node.settle(lambda: self._graph.service_type(service))
         if self._graph.service_type(service) is not None:
@@ -124,15 +124,15 @@ class Ros2Transport:
         return offer
 
     def publishers(self, topic: str) -> Iterable[GraphEndpoint]:
-        """Return who publishes a topic."""
+        """Return the publishers of a topic."""
         return self._graph.endpoints(self._graph.publishers(topic))
 
     def subscribers(self, topic: str) -> Iterable[GraphEndpoint]:
-        """Return who subscribes a topic."""
+        """Return the subscribers of a topic."""
         return self._graph.endpoints(self._graph.subscriptions(topic))
 
     def wait(self, event: threading.Event, seconds: float) -> None:
-        """Wait for an event, for so long at most."""
+        """Wait at most `seconds` for an event."""
         event.wait(seconds)
 
     def close(self) -> None:
@@ -144,7 +144,8 @@ class _Publisher:
     def __init__(self, node: GraphNode, graph: Graph, topic: str, message_type: str, qos: Qos) -> None:
         self._node, self._graph, self._topic = node, graph, topic
         self._cls = message_class(message_type)
-        # What nobody hears is lost, unless it is kept. Hidden topics, those of actions, are heard by who asked first.
+        # Without a subscriber a message is lost, unless it is transient local. On hidden topics, those of actions, only
+        # nodes that have sent a request before are subscribers.
         is_awaited = qos is not Qos.TRANSIENT_LOCAL and not is_hidden(topic)
         node.settle(lambda: graph.subscriptions(topic), _FINDING if is_awaited else SETTLING)
         _check_types(topic, message_type, [*graph.publishers(topic), *graph.subscriptions(topic)])
@@ -159,11 +160,14 @@ class _Publisher:
         asked = [policies_of(each.qos_profile) for each in self._graph.subscriptions(self._topic)]
         reachable = sum(each.shortfall(self._offered) is None for each in asked)
         is_matched = self._node.until(lambda: self._publisher.get_subscription_count() >= reachable, _MATCHING)
-        # One that is cut off stays matched for seconds, and takes nothing of what was published.
-        return is_matched and self._is_taken(_ACKNOWLEDGING) is not False
+        # A subscriber that is cut off stays matched for seconds, and acknowledges nothing.
+        # Once it counts as gone, no acknowledgement is missing any more.
+        matched = self._publisher.get_subscription_count()
+        is_taken = is_matched and self._is_taken(_ACKNOWLEDGING) is not False
+        return is_taken and self._publisher.get_subscription_count() >= matched
 
     def flush(self, seconds: float) -> None:
-        # A process of Fast DDS may be matched here seconds before it knows of us, and takes what was sent meanwhile.
+        # A process of Fast DDS may be matched here seconds before it discovers us; it receives the messages then.
         seconds = max(seconds, LONGEST_DISCOVERY)
         match self._is_taken(seconds):
             case None:
@@ -173,7 +177,7 @@ class _Publisher:
                 raise LinkError(f"a subscriber does not take it within {seconds:g} s", where=self._topic, fix=fix)
 
     def _is_taken(self, seconds: float) -> bool | None:
-        """Whether all that was published is taken within that time; None where the middleware does not tell."""
+        """Whether all messages are acknowledged within that time; None where the middleware does not tell."""
         try:
             return bool(self._publisher.wait_for_all_acked(Duration(seconds=seconds)))
         except Exception as error:  # noqa: BLE001 - not every middleware can tell: what was published may well arrive
@@ -185,7 +189,7 @@ class _Publisher:
 
 
 class _Subscription:
-    """Receives one topic as bytes; adapts to the topic's publishers where no profile is asked for."""
+    """Receives one topic as bytes; adapts its QoS to the publishers where no profile is requested."""
 
     def __init__(
         self,
@@ -204,17 +208,17 @@ class _Subscription:
         self._lock = threading.Lock()
         self._is_open = True
         self._mismatch = ""
-        # A publisher that is found later may keep a message for late comers, which this subscription would not ask for.
+        # A publisher that is discovered later may be transient local, and this subscription would not request that.
         node.settle(lambda: graph.publishers(topic), _FINDING if qos is None else SETTLING)
         publishers = graph.publishers(topic)
         _check_types(topic, message_type, publishers)
-        # Most publishers are reliable: where there is none yet, it is taken to come so.
+        # Most publishers are reliable: where there is none yet, a reliable one is expected.
         offers = [policies_of(each.qos_profile) for each in publishers]
         self._asked = adapted(offers, alone=True) if qos is None else asked_by(qos)
         for each in publishers:
             self._check_offer(each)
         self._is_adapting = qos is None
-        with self._lock:  # that it misfits a publisher may be told while it is made, and then it is replaced
+        with self._lock:  # an incompatible publisher may be reported while it is made, and replaces it
             self._subscription = self._created(self._asked)
 
     def explain(self) -> str:
@@ -245,7 +249,7 @@ class _Subscription:
             self._mismatch = self._asked.shortfall(policies_of(each.qos_profile)) or self._mismatch
 
     def _weaken(self) -> None:
-        """Take what the publisher that came now has to offer, too."""
+        """Request less, so that the newly discovered publisher is compatible, too."""
         with self._lock:
             if self._is_open and self._is_adapting:
                 self._is_adapting = False  # every publisher satisfies the weakest
@@ -269,7 +273,7 @@ class _Client:
         self._service = service
         self._type = service_type
         self._cls = service_class(service_type)
-        self._check_type()  # Fast DDS has no client beside a service of this process that has another type
+        self._check_type()  # Fast DDS makes no client if this process offers the service with another type
         self._client = node.node.create_client(self._cls, service)
 
     def call(self, request: Message, timeout: float) -> Message:

@@ -181,3 +181,7 @@ def test_a_robot_that_a_killed_experiment_may_have_left_moving_is_told(
     assert "killed in r_7 (dds://alice)" in detail
     assert str(folder.root) in detail
     assert "Start the experiment again" in fix
+    folder.root.rename(tmp_path / "old hall")
+    state, detail, fix = question.ask()
+    assert (state, detail.count("MAY BE MOVING")) == (BROKEN, 1)
+    assert "Start an experiment that uses it" in fix

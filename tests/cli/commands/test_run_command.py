@@ -6,6 +6,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from robot_runner.core.execution.systems_state import SystemsFile
+from robot_runner.core.storage.layout import ExperimentFolder
+
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
@@ -260,3 +263,19 @@ def test_a_value_of_the_config_is_refused_under_the_name_it_has_there(
 ) -> None:
     write_config(f"workers = 0\n{MEASURING}")
     assert "RobotRunnerConfig.workers: the value is 0" in robot_runner("run", "config.py").err
+
+
+def test_a_refusal_tells_of_a_robot_that_a_killed_execution_may_have_left_moving(
+    robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    file = SystemsFile(ExperimentFolder(tmp_path / "hall"))
+    (tmp_path / "hall").mkdir()
+    write_config("attempts = 0")
+    told = []
+    for step in (lambda: None, lambda: file.begin("dds://alice", {"run_id": "r_7"}), file.remove):
+        step()
+        answer = robot_runner("run", "config.py")
+        assert answer.code == 2
+        told.append("THE ROBOT MAY BE MOVING: an earlier execution was killed in r_7 (dds://alice)" in answer.err)
+    assert told == [False, True, False]

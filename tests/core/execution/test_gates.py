@@ -206,7 +206,7 @@ def test_what_can_never_hold_is_found_before_anything_is_executed(write_config: 
     findings = defaultdict(list)
     for finding in prepare(config).findings:
         findings[re.search(r"\w+\[\d\]|$", finding.where)[0]].append(finding.problem)
-    assert findings["gates[0]"] == ["it is about a robot, and the experiment names none"]
+    assert findings["gates[0]"] == ["the condition is about a robot, and the experiment names none"]
     assert findings["gates[1]"] == [
         "the temperature of this machine is never below -300 °C",
         "before a run nothing is published, so that never is true: the measure Energy is above 5",
@@ -215,7 +215,7 @@ def test_what_can_never_hold_is_found_before_anything_is_executed(write_config: 
     assert findings["guards[0]"] == [
         "never are both true: the load of this machine is below 10 %, and the load of this machine is above 90 %"
     ]
-    assert findings["guards[1]"] == ["it is about a robot, and the experiment names none"]
+    assert findings["guards[1]"] == ["the condition is about a robot, and the experiment names none"]
 
 
 def test_a_guard_and_a_gate_are_no_strings(write_config: Callable) -> None:

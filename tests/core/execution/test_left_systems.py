@@ -22,6 +22,7 @@ from robot_runner.core.execution import left_systems, standby
 from robot_runner.core.execution.left_systems import (
     goes_on,
     may_be_moving,
+    robots_left,
     see_to_what_is_left,
     see_to_what_others_left,
 )
@@ -43,6 +44,12 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+
+
+@pytest.fixture(autouse=True)
+def _own_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have no test find what another has left."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
 
 
 @pytest.fixture
@@ -271,6 +278,33 @@ def test_systems_of_another_experiment_are_left_to_its_next_execution_and_its_ro
 
 
 CLAIMED = ["robot:rosbridge localhost:1"]
+
+
+def test_of_a_killed_experiment_whose_folder_is_gone_the_robot_is_stopped_once_and_its_systems_are_named(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = of_velocities(experiment, Deserted(), monkeypatch)
+    file.begin("rosbridge://127.0.0.1:1", left(experiment), ["Lamp"])
+    file.add_commanded("/cmd_vel", "geometry_msgs/TwistStamped")
+    assert robots_left([experiment.folder.root]) == []
+    shutil.rmtree(experiment.folder.root)
+    (said,) = robots_left([experiment.folder.root])
+    assert "THE ROBOT MAY BE MOVING: an earlier execution was killed in r_2 (rosbridge://127.0.0.1:1)" in said.problem
+    assert see_to_what_others_left(experiment, [], ["robot:rosbridge localhost:2"]) == [], "that is another robot"
+    (found,) = see_to_what_others_left(experiment, [], CLAIMED)
+    assert "its robot was told to stand still now" in found.problem
+    assert found.fix == "Look where it stands, and see to Lamp by hand: the experiment's folder is gone."
+    assert see_to_what_others_left(experiment, [], CLAIMED) == robots_left() == []
+
+
+def test_an_experiment_that_was_moved_and_made_safe_has_left_nothing_where_it_was(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    of_velocities(experiment, Deserted(), monkeypatch)
+    moved = ExperimentFolder(experiment.folder.root.rename(experiment.folder.root.with_name("moved")))
+    (found,) = see_to_what_is_left(replace(experiment, folder=moved))
+    assert "that was done now" in found.problem
+    assert robots_left() == []
 
 
 @pytest.mark.parametrize(

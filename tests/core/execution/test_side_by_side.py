@@ -356,7 +356,7 @@ def test_nobody_waits_where_nothing_is_left_to_execute(execute: Callable[..., An
 
 
 def test_places_that_come_and_go_are_told_where_nothing_is_in_flight_as_none_of_them_suits() -> None:
-    run, place, told = Mock(run_id="r_1"), Mock(is_aside=False), []
+    run, place, told = Mock(run_id="r_1"), Mock(is_unavailable=False), []
 
     def advance(*, is_idle: bool = False) -> list[str]:
         told.append(is_idle)

@@ -251,10 +251,10 @@ def test_what_is_written_beside_a_journal_has_it_put_back_and_is_refused_where_i
         journal.stay_in_place()
         assert [record["kind"] for record in read_journal(path)] == ["first"]
         path.rename(tmp_path / "moved.jsonl")
-        with pytest.raises(StorageError, match="it was moved while it was written"):
+        with pytest.raises(StorageError, match="the journal was moved while it was written"):
             journal.stay_in_place()
         path.write_text("another's")
-        with pytest.raises(StorageError, match="it was moved while it was written"):
+        with pytest.raises(StorageError, match="the journal was moved while it was written"):
             journal.stay_in_place()
 
 

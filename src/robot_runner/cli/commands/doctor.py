@@ -33,7 +33,7 @@ from robot_runner.cli.parser import Parser, add_json
 from robot_runner.core.config.claims import usable_cores
 from robot_runner.core.entry_points import EntryPoint
 from robot_runner.core.errors import RobotRunnerError
-from robot_runner.core.execution.left_systems import may_be_moving
+from robot_runner.core.execution.left_systems import may_be_moving, robots_left
 from robot_runner.core.late_annotations import signature_of
 from robot_runner.core.links.connect import link_findings
 from robot_runner.core.links.kinds import installed_links
@@ -51,7 +51,7 @@ _MARKS = {READY: ("✓", "green"), ABSENT: ("○", "dim"), BROKEN: ("✗", "bold
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     add_json(parser)
 
 
@@ -265,11 +265,13 @@ def _link(link: str) -> tuple[str, str, str]:
 
 def _left_moving() -> tuple[str, str, str]:
     """Tell of robots that experiments were killed with, of those that have claimed something last."""
-    folders = map(ExperimentFolder.found_at, claiming_folders())
-    found = [(folder.root, each) for folder in folders for each in may_be_moving(folder)]
+    folders = claiming_folders()
+    left = [(root, each) for root in folders for each in may_be_moving(ExperimentFolder.found_at(root))]
+    found = [(f"{each.problem} ({root})", each.fix) for root, each in left]
+    found += [(f"{each.problem} ({each.where})", each.fix) for each in robots_left(folders)]
     if not found:
         return READY, "none has left a robot that may be moving", ""
-    return BROKEN, "; ".join(f"{each.problem} ({where})" for where, each in found), found[0][1].fix
+    return BROKEN, "; ".join(problem for problem, _ in found), found[0][1]
 
 
 def _meter(installed: EntryPoint) -> tuple[str, str, str]:

@@ -26,6 +26,7 @@ from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import Finding, RobotRunnerError
+from robot_runner.core.execution.left_systems import robots_left
 from robot_runner.core.execution.recovery import Resumption, TableChoice, TableDisagreementError, config_changes
 from robot_runner.core.secret_names import shown_assignments
 
@@ -41,7 +42,7 @@ _CHOICES = {
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     add_config(parser)
     add_set(parser)
     for option, meaning in _CHOICES.items():
@@ -131,6 +132,7 @@ def prepare_and_execute(arguments: Namespace) -> tuple[int, dict[str, Any]]:
         preparation = prepare(Path(arguments.config), parse_assignments(arguments.set))
     findings = under_given_names(preparation.findings, arguments)
     if preparation.experiment is None:
+        findings = (*findings, *robots_left())  # nobody stops a robot now that a killed execution has left moving
         show_findings(findings)
         return REFUSED, _refused(findings)
     with _page(arguments, preparation.experiment):

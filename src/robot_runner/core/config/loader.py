@@ -1,4 +1,4 @@
-"""From a config file to a config object, with what it subscribed and which plugins its imports activated."""
+"""Loading a config file: its config object, subscriptions, and the plugins that its imports activate."""
 
 from __future__ import annotations
 
@@ -123,13 +123,13 @@ class LoadedConfig:
         activated: the plugins that import lines such as `import plugins.profilers.Ina219` asked for.
         overrides: the static parameters that were set from outside, by name.
         local_modules: the files of modules that it, or its callbacks, import and that are not installed, each with its
-            place in the folder in which the config is kept.
-        findings: what was found while it was loaded.
-        folder: where everything of the experiment is kept, where the static parameters do not say it alone.
+            path in the folder in which the config is kept.
+        findings: of loading it.
+        folder: the experiment's folder, where the static parameters alone do not determine it.
         spelling: how its run table's file spells headings and statuses.
-        threads: the threads that it started while it was loaded and that go on.
-        lacking: what it needs of the machine, and the machine has not.
-        kept: how much of its source the experiment's folder keeps, for the manifest.
+        threads: the names of threads that it started while it was loaded and that are alive.
+        lacking: what it needs and this machine does not have.
+        kept: what the experiment's folder keeps of its source, see `Experiment`.
     """
 
     source: ConfigSource
@@ -176,7 +176,7 @@ def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({}))
                 setattr(config, name, value)
         for name in (*PARAMETERS, "plugins"):
             if isinstance(inspect.getattr_static(config, name, None), property):
-                getattr(config, name)  # so that what it raises is told with its line
+                getattr(config, name)  # so that an exception of a property is reported with its line
         local_modules = local_modules_among(source.path, set(sys.modules) - before)
         threads = threads_since(threads_before)
     return LoadedConfig(
@@ -192,10 +192,10 @@ def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({}))
 
 @contextmanager
 def raised_in(path: Path, when: str) -> Iterator[None]:
-    """Turn what the code of a config file raises into a ConfigError that names the line.
+    """Turn an exception of a config's code into a ConfigError that names the line.
 
     Raises:
-        ConfigError: something was raised.
+        ConfigError: it raised.
     """
     try:
         yield
@@ -228,7 +228,7 @@ def place_in(path: Path, error: BaseException) -> str:
 
 
 def _placed(path: Path, error: RobotRunnerError) -> tuple[Finding, ...]:
-    """Return what an error found, each with the line of the config that it came from, unless it says where it is."""
+    """Return the findings of an error; those without a place get the line of the config."""
     place = place_in(path, error)
     return tuple(
         each
@@ -238,11 +238,11 @@ def _placed(path: Path, error: RobotRunnerError) -> tuple[Finding, ...]:
     )
 
 
-#: Where `os.environ` looks a variable up: that module is frozen into newer Pythons.
+#: The file of `os.environ` in a traceback; newer Pythons have a frozen module.
 _OF_OS = {os.__file__, "<frozen os>"}
 _WITHOUT_SELF = re.compile(r"\.(?P<name>\w+)\(\) takes 0 positional arguments but 1 was given")
 _NOT_IN_MODULE = re.compile(r"cannot import name '(?P<name>\w+)' from '(?P<module>[\w.]+)'")
-#: Where configs import from, by names: none of them is imported before a config has looked for a name in the wrong one.
+#: The modules from which configs import; they are imported only after an import from the wrong one has failed.
 _DOORS = tuple(f"robot_runner{each}" for each in ("", ".plugins", ".plugins.profilers", ".plugins.systems", ".designs",
                                                   ".adaptive", ".analysis"))  # fmt: skip
 
@@ -303,7 +303,11 @@ def execute_source(source: ConfigSource) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules[CONFIG_MODULE] = module
     code = compile(source.text, str(source.path), "exec", dont_inherit=True)  # not the future statements of this module
-    exec(code, module.__dict__)  # noqa: S102 - a config file is code
+    try:
+        exec(code, module.__dict__)  # noqa: S102 - a config file is code
+    finally:
+        # Imports pass over the None of `sys.path.append(os.getenv("UNSET"))`, and a `Path`: other readers do not.
+        sys.path[:] = [each for each in sys.path if isinstance(each, str)]
     return module
 
 
@@ -317,7 +321,7 @@ _UNEXPECTED = re.compile(r"(?P<called>[\w.<>]+)\(\) got an unexpected keyword ar
 
 
 def misspelt_keyword(path: Path, error: BaseException) -> str:
-    """Return the fix for a keyword that nothing has, by its nearest name; empty where it was something else."""
+    """Return the fix for an unknown keyword argument, with the nearest name; empty for other errors."""
     found = _UNEXPECTED.search(str(error)) if isinstance(error, TypeError) else None
     if found is None:
         return ""
@@ -330,7 +334,7 @@ def misspelt_keyword(path: Path, error: BaseException) -> str:
 
 
 def keywords_of(called: Any) -> list[str]:
-    """Return the names of the parameters of a class or function; none where it does not tell."""
+    """Return the names of the parameters of a class or function; none where it has no signature."""
     with suppress(TypeError, ValueError):  # it is no callable, or one of Python's own
         parameters = signature_of(called).parameters.values()
         return [each.name for each in parameters if each.kind in {each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY}]
@@ -338,7 +342,7 @@ def keywords_of(called: Any) -> list[str]:
 
 
 def _named(name: str, known: Mapping[str, Any]) -> Any:
-    """Return what goes by this name where the call was made: under it, under another, or in a module."""
+    """Return the object with this name in the namespace of a call, also under an alias or in a module."""
     if name in known:
         return known[name]
     values = list(known.values())

@@ -45,7 +45,7 @@ class LocalPlace:
     def __init__(self, experiment: Experiment, slot: int, robot: tuple[str, str] | None = None) -> None:
         self.name = f"slot {slot}" if robot is None else robot[0]
         self.slot = slot
-        self.is_aside = False
+        self.is_unavailable = False
         own = experiment.parameters if robot is None else experiment.parameters.but(robot=robot[1])
         self._own = frozenset() if robot is None or is_simulated(robot[1]) else frozenset((f"robot:{robot[1]}",))
         self.experiment = replace(experiment, folder=experiment.folder.at_slot(slot), parameters=own)
@@ -83,10 +83,10 @@ class LocalPlaces:
 def places_of(experiment: Experiment, claims: Claims, combinations: Iterable[Mapping[str, Any]]) -> Places:
     """Return the places of an experiment: its robots, or slots; one slot where all runs claim the same.
 
-    Those of a cluster are brought by the room that speaks to it, in the group `robot_runner.places`.
+    Those of a cluster come from the room `cluster`, by the entry point group `robot_runner.places`.
 
     Raises:
-        PluginError: nothing brings places of a cluster.
+        PluginError: no installed package has places of a cluster.
         ExecutionError: the experiment cannot be executed there.
     """
     if (address := experiment.parameters.cluster) is not None:
@@ -118,9 +118,9 @@ def begin_run(
     Args:
         experiment: with the files of the slot that executes it.
         task: what is executed.
-        builder: holds what was known of the attempt before.
-        watch: what else goes on meanwhile.
-        may_command: whether it may command a robot, so that somebody stands by to stop that.
+        builder: holds what the orchestrator has recorded of the attempt.
+        watch: what the supervisor reports to and obeys.
+        may_command: whether it may command a robot, so that a standby is needed.
     """
     if experiment.parameters.run_process is RunProcess.IN_PROCESS:
         return _executed_here(experiment, task, builder, watch)
@@ -156,7 +156,7 @@ def _executed_here(experiment: Experiment, task: RunTask, builder: OutcomeBuilde
             watch.report(kind, fields)
             watch.refresh()
         except RobotRunnerError as error:  # a full disk: before it ends the experiment, the run is closed and made safe
-            if is_over:  # it is for the thread of the run that tells too late
+            if is_over:  # for the thread of the run that publishes too late
                 raise
             refused.append(error)
             gate.end_run(RunInterrupted(f"the records of the run cannot be kept: {error.problem}"))
@@ -275,7 +275,7 @@ class _Supervision:
         return self._outcome
 
     def close(self) -> None:
-        """Let go of the keeper, which ends a run that is still alive."""
+        """Close the keeper, which ends a run that is still alive."""
         self._opened.close()
 
     def stop(self, because: str, *, is_interruption: bool = False) -> None:
@@ -296,7 +296,7 @@ class _Supervision:
             self._keeper.kill()
 
     def _ending(self) -> Iterator[float]:
-        """See to what is left to do once the keeper has told, or was killed; yield how long to wait each time, s."""
+        """Finish the attempt once the keeper has reported, or was killed; yield how long to wait each time, s."""
         if self._keeper.was_killed:
             yield from self._keeper.abandoned_run_ended(self._grace)
         self._take_records()  # the last ones before it ended

@@ -23,40 +23,40 @@ from weakref import ref
 
 _BUFFERED = (io.BufferedWriter, io.BufferedRandom)
 _WRITERS = (io.TextIOWrapper, *_BUFFERED)
-#: Generations of the garbage collector that hold what was made a moment ago; since Python 3.14 there is one.
+#: Generations of the garbage collector that hold the newest objects; since Python 3.14 there is one.
 _YOUNG = (0, 1) if sys.version_info < (3, 14) else (0,)
-#: What writes its end when it is closed, and is no file without that: the modules are known where they are imported.
+#: Classes that write a trailer when they are closed, without which the file is broken: module and name.
 _ENDED_BY_CLOSING = (("gzip", "GzipFile"), ("bz2", "BZ2File"), ("lzma", "LZMAFile"), ("zipfile", "ZipFile"))
 
-#: Those that were open when the first run began: runs inherit them. Nothing is kept open by that.
+#: Files that were open when the first run began, which runs inherit; weak, so that they can be closed meanwhile.
 _inherited: list[ref[Any]] = []
 
 
 def note_open_files() -> None:
-    """Take down which files are open in this process, which is about to fork runs."""
+    """Remember which files are open in this process, which is about to fork runs."""
     _inherited[:] = map(ref, _files_among(gc.get_objects()))
 
 
 def note_fresh_files() -> None:
-    """Take down as well which files `before_run` has opened: among the youngest objects."""
+    """Remember the files that `before_run` has opened, too: they are among the newest objects."""
     known = set(map(id, _still_there()))
     young = (each for generation in _YOUNG for each in gc.get_objects(generation=generation))
     _inherited.extend(ref(each) for each in _files_among(young) if id(each) not in known)
 
 
 def write_inherited() -> None:
-    """Write what waits in the buffers of the files that runs inherit: each run would write it once more."""
+    """Flush the files that runs inherit: otherwise each run would write the same buffer again."""
     for _ in _flushed(_still_there()):
-        pass  # it is told where the run's own lines cannot be written
+        pass  # problems are reported by the run, whose own lines cannot be written either
 
 
-def begin_run() -> None:
-    """Tell what a run makes from what it has inherited; so its garbage collector looks at the former alone, too."""
+def freeze_inherited() -> None:
+    """Have the garbage collector distinguish what the run makes from what it has inherited."""
     gc.freeze()
 
 
 def write_open_files() -> list[str]:
-    """Write what waits in the buffers of files that this run has opened or inherited; return what was in the way."""
+    """Flush the files that this run has opened or inherited; return the problems."""
     made = gc.get_objects()
     problems = list(_flushed(_files_among(made, _still_there())))
     known = [getattr(sys.modules[module], name) for module, name in _ENDED_BY_CLOSING if module in sys.modules]
@@ -73,8 +73,7 @@ def _still_there() -> list[Any]:
 def _files_among(*objects: Iterable[Any]) -> list[Any]:
     """Return the regular files among objects that can be written; text first, which writes into the others."""
     all_of_them = [each for some in objects for each in some]
-    # By their types, of which there are few. Not `isinstance`, which asks each object for its class: some of a
-    # stranger's answer that by executing something.
+    # By their types, of which there are few. Not `isinstance`, which reads `__class__`: proxies execute code then.
     kinds = {kind for kind in set(map(type, all_of_them)) if issubclass(kind, _WRITERS)}
     found = [each for each in all_of_them if type(each) in kinds] if kinds else []
     return sorted(filter(_is_written, found), key=lambda each: isinstance(each, _BUFFERED))

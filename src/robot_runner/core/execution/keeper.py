@@ -3,8 +3,8 @@
     orchestrator ── forks ──> keeper ── forks ──> run ── starts ──> programs of callbacks, and their orphans
 
 Whatever kills an orchestrator (SIGKILL, out of memory) must not leave a robot driving. The run cannot watch for that
-in every state: a callback that hangs in C runs no Python, so neither a signal handler nor a thread of ours would come
-to its turn. The keeper can: it does nothing else. Three pipes connect the processes:
+itself: while a callback hangs in C, neither signal handlers nor threads of Python are executed. The keeper can: it does
+nothing else. Three pipes connect the processes:
 
     requests   orchestrator -> keeper          STOP or KILL; the end of the pipe (the orchestrator is gone) means STOP
     told       run, then keeper -> orchestrator    two numbers: the run's process id, and how the run ended
@@ -38,26 +38,26 @@ from robot_runner.core.storage.outliving import is_spared, outliving
 
 _STOP, _KILL = b"s", b"k"
 _NUMBER_BYTES = 8
-#: As wide as a user may make a pipe (/proc/sys/fs/pipe-max-size).
+#: The largest buffer that a user may give a pipe by default (/proc/sys/fs/pipe-max-size).
 _PIPE_BYTES = 1 << 20
 #: How long the keeper waits for processes that it has killed, s: one that waits for a broken disk cannot be reaped.
 _REAPING = 5.0
-#: How long after the grace a run may take that nobody waits for any more, and its keeper with all that it keeps, s.
+#: How long after the grace a run may take that nobody waits for any more, and then its keeper to end the rest, s.
 _MARGIN, _KEEPING = 10.0, 60.0
-#: How long it waits until it looks again, s.
+#: How often it is checked whether a process has ended, where nothing can be polled, s.
 _LOOK = 0.01
-#: A poll cannot wait longer than 24 days: after a day it begins anew, s.
+#: One poll waits no longer, s: its limit is 24 days.
 _LONGEST = 86_400.0
 
 
 #: The keepers whose runs are in flight, in the process that has forked them.
 _in_flight: set[Keeper] = set()
-#: Those that have told how their run ended and are about to exit: a process with as much memory takes a millisecond.
+#: Those that have reported how their run ended and are about to exit, which takes a large process a millisecond.
 _leaving: list[Keeper] = []
 
 
 def _let_go_in_child() -> None:
-    """Let go of the keepers of other runs in a forked process, whatever it was forked for.
+    """Close the pipes to the keepers of other runs in a forked process, whatever it was forked for.
 
     A keeper takes the end of its requests for the death of the orchestrator: no other process may hold that pipe open.
     """
@@ -82,8 +82,8 @@ class Keeper:
     Attributes:
         start, grace, standby: as given.
         records: a descriptor from which the run's records can be read.
-        told: a descriptor that is readable when the keeper has something to tell, or was killed; then call `look`.
-        was_killed: whether the keeper died before it told how the run ended.
+        told: a descriptor that is readable when the keeper has reported, or was killed; then call `look`.
+        was_killed: whether the keeper died before it reported how the run ended.
     """
 
     def __init__(
@@ -98,8 +98,8 @@ class Keeper:
         Args:
             start: executes the run; called in the run's own process.
             grace: how long a run that is asked to stop may take to close what it opened, s.
-            folder: the experiment's; its run is marked, so that it is found should its keeper be killed.
-            standby: makes the systems safe where the run has died and has not; None where there are none.
+            folder: the experiment's; it gets the marks by which the run is found should its keeper be killed.
+            standby: makes the systems safe where the run died before it did; None where no system needs that.
         """
         self.start = start
         self.grace = grace
@@ -123,7 +123,7 @@ class Keeper:
             report = RecordWriter(records)
             process = _KeeperProcess(self, requests, tell, report, mark)
             self._pid = processes.forked()
-        except BaseException:  # where no process is to be had, nothing stays open
+        except BaseException:  # the system has no descriptor or process left: nothing stays open
             for descriptor in opened:
                 os.close(descriptor)
             raise
@@ -149,9 +149,8 @@ class Keeper:
         if self._has_told:  # all that the run started has ended: nobody has to wait until the keeper is gone, too
             _leaving.append(self)
         else:
-            if not (
-                processes.ends(self.run or self._pid, self.grace + _MARGIN) and processes.ends(self._pid, _KEEPING)
-            ):
+            await_end = processes.await_end
+            if not (await_end(self.run or self._pid, self.grace + _MARGIN) and await_end(self._pid, _KEEPING)):
                 self.give_up()  # stopped, say: the system asks its run to stop then
             self.reap()
 
@@ -208,7 +207,7 @@ class Keeper:
         return self.was_killed and os.waitstatus_to_exitcode(self.reap()) > 0
 
     def death(self) -> str:
-        """Return how the run's process died, or its keeper's if that was killed; empty if it exited with 0."""
+        """Return how the run's process died, or the keeper if that was killed; empty if it exited with 0."""
         whose, status = (
             ("the run's keeper", self.reap()) if self.was_killed else ("the run's process", self._run_status())
         )
@@ -219,7 +218,7 @@ class Keeper:
 
     @property
     def _has_told(self) -> bool:
-        """Whether the keeper has told both numbers, and so has done its work."""
+        """Whether the keeper has reported both numbers, and so has done its work."""
         return len(self._numbers) == 2 * _NUMBER_BYTES
 
     def _run_status(self) -> int:
@@ -256,7 +255,7 @@ class _KeeperProcess:
         self._may_begin, self._let_begin = -1, -1
 
     def keep(self) -> None:
-        """Start the run, watch over it until it has ended, end what it left behind, and tell how it ended."""
+        """Start the run, watch over it until it has ended, end what it left behind, and report how it ended."""
         os.setsid()  # what happens to the orchestrator's terminal does not reach us
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # where it is ignored, the system says of no child how it ended
         processes.use_no_streams()
@@ -284,8 +283,8 @@ class _KeeperProcess:
 
     def _fork_run(self) -> None:
         keeper = os.getpid()
-        # The run takes them once it can: a forked process forgets signals that come while it begins. The keeper itself
-        # keeps them blocked: to stop is the run's business.
+        # The run unblocks them once it has handlers: a signal that comes before would be lost. The keeper leaves them
+        # blocked: stop signals are for the run.
         signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
         self._run = processes.forked()
         if self._run == 0:
@@ -298,16 +297,16 @@ class _KeeperProcess:
         signal.set_wakeup_fd(-1)  # inherited: it would wake the orchestrator
         processes.stop_with_parent()
         os.write(self._tell, _bytes(os.getpid()))
-        # Not before: as long as we hold it, the orchestrator does not take the keeper for dead.
+        # Only now: as long as the run has this end open, the orchestrator cannot notice the death of the keeper.
         os.close(self._tell)
         os.close(self._requests)
         self._mark.sign()
-        # Else it died before the system would have told us, or before somebody stood by.
+        # Otherwise the keeper died before `stop_with_parent`, or before the standby was there.
         if os.getppid() == keeper and self._is_stood_by():
             self._start(self._report)
 
     def _is_stood_by(self) -> bool:
-        """Wait, in the run, until its standby is there, if it has one; return whether it will be."""
+        """Wait, in the run, until its standby is there, if it has one; return False where the keeper died before."""
         if self._standby is None:
             return True
         os.close(self._let_begin)
@@ -368,7 +367,7 @@ class _KeeperProcess:
             orphans = [
                 orphan
                 for orphan in processes.children()
-                if not is_spared(orphan, spared) and processes.is_killed(orphan)
+                if not is_spared(orphan, spared) and processes.try_kill(orphan)
             ]
             if not orphans:
                 return
@@ -376,9 +375,9 @@ class _KeeperProcess:
 
 
 def _widen(descriptor: int) -> None:
-    """Let a pipe buffer a burst of records (Linux): what is in the pipe can be read after the run has died."""
+    """Enlarge the buffer of a pipe (Linux): what is in it can be read after the run has died."""
     if hasattr(fcntl, "F_SETPIPE_SZ"):
-        with suppress(OSError):  # the user has too many wide pipes: it is as wide as any
+        with suppress(OSError):  # the user has reached the limit of memory for pipes: it stays as it is
             fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
 
 

@@ -5,12 +5,10 @@ A keeper ends all that its run started. Where the keeper was killed, two marks t
 - the keeper, the run, and what they fork hold a lock on one file in the experiment's folder, as long as they live;
 - programs that they start have an environment variable with that folder.
 
-So the run itself, the orchestrator, or the next one that executes the experiment can do the keeper's work.
+So the run itself, the orchestrator, or the next execution of the experiment can do the keeper's work.
 
-Of runs that other machines execute, a mark in the folder tells as long as the execution lasts: where, and for how long
-they may go on once nobody looks after them.
-
-What is executed beside the runs has the same marks, in a folder of its own in the experiment's.
+While runs are executed on other machines, a mark in the folder says where, and for how long they may go on once nobody
+looks after them. Probes, gates and reboots have the same marks, in a folder of their own in the experiment folder.
 """
 
 from __future__ import annotations
@@ -34,19 +32,26 @@ from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, read_bytes, read_text, remove
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock_files import open_to_lock, was_open_to_strangers
-from robot_runner.core.storage.outliving import ancestors, has_in_environment, is_spared, outliving, processes
+from robot_runner.core.storage.outliving import (
+    ancestors,
+    has_in_environment,
+    is_spared,
+    is_stopped,
+    outliving,
+    processes,
+)
 
 _VARIABLE = "ROBOT_RUNNER_RUN_OF"
-#: How often we look whether a process has ended, and how long those that were killed may take, s.
+#: How often it is checked whether a process has ended, and how long those that were killed may take, s.
 _LOOK, _DYING = 0.05, 5.0
-#: Enough for any process's id.
+#: The longest text that is read as a process id, in bytes.
 _DIGITS = 20
-#: How folders are called in which something is executed beside the runs: a probe, a gate, a host that starts anew.
+#: How the names of folders begin in which probes, gates and reboots are executed.
 ASIDE = ".aside-"
-#: How the mark of runs elsewhere is called, with the session of their execution; what answers it has a longer name.
+#: How the name of a mark of runs elsewhere begins; the session follows, and answers to it have a longer name.
 MARK_OF_ELSEWHERE = ".probe-"
 _ELSEWHERE = re.compile(r"\.probe-[0-9a-f]{16}")
-#: More than such a mark holds, bytes; how long is awaited what says nothing sensible, and at most, s.
+#: The largest mark that is read, bytes; the time for one that cannot be read, and the longest that is believed, s.
 _MOST_BYTES, _USUAL, _LONGEST = 4096, 60.0, 86400.0
 
 
@@ -75,31 +80,31 @@ class RunMark:
     def sign(self) -> None:
         """Mark this process as the run, and the programs that it starts from now on."""
         os.environ[_VARIABLE] = self._mark
-        if sys.platform != "linux":  # there, a run whose parent dies is not told
+        if sys.platform != "linux":  # there, the system sends no signal to a run whose parent dies
             os.ftruncate(self.descriptor, 0)
             os.pwrite(self.descriptor, str(os.getpid()).encode(), 0)
 
     def close(self) -> None:
-        """Let go of the lock in this process: the others still hold it."""
+        """Close the file in this process: the others still hold the lock."""
         os.close(self.descriptor)
 
 
 @lru_cache(maxsize=16)
 def _mark(folder: ExperimentFolder) -> str:
-    """Return what the variable has: runs in flight at other slots are none of those that one has left."""
+    """Return the value of the variable, which differs by slot: runs in flight at other slots are not left over."""
     root = str(folder.root.resolve())
     return root if folder.slot == 1 else f"{root}#{folder.slot}"
 
 
 def marked_folders(folder: ExperimentFolder) -> list[ExperimentFolder]:
-    """Return where an experiment has marks: the folder at each slot, and each in which something is executed aside."""
+    """Return the folders with marks of an experiment: those of its slots, and those of probes, gates and reboots."""
     asides = [ExperimentFolder(path) for path in sorted(folder.root.glob(f"{ASIDE}*")) if not path.is_symlink()]
     return [*map(folder.at_slot, folder.used_slots()), *asides]
 
 
 def left_over(folder: ExperimentFolder) -> list[int]:
-    """Return the processes that runs at a slot left alive, but for those that may outlive them (Linux)."""
-    name = os.fsencode(f"{_VARIABLE}={_mark(folder)}")  # as the system has it, whatever a folder is called
+    """Return the processes that runs at a slot left alive, without those that may outlive them (Linux)."""
+    name = os.fsencode(f"{_VARIABLE}={_mark(folder)}")
     alive = folder.alive.resolve()
     spared = outliving(folder.outliving)
     own = set(ancestors(os.getpid()))
@@ -127,7 +132,7 @@ def left_over_ended(folder: ExperimentFolder, killed: list[int]) -> Iterator[flo
 
 
 def await_left_over(folder: ExperimentFolder, grace: float) -> Finding | None:
-    """Have whatever an earlier execution left alive end, before anything is executed beside it.
+    """Wait for what an earlier execution left alive, and end it, before anything is executed beside it.
 
     A run gets SIGTERM and has `grace` seconds to close what it opened; then all that is left is killed.
 
@@ -155,7 +160,7 @@ def await_left_over(folder: ExperimentFolder, grace: float) -> Finding | None:
     for slot in slots:
         if was_open_to_strangers(slot.alive, folder.root):  # as earlier versions made it; one could lock it for ever
             remove(slot.alive, folder.root)
-        if slot.root != folder.root:  # what was written there is not kept
+        if slot.root != folder.root:  # a temporary folder
             shutil.rmtree(slot.root, ignore_errors=True)
     if not (was_alive or killed):
         return None
@@ -170,23 +175,23 @@ def await_left_over(folder: ExperimentFolder, grace: float) -> Finding | None:
 
 @dataclass(frozen=True, slots=True)
 class RunsElsewhere:
-    """What other machines may go on with once the execution was killed that has ordered it.
+    """Runs that other machines may go on with after their execution was killed.
 
     Attributes:
         where: as findings name it.
-        seconds: how long after nobody looks after them any more.
+        seconds: for how long they may go on once nobody looks after them.
     """
 
     where: str
     seconds: float
 
     def content(self) -> bytes:
-        """Return what the mark holds: the facts, and a number that nobody can guess."""
+        """Return the bytes of the mark: the facts, and a number that nobody can guess."""
         return json.dumps({**asdict(self), "number": os.urandom(32).hex()}).encode()
 
     @property
     def finding(self) -> Finding:
-        """What is said of them, where they are waited for."""
+        """The warning while they are awaited."""
         problem = (
             f"an earlier execution was killed; its runs may go on there for {self.seconds:g} s, and none is begun "
             "before that"
@@ -196,13 +201,13 @@ class RunsElsewhere:
 
 
 def runs_elsewhere(folder: ExperimentFolder) -> list[RunsElsewhere]:
-    """Return what may go on elsewhere: there is one for each execution over other machines that did not end."""
+    """Return the runs that may go on elsewhere, one for each execution over other machines that did not end."""
     return [_elsewhere(path, folder) for path in _marks_of_elsewhere(folder)]
 
 
 def go_on_elsewhere(folder: ExperimentFolder) -> bool:
-    """Whether other machines may go on with runs at this moment: who looks after them touches the mark each time."""
-    now = time.time()  # and not the monotonic one, which begins anew with the machine
+    """Return whether other machines may go on with runs now: whoever looks after them touches the mark each time."""
+    now = time.time()  # not monotonic, which differs after a reboot
     marks = _marks_of_elsewhere(folder)
     return any(abs(now - mark.lstat().st_mtime) < _elsewhere(mark, folder).seconds for mark in marks)
 
@@ -220,7 +225,7 @@ def _elsewhere(mark: Path, folder: ExperimentFolder) -> RunsElsewhere:
 
 
 def forget_runs_elsewhere(folder: ExperimentFolder, *, but: Path | None = None) -> None:
-    """Remove the marks, but one, and what other machines have answered to them."""
+    """Remove the marks of runs elsewhere, except `but`, and the answers to them."""
     for path in folder.root.glob(f"{MARK_OF_ELSEWHERE}*"):
         if path != but:
             remove(path, folder.root)
@@ -240,21 +245,21 @@ def is_alive(folder: ExperimentFolder) -> bool:
     if not _is_locked(folder.alive, folder.root):
         return False
     holders, spared = _holders(folder.alive), outliving(folder.outliving)
-    if not holders:  # seen: without /proc none is, and another user's is not
+    if not holders:  # none is visible: there is no /proc, or it is another user's process
         return not (sys.platform == "linux" and was_open_to_strangers(folder.alive, folder.root))
-    return not all(is_spared(pid, spared) for pid in holders)
+    return not all(is_spared(pid, spared) or is_stopped(pid) for pid in holders)
 
 
 def is_subject_left(folder: ExperimentFolder) -> bool:
-    """Whether software under test that goes on through all runs is being ended, or a robot that it had commanded.
+    """Whether software under test of `per="experiment"` is still alive or being ended, or its robot being stopped.
 
-    Who does that has locked a file of its start for as long as it takes.
+    Its supervisor holds the lock of a file in the folder of its start for as long as that takes.
     """
     return any(_is_locked_by_us(path, folder.root) for path in folder.subjects.glob("*/*/*.jsonl"))
 
 
 def _is_locked_by_us(path: Path, root: Path) -> bool:
-    with suppress(OSError, StorageError):  # nothing that was written by a start
+    with suppress(OSError, StorageError):  # no file that a start has written
         return _is_locked(path, root) and (sys.platform != "linux" or bool(_holders(path)))
     return False
 
@@ -280,10 +285,7 @@ def _is_locked(path: Path, root: Path) -> bool:
 
 
 def _ask_to_stop(folder: ExperimentFolder) -> None:
-    """Send SIGTERM to the run, which leads a group of its own; where it has ended meanwhile, to nobody.
-
-    On Linux the run got that when its keeper died, and the file is empty.
-    """
+    """Send SIGTERM to the run, unless it has ended; on Linux the system did so when its keeper died (an empty file)."""
     with suppress(OSError, StorageError, ValueError, OverflowError):
         run = int(read_text(folder.alive, folder.root, limit=_DIGITS))
         if run > 1 and os.getpgid(run) == run:
@@ -291,7 +293,7 @@ def _ask_to_stop(folder: ExperimentFolder) -> None:
 
 
 def has_locked(pid: int, path: Path) -> bool:
-    """Return whether a process holds the lock of a file (Linux); who merely has it open, as an editor, does not."""
+    """Return whether a process holds the lock of a file (Linux); having it open, as an editor does, is not enough."""
     try:
         return any(_is_lock(entry, path) for entry in Path(f"/proc/{pid}/fd").iterdir())
     except OSError:  # it has ended, or is another user's
@@ -299,6 +301,6 @@ def has_locked(pid: int, path: Path) -> bool:
 
 
 def _is_lock(entry: Path, path: Path) -> bool:
-    with suppress(OSError):  # closed meanwhile: that says nothing of the others
+    with suppress(OSError):  # closed meanwhile
         return entry.readlink() == path and "FLOCK" in Path(f"{entry.parent}info/{entry.name}").read_text()
     return False

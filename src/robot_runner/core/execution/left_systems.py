@@ -1,17 +1,14 @@
-"""What an execution that was killed has left, seen to by the next one before anything else is done.
+"""Cleaning up after an execution that was killed, by the next one, before it does anything else.
 
-Processes that are still alive are awaited and ended (`left_over`), and so is who makes systems safe, as two must not
-command one robot. Where a run was killed with all who would have made its systems safe, that is done now: a robot
-carries out its last command for ever.
+Processes that are still alive are awaited and ended (`left_over`), the standby included, as two must not command one
+robot. Where a run was killed with its keeper and its standby, its systems are made safe now: a robot carries out its
+last command for ever.
 """
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import fields, replace
 from pathlib import Path
@@ -32,14 +29,21 @@ from robot_runner.core.execution.left_over import (
     await_left_over,
     end_left_over,
     go_on_elsewhere,
-    has_locked,
     is_alive,
     is_subject_left,
     left_over,
     marked_folders,
 )
-from robot_runner.core.execution.standby import LONGEST, Standby, locked_by, made_safe_of_their_own
-from robot_runner.core.execution.systems_state import Care, LeftSystems, SystemsFile
+from robot_runner.core.execution.standby import (
+    LONGEST,
+    Standby,
+    is_at_work,
+    kill_if_stopped,
+    kill_standby,
+    locked_by,
+    made_safe_of_their_own,
+)
+from robot_runner.core.execution.systems_state import Care, LeftCopy, LeftSystems, SystemsFile, left_copies
 from robot_runner.core.execution.task import RunTask
 from robot_runner.core.execution.worker import task_of
 from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND
@@ -54,23 +58,23 @@ from robot_runner.core.storage.shared_claims import may_be_one
 from robot_runner.core.treatments import bind
 from robot_runner.core.words import enumerated
 
-#: How long who makes systems safe may take to die once it was killed, s.
+#: How long a standby may take to die once it was killed, s.
 _DYING = 5.0
-#: How often we look whether it has ended, s.
+#: How often it is checked whether it has ended, s.
 _LOOK = 0.02
-#: The power may have failed before a command was on the disk.
+#: Said where no command is on the disk: the power may have failed before one was written.
 _TOLD_NOTHING = "no command of it is known, so that the robot was told nothing now"
 
 
 def see_to_what_is_left(experiment: Experiment) -> list[Finding]:
-    """See to what a killed execution has left, before anything else is done: processes end, and systems are made safe.
+    """End the processes that a killed execution has left, and make its systems safe, before anything else is done.
 
     Returns:
         what was done.
 
     Raises:
-        ExecutionError: something cannot be ended; or a system cannot be made safe, which is told once, as a person is
-            to do it then.
+        ExecutionError: something cannot be ended; or a system cannot be made safe, which is raised only once, as a
+            person has to do it then.
     """
     folder = experiment.folder
     awaited = [await_left_over(folder, experiment.parameters.grace_in_s), await_standby(folder)]
@@ -79,18 +83,17 @@ def see_to_what_is_left(experiment: Experiment) -> list[Finding]:
 
 
 def see_to_what_others_left(experiment: Experiment, roots: Iterable[Path], claims: Iterable[str]) -> list[Finding]:
-    """Have robots that killed executions of other experiments left moving stand still, before this one uses them.
+    """Stop robots that killed executions of other experiments left moving, before this one uses them.
 
-    That is done, or told, once. Their systems are not known here: their own experiment's next execution makes them
-    safe.
+    That is tried once. Their systems are not known here: the next execution of their own experiment makes them safe.
 
     Args:
-        experiment: that claims the robots by now.
-        roots: the folders of the experiments that had claimed something before.
+        experiment: it has claimed the robots by now.
+        roots: the folders of experiments that had claimed something before.
         claims: of this experiment.
 
     Raises:
-        ExecutionError: a robot cannot be told to stand still.
+        ExecutionError: a robot cannot be stopped.
     """
     ours, late, findings = [*claims], [], []
 
@@ -109,37 +112,66 @@ def see_to_what_others_left(experiment: Experiment, roots: Iterable[Path], claim
         for slot, left in found:
             if left.robot is not None and may_command(left.robot) and not left.is_told:
                 late.append((_late_standby(experiment, slot, left, (), is_for_all=False), slot, left))
-    for standby, _, _ in late:
+    copies = [
+        (_late_standby(experiment, ExperimentFolder(each.original.parent), each.left, (), is_for_all=False), each)
+        for each in _left_elsewhere({*roots, experiment.folder.root})
+        if each.left.robot is not None and may_command(each.left.robot)
+    ]
+    for standby in (*(each[0] for each in late), *(each[0] for each in copies)):
         standby.begin(None)
     for standby, slot, left in late:
         standby.wait()
-        findings.append(_finding_of_other(standby, slot, left))
+        findings.append(_finding_of_other(standby, str(slot.root), left))
+        SystemsFile(slot).leave(left)
+        standby.state.close()
+    for standby, copy in copies:
+        standby.wait()
+        findings.append(_finding_of_other(standby, str(copy.original.parent), copy.left, is_gone=True))
+        copy.remove()
         standby.state.close()
     return _told(findings)
 
 
+def _left_elsewhere(known: Collection[Path]) -> Iterator[LeftCopy]:
+    """Yield what is left in folders that are gone, or at work in none: those of workers, and all but the known ones."""
+    for each in left_copies():
+        root = each.original.parent
+        is_seen_to = root in known or holder_of(ExperimentFolder(root).lock) or goes_on(root)
+        if not (each.original.exists() and is_seen_to):
+            yield each
+
+
+def robots_left(known: Collection[Path] = ()) -> list[Finding]:
+    """Return a warning for each robot that killed executions have left, perhaps moving; not of the known folders."""
+    fix = "Start an experiment that uses it, which stops it before anything else, or stop it by hand."
+    return [
+        Finding.warning(f"{each.original.parent}: {each.left.run_id}", f"{MAY_BE_MOVING}: {each.left.in_words}", fix)
+        for each in _left_elsewhere(known)
+    ]
+
+
 def _told(findings: list[Finding]) -> list[Finding]:
-    """Return them; but raise all of them where a robot may be moving, as nobody is told of the others again."""
+    """Return the findings; where one is an error, raise all of them, as the others would not be shown later."""
     if any(each.is_error for each in findings):
         raise ExecutionError.of_findings(errors_first(findings))
     return findings
 
 
 def _ended_by_rooms(root: Path, may_command: Callable[[str], bool]) -> list[Finding]:
-    """Have rooms end what they have started for all runs of a killed execution, and stop robots that it commanded."""
+    """Let rooms end what they have started for all runs of a killed execution, and stop the robots it commanded."""
     found: list[Finding] = []
     for point in entry_points("left_behind"):
         try:
             found += point.load()(root, may_command)
-        except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
+        except Exception as error:  # noqa: BLE001 - another package's code; what it raises is a finding like others
             found.append(failed_check(point.where, error, "it"))
     return found
 
 
 def _end_what_is_left(root: Path, may_command: Callable[[str], bool]) -> list[Finding]:
-    """End what a killed execution of another experiment has left alive, where nobody is there who would.
+    """End what a killed execution of another experiment has left alive, unless that is being executed again.
 
-    What may drive a robot that nobody could stop then goes on, which is an error: it uses what this one has claimed.
+    A process that may drive a robot which this experiment could not stop afterwards is left alone, and is an error.
     """
     folder = ExperimentFolder.found_at(root)
     if not folder.journal.exists():
@@ -151,6 +183,7 @@ def _end_what_is_left(root: Path, may_command: Callable[[str], bool]) -> list[Fi
                 left = SystemsFile(each).left()
                 if left is None or left.robot is None or may_command(left.robot):
                     killed += end_left_over(each)
+                    _await_at(each)  # a run that was stopped, say, has a standby, which acts now
                 elif going_on := left_over(each):
                     findings.append(_left_driving(root, left.robot, going_on))
             findings += _ended_by_rooms(root, may_command)
@@ -168,15 +201,16 @@ def _left_driving(root: Path, robot: str, pids: Sequence[int]) -> Finding:
     return Finding.error(str(root), f"what is left of a killed execution goes on; {what}", fix)
 
 
-def _finding_of_other(standby: Standby, slot: ExperimentFolder, left: LeftSystems) -> Finding:
-    where = f"{slot.root}: {left.run_id}"
-    SystemsFile(slot).leave(left)
+def _finding_of_other(standby: Standby, root: str, left: LeftSystems, *, is_gone: bool = False) -> Finding:
+    where = f"{root}: {left.run_id}"
     if standby.state.care is not Care.MADE_SAFE:
         reason = standby.state.reason or "the process that was to do it died"
         problem = f"{MAY_BE_MOVING}: {left.in_words}; it cannot be told to stand still now: {reason}"
         return Finding.error(where, problem, STOP_BY_HAND)
     fix, systems = "Look where it stands.", sorted(left.systems)
-    if systems:
+    if systems and is_gone:
+        fix = f"Look where it stands, and see to {enumerated(systems)} by hand: the experiment's folder is gone."
+    elif systems:
         fix = f"Look where it stands, and start that experiment again, which makes {enumerated(systems)} safe."
     done = f"its robot was told to stand still now{_as_far(standby.state.reason)}" if left.commanded else _TOLD_NOTHING
     return Finding.warning(where, f"{left.in_words}; {done}", fix)
@@ -192,7 +226,7 @@ def _left_in(folder: ExperimentFolder) -> list[tuple[ExperimentFolder, LeftSyste
 
 
 def _made_safe_late(experiment: Experiment) -> list[Finding]:
-    """Make safe, all at once, what runs of a killed execution have left, as nobody was left who would have."""
+    """Make the systems of killed runs safe, all at the same time, where no standby was left to do it."""
     found = _left_in(experiment.folder)
     late, findings = [], []
     with ExitStack() as held:
@@ -214,7 +248,7 @@ def _made_safe_late(experiment: Experiment) -> list[Finding]:
 
 @contextmanager
 def told_if_refused() -> Iterator[list[Finding]]:
-    """Yield a list of what was done about those systems: it is told with whatever refuses the execution, too."""
+    """Yield a list of what was done about those systems; an error that refuses the execution gets its findings, too."""
     findings: list[Finding] = []
     try:
         yield findings
@@ -224,12 +258,12 @@ def told_if_refused() -> Iterator[list[Finding]]:
 
 
 def _refused(experiment: Experiment, left: LeftSystems, held: ExitStack) -> Finding | None:
-    """Return who uses the robot of that run by now; else claim it, where this execution has not."""
+    """Claim the robot of that run, unless this execution has; return a finding where another experiment uses it."""
     claim = None if left.robot is None else _claim_of(left.robot)
     if claim is None:
         return None
     ours = held_claims(Claims(experiment.parameters, experiment.plugins, experiment.events), experiment.model)
-    # Not even looked at: a process that closes a file which it has locked loses its lock.
+    # Its claim file is not even opened: a process that closes a file which it has locked loses its lock.
     if any(may_be_one(claim, each) for each in ours):
         return None
     try:
@@ -241,7 +275,7 @@ def _refused(experiment: Experiment, left: LeftSystems, held: ExitStack) -> Find
 
 
 def _claim_of(robot: str) -> str | None:
-    """Return what tells a robot from others; None where it is none that is shared."""
+    """Return the claim on a robot; None where it is simulated, or cannot be reached."""
     with suppress(LinkError):  # one that cannot be reached at all says so as it is made safe
         return None if is_simulated(robot) else f"robot:{robot_on_graph(robot)}"
     return None
@@ -255,12 +289,12 @@ def _late_standby(
     *,
     is_for_all: bool = True,
 ) -> Standby:
-    """Return who makes systems safe that a run has left, and its robot stand still, with its treatments."""
+    """Return a standby, with the treatments of a run, that makes its systems safe and stops its robot."""
     of_run = replace(experiment, folder=slot, parameters=experiment.parameters.but(robot=left.robot))
     task = _task_of(experiment, left)
     standby = Standby(systems, of_run, task, is_for_all=is_for_all)
     for each in standby.systems:
-        with suppress(Exception):  # one that cannot be built then says in its `make_safe` what it lacks
+        with suppress(Exception):  # a system that cannot be built raises in its `make_safe`, which is reported
             bind(each, task.combination)
     for topic, message_type in left.commanded:
         standby.state.add_commanded(topic, message_type)
@@ -269,7 +303,7 @@ def _late_standby(
 
 
 def _task_of(experiment: Experiment, left: LeftSystems) -> RunTask:
-    """Return the run, with the texts of its treatments where the config has these no more, or another version told."""
+    """Return the run's task; where the config or its record has changed, with the texts of its treatments."""
     with suppress(RobotRunnerError, AttributeError, LookupError, TypeError, ValueError):
         return task_of(experiment, left.task)
     told = {each.name: left.task[each.name] for each in fields(RunTask) if each.name in left.task}
@@ -294,7 +328,7 @@ def _finding(standby: Standby, left: LeftSystems) -> Finding:
 
 
 def may_be_moving(folder: ExperimentFolder) -> list[Finding]:
-    """Return that a robot may be moving, for each run that was killed with all who would have made its systems safe."""
+    """Return a warning for each run that was killed with its keeper and standby: its robot may be moving."""
     left = [each for _, each in _left_in(folder)]
     if not left or holder_of(folder.lock) is not None or goes_on(folder.root, counts_orphans=False):
         return []
@@ -303,40 +337,39 @@ def may_be_moving(folder: ExperimentFolder) -> list[Finding]:
 
 
 def goes_on(root: Path, *, counts_orphans: bool = True) -> bool:
-    """Return whether anything goes on of an experiment that nobody executes.
+    """Return whether processes of an experiment are alive that nobody executes any more.
 
-    That is a run, here or on another machine, or what was done beside the runs; software under test; or who makes
-    systems safe.
+    Such are a run, here or on another machine; a probe, gate or reboot; software under test; and a standby.
 
     Args:
         root: the folder of the experiment.
-        counts_orphans: whether that is also so where programs alone are left of a run, with nobody who ends them.
+        counts_orphans: whether programs count that a run left without a keeper.
     """
-    with suppress(OSError, StorageError, ValueError):  # of a folder that cannot be looked at, that is not known
+    with suppress(OSError, StorageError, ValueError):  # a folder that cannot be read counts as one without any
         folder = ExperimentFolder.found_at(root)
         if holder_of(folder.lock):
             return False
         marked = marked_folders(folder)
-        is_here = any(is_alive(each) or locked_by(each) is not None for each in marked)
+        is_here = any(is_alive(each) or is_at_work(each) for each in marked)
         is_left = counts_orphans and any(map(left_over, marked))
         return is_here or is_left or is_subject_left(folder) or go_on_elsewhere(folder)
     return False
 
 
 def await_standby(folder: ExperimentFolder) -> Finding | None:
-    """Wait until nobody of an earlier execution makes its systems safe; kill who does so for too long.
+    """Wait until the standbys of an earlier execution have ended; kill one that takes too long.
 
-    Two processes must not command one robot. Where all of an execution was killed, its standby may still be at work
-    when the next one begins.
+    Two processes must not command one robot. A standby that outlived its orchestrator may still be at work when the
+    next execution begins.
 
     Returns:
-        that it was waited for, and how long; None where nobody stood by.
+        how long it was waited; None where there was no standby.
 
     Raises:
-        ExecutionError: it is still there afterwards; that takes another user's process.
+        ExecutionError: one is still there afterwards, as it is another user's process.
     """
     began = time.monotonic()
-    # All of them are awaited, whichever stood by.
+    # A list, not a generator: all of them are awaited.
     if not any([_await_at(slot) for slot in map(folder.at_slot, folder.used_slots())]):  # noqa: C419
         return None
     waited = time.monotonic() - began
@@ -345,13 +378,15 @@ def await_standby(folder: ExperimentFolder) -> Finding | None:
 
 
 def _await_at(slot: ExperimentFolder) -> bool:
-    """Wait until nobody stands by at a slot; return whether anybody did."""
-    began, stood_by = time.monotonic(), False
+    """Wait until a slot has no standby, and kill one that is stopped; return whether it was waited for."""
+    began, stood_by, killed = time.monotonic(), False, 0
     while (pid := locked_by(slot)) is not None:
-        stood_by = True
+        if kill_if_stopped(slot):
+            killed = pid
+        stood_by = stood_by or pid != killed
         waited = time.monotonic() - began
         if waited > LONGEST:
-            _kill(pid, slot)
+            kill_standby(pid, slot)
         if waited > LONGEST + _DYING:
             problem = "systems of an earlier execution are still being made safe, and that cannot be ended from here"
             raise ExecutionError(problem, where=str(slot.root), fix=f"End process {pid} by hand.")
@@ -359,10 +394,3 @@ def _await_at(slot: ExperimentFolder) -> bool:
     if was_open_to_strangers(slot.standing_by, slot.root):  # as earlier versions made it
         remove(slot.standing_by, slot.root)
     return stood_by
-
-
-def _kill(pid: int, folder: ExperimentFolder) -> None:
-    """Kill the standby, and only the standby, whatever number stands in the file."""
-    if pid > 1 and (sys.platform != "linux" or has_locked(pid, folder.standing_by.resolve())):
-        with suppress(ProcessLookupError, PermissionError):
-            os.kill(pid, signal.SIGKILL)

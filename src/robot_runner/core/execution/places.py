@@ -1,15 +1,15 @@
-"""Places: where runs are executed. A slot of this machine is one, a robot, a worker on another machine.
+"""Places: where runs are executed, such as a slot of this machine, a robot, or a worker on another machine.
 
-The orchestrator keeps as many runs in flight as there are free places whose claims suit. It has no threads: all that it
-waits for is *awaited* in one poll loop (`patience.py`), a run in flight like the end of a rest. So a place
+The orchestrator keeps as many runs in flight as there are free places whose claims do not clash. It has no threads: all
+that it waits for is *awaited* in one poll loop (`patience.py`), a run in flight like the end of a rest. So a place
 
 1. begins a run and returns at once with a `RunInFlight`;
 2. names descriptors that become readable when there is something to do, and the moment at which that is due at the
    latest;
 3. does in `advance` what there is to do, and never waits there.
 
-What comes to light of a run is reported in the order in which it happened, before its end is told. The orchestrator
-alone writes the journal and the run table.
+Records of a run are reported in the order in which they were made, and before `advance` returns that it is over. The
+orchestrator alone writes the journal and the run table.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.task import OutcomeBuilder, Report, RunOutcome, RunTask
 
-#: Why a run is ended that the user's interruption ends.
+#: The reason why a run ended that the user's interruption has ended.
 INTERRUPTED = "the user interrupted the experiment"
 
 
@@ -41,15 +41,15 @@ class Awaited(Protocol):
         """Do what there is to do, without waiting; return whether it is over. Not called again once it is."""
 
     def stop(self, because: str, *, is_interruption: bool = False) -> None:
-        """Have it end soon; what it has opened is closed first. Asked again, it does nothing more.
+        """Let it end soon; what it has opened is closed first. Another call changes nothing.
 
         Args:
             because: why, in words: it becomes the reason why the run failed.
-            is_interruption: whether the user has asked for it, so that the run is to do again.
+            is_interruption: whether the user has asked for it, so that the run is to be done again.
         """
 
     def kill(self) -> None:
-        """Have it end at once: the user has asked twice."""
+        """End it at once: the user has asked twice."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ class RunInFlight(Awaited, Protocol):
         """Return how the attempt went, once it is over, whatever became of the run."""
 
     def close(self) -> None:
-        """Let go of it. A run that is still being executed is ended first, and waited for."""
+        """Release its resources. A run that is still being executed is ended first, and awaited."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,14 +92,13 @@ class Place(Protocol):
     """Where one run at a time can be executed.
 
     Attributes:
-        name: tells it from the other places: for screens, the journal and findings.
-        experiment: as a run here has it: with the robot of this place. Gates and callbacks of the orchestrator see it.
-        slot: the number under which the files are kept that a run on this machine has while it is executed, from 1; 0
-            where it has none here.
-        is_aside: whether it takes no runs any more, or not now: its worker is gone, or its robot was set aside.
+        name: unique among the places; for screens, the journal and findings.
+        experiment: with the robot of this place, for its runs, gates and callbacks of the orchestrator.
+        slot: the number of the files that a run on this machine has while it is executed, from 1; 0 on another machine.
+        is_unavailable: whether it takes no runs any more, or not now: its worker is gone, or its robot was set aside.
     """
 
-    is_aside: bool
+    is_unavailable: bool
 
     @property
     def name(self) -> str: ...  # noqa: D102 - as above
@@ -124,12 +123,12 @@ class Place(Protocol):
     def begin(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunInFlight:
         """Begin one attempt at a run, and return at once.
 
-        A place that cannot begin it says so by the outcome of what it returns, and is aside from then on.
+        A place that cannot begin it returns a run with that outcome, and is unavailable from then on.
 
         Args:
             task: what is executed.
-            builder: holds what was known of the attempt before; it takes each record before `watch.report` does.
-            watch: what the orchestrator wants to know meanwhile.
+            builder: has what the orchestrator has recorded of the attempt; it takes each record before `watch.report`.
+            watch: takes the records.
         """
 
 
@@ -138,7 +137,7 @@ class Places(Protocol):
 
     @property
     def all(self) -> Sequence[Place]:
-        """Those that are there now, in a lasting order, with those that are aside."""
+        """Those that are there now, in a lasting order, the unavailable ones included."""
 
     @property
     def descriptors(self) -> Collection[int]:
@@ -149,14 +148,14 @@ class Places(Protocol):
         """When `advance` is to be called at the latest, on the monotonic clock (s); None for no such moment."""
 
     def advance(self, *, is_idle: bool = False) -> Sequence[str]:
-        """Take note, without waiting, of places that have come or gone; return in words what a person should know.
+        """Update, without waiting, which places there are; return in words what a person should know.
 
         Args:
-            is_idle: whether nothing is in flight or prepared anywhere, as no place that is there suits what is left.
+            is_idle: whether nothing is in flight or prepared, as no place can execute what is left.
 
         Raises:
-            ExecutionError: none is left, and none is to come; or for too long there has been none that suits.
+            ExecutionError: no place is left, and none will come; or for too long none could execute what is left.
         """
 
     def close(self) -> None:
-        """Let go of all of them; no run is in flight any more."""
+        """Release all of them; no run is in flight any more."""

@@ -1,4 +1,4 @@
-"""What the processes of a run need of the operating system: forking, leaving, parents, orphans, groups."""
+"""System calls around processes: forking, exiting, parents, orphans, process groups."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterator
+from contextlib import ExitStack, suppress
 from io import TextIOWrapper
 from typing import NoReturn, TextIO
 
@@ -29,9 +29,9 @@ from robot_runner.core.storage.outliving import (
     processes,
 )
 
-#: Where nothing wakes us, we look this often, in seconds.
+#: How often it is checked whether a process has ended, where nothing can be polled, s.
 _LOOK = 0.02
-#: A poll cannot wait longer than 24 days, s.
+#: One poll waits no longer, s: its limit is 24 days.
 _A_DAY = 86_400.0
 
 # From <linux/prctl.h>; Python's library has no prctl.
@@ -44,33 +44,33 @@ if sys.platform == "linux":
 
 
 def adopt_orphans() -> None:
-    """Become the parent of whatever a descendant leaves behind when it ends, whatever its session (Linux only)."""
+    """Become the parent of orphaned descendants, whatever their session (Linux only)."""
     if _prctl is not None:
         _prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
 def stop_with_parent() -> None:
-    """Have SIGTERM sent to this process when its parent dies (Linux only)."""
+    """Let the system send SIGTERM to this process when its parent dies (Linux only)."""
     if _prctl is not None:
         _prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
 
 
 class _Part:
-    """Whether this process was forked to be a part of the experiment: a keeper, a standby, who watches a deadline.
+    """Whether this process was forked as a part of the experiment: a keeper, a standby, a watcher.
 
-    It then takes stop signals as the orchestrator does, and not as a process that a callback has forked.
+    It then handles stop signals as the orchestrator does, unlike a process that a callback has forked.
     """
 
     is_one = False
 
 
 def is_part() -> bool:
-    """Whether this process was made by `forked`, and has not begun to be a run."""
+    """Return whether this process was made by `forked`, and has not become a run."""
     return _Part.is_one
 
 
 def begin_run_of_its_own() -> None:
-    """Be a run from now on: what it forks is forked by callbacks."""
+    """Note that this process is a run from now on: what it forks is forked by callbacks."""
     _Part.is_one = False
 
 
@@ -93,7 +93,7 @@ def _forked() -> int:
     try:
         if sys.version_info < (3, 12) or threading.active_count() > 1:
             return os.fork()
-        # Python counts the threads of C libraries (OpenBLAS) as well and warns; these know how to be forked.
+        # Python counts the threads of C libraries (OpenBLAS), too, and warns; these libraries can be forked.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)
             return os.fork()
@@ -102,7 +102,7 @@ def _forked() -> int:
 
 
 def no_process(error: OSError) -> ExecutionError:
-    """Return the error that the process of a run cannot be started, as the system allows no more of something."""
+    """Return the error for a system that has no process, descriptor or memory left for a run."""
     fix = (
         "End other programs, use fewer workers, or raise the limits of processes and open files (ulimit -u, ulimit -n)."
     )
@@ -110,14 +110,14 @@ def no_process(error: OSError) -> ExecutionError:
 
 
 def leave_after(work: Callable[[], None], report: Report) -> NoReturn:
-    """Do the work of a forked process and leave it; nothing of the orchestrator's is executed or cleaned up here."""
+    """Do the work of a forked process and exit, without the clean-up that is the orchestrator's."""
     code = 1
     try:
         work()
         code = 0
-    except BaseException as error:  # noqa: BLE001 - the last resort: it must be known before the process ends
+    except BaseException as error:  # noqa: BLE001 - the last resort: it must be reported before the process ends
         report("failure", {"event": "", "owner": "", **failure_fields(error)})
-        report(FINISHED, {})  # the exit code that follows says less
+        report(FINISHED, {})  # otherwise the exit code would be reported as a second failure
     finally:
         try:
             sys.stdout.flush()
@@ -127,16 +127,16 @@ def leave_after(work: Callable[[], None], report: Report) -> NoReturn:
 
 
 def flush_streams() -> None:
-    """Hand what was printed to the system; a callback may have closed a stream, or taken it away."""
+    """Flush what was printed; a callback may have closed or replaced a stream."""
     for stream in (sys.stdout, sys.stderr):
         with suppress(AttributeError, OSError, ValueError):
             stream.flush()
 
 
 def settle_streams() -> None:
-    """Print line by line, in UTF-8, and not on the orchestrator's screen, which may stand in for the streams.
+    """Print line by line, in UTF-8, to the original streams: the orchestrator's screen may have replaced them.
 
-    Reading a line from its keyboard would draw that screen, too. What the environment keeps secret is not printed.
+    Values of the environment that are secret are masked.
     """
     # Both names: the stream beneath is closed with the last of them.
     sys.stdout = sys.__stdout__ = _settled(sys.__stdout__)  # type: ignore[assignment, misc]
@@ -147,13 +147,13 @@ def settle_streams() -> None:
 def _settled(stream: TextIO | None) -> TextIO | None:
     if not isinstance(stream, TextIOWrapper):
         return stream
-    with suppress(OSError):  # a full disk: the orchestrator has said so
+    with suppress(OSError):  # a full disk, which the orchestrator reports
         stream.flush()
     return MaskedText(stream.detach(), encoding="utf-8", errors="backslashreplace", line_buffering=True)
 
 
 def use_no_streams() -> None:
-    """Let go of the inherited streams: a program that reads the orchestrator's output must not wait for our end."""
+    """Close the inherited streams: a program that reads the orchestrator's output must not wait for this process."""
     nothing = os.open(os.devnull, os.O_RDWR)
     for descriptor in (0, 1, 2):
         os.dup2(nothing, descriptor)
@@ -171,7 +171,7 @@ def has_children() -> bool:
 
 
 def children() -> Iterator[int]:
-    """Return the ids of this process's children, of adopted ones too; of none where there is no /proc (macOS)."""
+    """Yield the ids of this process's children, adopted ones included; none where there is no /proc (macOS)."""
     own = str(os.getpid())
     return (pid for pid in processes() if process_stat(pid)[PARENT:GROUP] == [own])
 
@@ -184,7 +184,7 @@ def group_ended(leader: int, grace: float, spared: Callable[[], frozenset[int]])
     Args:
         leader: the id of the process, and of its group.
         grace: how long it may take.
-        spared: returns those of the group that may go on.
+        spared: returns the processes of the group that may go on.
     """
     deadline = time.monotonic() + grace
     with suppress(ProcessLookupError):
@@ -198,17 +198,17 @@ def group_ended(leader: int, grace: float, spared: Callable[[], frozenset[int]])
 def kill_group(leader: int, spared: Callable[[], frozenset[int]]) -> None:
     """Kill the rest of a process group, except the processes that `spared` returns and their descendants."""
     with suppress(ProcessLookupError, PermissionError):  # macOS: no permission where all of them are zombies
-        os.killpg(leader, 0)  # nearly always nobody is left, and `spared` has not to be asked
+        os.killpg(leader, 0)  # nearly always no process is left, and `spared` need not read its file
         if not (going_on := spared()):
             os.killpg(leader, signal.SIGKILL)
             return
         for pid in processes():
             if process_stat(pid)[GROUP:SESSION] == [str(leader)] and not is_spared(pid, going_on):
-                is_killed(pid)
+                try_kill(pid)
 
 
-def is_killed(pid: int) -> bool:
-    """Kill a process and return whether that is allowed: one that became another user by `sudo` stays."""
+def try_kill(pid: int) -> bool:
+    """Kill a process; return False where that is not allowed (it became another user by `sudo`), or it is gone."""
     try:
         os.kill(pid, signal.SIGKILL)
     except (PermissionError, ProcessLookupError):
@@ -216,24 +216,32 @@ def is_killed(pid: int) -> bool:
     return True
 
 
-def ends(pid: int, seconds: float | None = None) -> bool:
-    """Wait until a process has ended, as a zombie too; return whether it has within so many seconds, a day at most."""
+def await_end(pid: int, seconds: float | None = None) -> bool:
+    """Wait until a process has ended, if only as a zombie; return whether it has within `seconds` (at most a day)."""
+    return bool(await_an_end([pid], seconds))
+
+
+def await_an_end(pids: Collection[int], seconds: float | None = None) -> list[int]:
+    """Wait until one of several processes has ended; return those that have, of none within `seconds` nothing."""
     if hasattr(os, "pidfd_open"):
-        try:
-            descriptor = os.pidfd_open(pid)
-        except ProcessLookupError:
-            return True
-        poll = select.poll()
-        poll.register(descriptor, select.POLLIN)
-        has_ended = bool(poll.poll(None if seconds is None else min(seconds, _A_DAY) * 1000))
-        os.close(descriptor)
-        return has_ended
+        poll, watched = select.poll(), dict[int, int]()
+        with ExitStack() as opened:
+            for pid in pids:
+                try:
+                    descriptor = os.pidfd_open(pid)
+                except ProcessLookupError:
+                    return [pid]
+                opened.callback(os.close, descriptor)
+                poll.register(descriptor, select.POLLIN)
+                watched[descriptor] = pid
+            ready = poll.poll(None if seconds is None else min(seconds, _A_DAY) * 1000)
+            return [watched[descriptor] for descriptor, _ in ready]
     deadline = None if seconds is None else time.monotonic() + seconds
-    while _goes_on(pid):  # macOS
+    while not (ended := [pid for pid in pids if not _goes_on(pid)]):  # macOS
         if deadline is not None and time.monotonic() >= deadline:
-            return False
+            break
         time.sleep(_LOOK)
-    return True
+    return ended
 
 
 def _goes_on(pid: int) -> bool:

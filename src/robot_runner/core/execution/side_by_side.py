@@ -21,9 +21,9 @@ from robot_runner.core.execution.task import AttemptStatus, PendingRun, RunOutco
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.run_table_rows import RunTableRows
 
-#: As many runs that cannot begin yet are passed over to find one that can.
+#: How many runs that cannot begin yet are passed over at most to find one that can.
 _AHEAD = 64
-#: A robot on which as many runs in a row have failed takes no more, while another one is left.
+#: A robot on which so many runs in a row have failed is set aside, unless it is the last one.
 _MOST_FAILURES = 3
 
 
@@ -34,7 +34,7 @@ class _Busy:
     Attributes:
         holds: the claims of the run.
         task: the run with its treatments.
-        steps: what is left to do of it.
+        steps: of the run, see `patience.py`.
         awaited: what it waits for now.
     """
 
@@ -47,7 +47,7 @@ class _Busy:
 
 
 class SideBySide:
-    """Keeps as many runs in flight as there are free places whose claims suit.
+    """Keeps as many runs in flight as there are free places whose claims do not clash.
 
     Args:
         ongoing: the experiment whose runs they are.
@@ -100,12 +100,9 @@ class SideBySide:
             self._let_go()
 
     def _await_elsewhere(self) -> None:
-        """Wait for what other machines may go on with that a killed execution has ordered, where this one has others.
-
-        A robot would be commanded twice at a time, and a run that ends there would write into the folder of its name.
-        """
+        """Wait until runs of a killed execution on other machines have ended: else two runs would command one robot."""
         ongoing, folder = self._ongoing, self._ongoing.experiment.folder
-        if ongoing.experiment.parameters.cluster is not None:  # which awaits that itself, by a mark of its own
+        if ongoing.experiment.parameters.cluster is not None:  # its places wait themselves
             return
         found = runs_elsewhere(folder)
         if not found or next(iter(self._progress.pending(0)), None) is None:
@@ -121,7 +118,7 @@ class SideBySide:
     def _choose(self) -> tuple[PendingRun, RunTask, Place, frozenset[str]] | None:
         """Return the first run that can begin now, with its place and its claims; None if there is none."""
         busy = {each.place.name for each in self._busy}
-        free = [each for each in self._places.all if not each.is_aside and each.name not in busy]
+        free = [each for each in self._places.all if not each.is_unavailable and each.name not in busy]
         for place_in_queue in range(_AHEAD if free else 1):
             if place_in_queue == len(self._passed_over):
                 following = next(self._left, None)
@@ -134,7 +131,7 @@ class SideBySide:
             run = self._passed_over[place_in_queue]
             task = self._progress.task_of(run)
             if any(each.task.is_warm_up is not task.is_warm_up for each in self._busy):
-                return None  # what warms up is over before anything is measured
+                return None  # warm-up runs and measured runs are never in flight together
             if self._has_to_wait(task, place_in_queue):
                 continue
             suitable = dict(self._suitable(free, task))
@@ -147,7 +144,7 @@ class SideBySide:
         return None
 
     def _has_to_wait(self, task: RunTask, place_in_queue: int) -> bool:
-        """Return whether the design has this run wait for one that is in flight, or that comes before it and waits."""
+        """Return whether by the design this run waits for one that is in flight, or for an earlier one that waits."""
         held = self._attempts.held
         if held.is_open:
             return False
@@ -173,7 +170,7 @@ class SideBySide:
     @property
     def _count(self) -> int:
         """How many places take runs."""
-        return sum(not place.is_aside for place in self._places.all)
+        return sum(not place.is_unavailable for place in self._places.all)
 
     def _begin(self, run: PendingRun, task: RunTask, place: Place, holds: frozenset[str], *, is_cleared: bool) -> None:
         finished = self._finished.get(place.name)
@@ -188,21 +185,21 @@ class SideBySide:
         self._busy.append(_Busy(place, run, holds, task, steps, awaited))
 
     def _end(self, run: PendingRun, place: Place, outcome: RunOutcome | None) -> None:
-        """Take down that a run has come to its end at a place, and set a robot aside that fails again and again."""
+        """Note that a run has ended at a place, and set a robot aside after `_MOST_FAILURES` in a row."""
         self._may_begin = True
         self._finished[place.name] = run
         if self._turns is None:
             return
         again, finding = self._turns.end(run, self._progress.task_of(run), place, outcome, self._count)
         if finding is not None:
-            place.is_aside = True
+            place.is_unavailable = True
             self._passed_over.extendleft(reversed(again))
             self._progress.expect_places(self._count, again)
             self._progress.note("set_aside", flush=True, place=place.name, problem=finding.problem)
             self._ongoing.find(finding)
 
     def _await(self) -> None:
-        """Wait until something that a run waits for is over, and go on with that run."""
+        """Wait until runs in flight can go on, and resume their steps."""
         over = self._ongoing.patience.turn([each.awaited for each in self._busy], self._places)
         self._take_note_of_places()
         for each in [each for each in self._busy if each.awaited in over]:
@@ -215,10 +212,10 @@ class SideBySide:
                     self._passed_over.appendleft(each.run)
 
     def _await_place(self) -> None:
-        """Wait for a place where nothing is in flight, and no place suits what is left.
+        """Wait for a place that can execute what is left, while nothing is in flight.
 
         Raises:
-            ExecutionError: none is to come.
+            ExecutionError: none can come.
         """
         if not (self._places.descriptors or self._places.due is not None):
             raise ExecutionError(
@@ -234,13 +231,13 @@ class SideBySide:
             return
         for problem in self._places.advance(is_idle=is_idle):
             self._attempts.tell_of_place(problem)
-        there = [each for each in self._places.all if not each.is_aside]
+        there = [each for each in self._places.all if not each.is_unavailable]
         if there != self._there:
             self._may_begin, self._there = True, there
             self._progress.expect_places(max(1, len(there)))
 
     def _let_go(self) -> None:
-        """End what is still in flight where the experiment cannot go on: all together, then one after another."""
+        """End the runs that are in flight where the experiment cannot go on: ask all to stop, then close each."""
         for each in self._busy:
             each.awaited.stop("the experiment could not go on")
         with ExitStack() as closing:  # all of them, whatever one of them raises
@@ -250,7 +247,7 @@ class SideBySide:
 
 
 class _Turns:
-    """Has each combination executed equally often on each robot, where that is possible."""
+    """Chooses robots so that each combination is executed equally often on each of them, where that is possible."""
 
     def __init__(self) -> None:
         self._planned: Counter[object] = Counter()
@@ -259,9 +256,9 @@ class _Turns:
         self._failed: defaultdict[str, list[PendingRun]] = defaultdict(list)
 
     def plan(self, rows: RunTableRows, to_do: Container[int]) -> None:
-        """Count what is planned and what each robot has done; runs that are to be executed again do not count.
+        """Count what is planned and what each robot has done, without runs that are executed again.
 
-        How often a robot has failed in a row stays known, as runs may follow from the results one by one.
+        Failures in a row are not reset: an adaptive design adds runs one by one, each with a plan.
         """
         places = [place for place in range(len(rows)) if rows.excluded(place) is None or place in to_do]
         groups = {place: _group(rows.combination(place), rows.repetition(place)) for place in places}
@@ -280,16 +277,16 @@ class _Turns:
         return min(fair, key=lambda place: (self._taken[group, place.name], self._all[place.name]), default=None)
 
     def begin(self, task: RunTask, place: Place) -> None:
-        """Take down that a robot takes a run."""
+        """Note that a robot begins a run."""
         self._count(_group(task.combination, task.repetition), place.name, 1)
 
     def end(
         self, run: PendingRun, task: RunTask, place: Place, outcome: RunOutcome | None, count: int
     ) -> tuple[list[PendingRun], Finding | None]:
-        """Take down how a run went.
+        """Note how a run went.
 
         Returns:
-            the runs that others are to execute again, as this robot is to be set aside, and why; none where it is not.
+            if the robot is to be set aside, the runs that others execute again, and the finding; else nothing.
         """
         if outcome is not None and outcome.status is AttemptStatus.DONE:
             self._failed[place.name].clear()
@@ -312,5 +309,5 @@ class _Turns:
 
 
 def _group(combination: Mapping[str, Any], repetition: int) -> object:
-    """Return what is to be executed equally often on each robot: a combination, and what warms up."""
+    """Return the key of the runs that each robot executes equally often: a combination, or all warm-up runs."""
     return "warm-up" if repetition == 0 else combination_key(combination)

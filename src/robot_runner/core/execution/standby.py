@@ -1,9 +1,9 @@
 """The standby of a run: a process that makes the systems safe where the run died before it had done so itself.
 
 A run that is killed, crashes in C or is out of memory closes nothing: a robot without a watchdog would carry out its
-last command for ever. The standby is forked by the run's keeper, has imported what reaches the robot, has joined its
-graph where that takes long, and waits for the run's death. It needs nobody for that: it acts as well where keeper and
-orchestrator have been killed, too.
+last command for ever. The standby is forked by the run's keeper, imports what the link needs, joins the robot's graph
+where that takes long, and waits for the run's death. It acts also where keeper and orchestrator have been killed, too;
+where the run outlives an orchestrator whose keeper is dead or stopped, it ends the run first.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import fcntl
 import os
 import signal
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, suppress
@@ -23,7 +24,13 @@ from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.execution.left_over import has_locked
-from robot_runner.core.execution.processes import ends, forked, settle_streams, use_no_streams
+from robot_runner.core.execution.processes import (
+    await_an_end,
+    await_end,
+    forked,
+    settle_streams,
+    use_no_streams,
+)
 from robot_runner.core.execution.run_events import made_safe, run_contexts
 from robot_runner.core.execution.run_records import failure_fields
 from robot_runner.core.execution.systems_state import Care, SystemsFile, SystemsState
@@ -34,55 +41,59 @@ from robot_runner.core.plugin import System
 from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor
 from robot_runner.core.storage.layout import ExperimentFolder, print_to_log
 from robot_runner.core.storage.lock_files import open_to_lock, was_open_to_strangers
+from robot_runner.core.storage.outliving import is_stopped
 from robot_runner.core.treatments import factors_of
 from robot_runner.core.words import enumerated
 
-#: How long the standby may take from the run's death on, s. Finding a robot's nodes takes tenths, or up to 8 s where
-#: one is switched off; telling the robot to stand still takes 4 to 12 s; and where something fails, all of it is done
-#: twice at least.
+#: How long the standby may take from the run's death on, s. Finding a robot's nodes takes tenths of a second, or up to
+#: 8 s where one is switched off; stopping the robot takes 4 to 12 s; and where something fails, all of it is done at
+#: least twice.
 LONGEST = 40.0
-#: For how long after the run's death, and how often, it is begun anew where the robot cannot be reached, s: what has
-#: killed the run may have taken a server or the network along, and both come back.
+#: For how long after the run's death, and how often, it is tried again where the robot cannot be reached, s: whatever
+#: killed the run may have killed a server or the network, too, and both may come back.
 _RETRYING, _AGAIN = 15.0, 0.5
 #: How long it may take to die once it was killed, s.
 _DYING = 5.0
-#: Enough for any process's id.
+#: The longest text that is read as a process id, in bytes.
 _DIGITS = 20
-#: How often we look whether another process has ended, s.
-_LOOK = 0.02
+#: How often it is checked whether another process has ended, and whether a standby that is awaited is stopped, s.
+_LOOK, _OFTEN = 0.02, 0.5
+#: How much longer than the grace a run may go on without an orchestrator, s: ending it is its keeper's work.
+_MARGIN = 2.0
 
 
 class Standby:
-    """Makes the systems of a run safe where the run has died and has not.
+    """Makes the systems of a run safe where the run died before it had done so.
 
     Args:
-        systems: of the run; they have a `make_safe` of their own.
-        experiment: of the run; who executes it next waits for this process.
+        systems: those of the run that have a `make_safe` of their own.
+        experiment: of the run; its next execution waits for this process.
         task: the run.
-        is_for_all: whether nothing of the run is to be made safe but these systems, and its robot.
+        is_for_all: whether all of the run is safe afterwards; False where other systems are left to be made safe.
 
     Attributes:
         systems: that are made safe.
-        state: what its processes tell each other.
+        state: shared by the run, its keeper, the standby and the orchestrator.
     """
 
     def __init__(
         self, systems: Sequence[System], experiment: Experiment, task: RunTask, *, is_for_all: bool = True
     ) -> None:
-        # One with bound parameters is built again, in its place, for a run that begins beside this one.
+        # A system with bound parameters is built anew, in place, for a run that begins while this one goes on.
         self.systems = [shallow_copy(each) if factors_of(each) else each for each in systems]
         self._experiment = experiment
         self._task = task
         self._is_for_all = is_for_all
+        self._orchestrator = os.getpid()
         self._pid = 0
         self.state = SystemsState()
 
     def begin(self, run: int | None, let_go: Sequence[int] = ()) -> None:
-        """Fork the process that waits for the death of the run, and let go of these descriptors in it.
+        """Fork the process that waits for the death of the run.
 
         Args:
-            run: the process; None where it is known to be dead.
-            let_go: what the process that is forked closes.
+            run: the run's process; None where it is known to be dead.
+            let_go: descriptors that the forked process closes.
         """
         self._pid = forked()
         if self._pid == 0:
@@ -91,38 +102,44 @@ class Standby:
             self._stand_by(run)
 
     def wait(self, seconds: float = LONGEST) -> None:
-        """Wait until the process of `begin` has ended, once the run is dead; kill it where it hangs."""
-        if hangs := not ends(self._pid, seconds):
+        """Wait until the process of `begin` has ended, once the run is dead; kill it where it hangs or is stopped."""
+        deadline, was_stopped = time.monotonic() + seconds, False
+        while not (has_ended := await_end(self._pid, min(seconds, _OFTEN))):
+            if (was_stopped := is_stopped(self._pid)) or time.monotonic() >= deadline:
+                break
+        if not has_ended:
             with suppress(ProcessLookupError):
                 os.kill(self._pid, signal.SIGKILL)
-        with suppress(ChildProcessError):  # reaped by who reaps all
+        with suppress(ChildProcessError):  # the keeper reaps all its children
             os.waitpid(self._pid, 0)
-        if hangs and self.state.care is Care.STANDBY:
+        if not (has_ended or was_stopped) and self.state.care is Care.STANDBY:
             self.state.set(Care.OUT_OF_REACH, f"that took longer than {LONGEST:g} s")
 
     def look_after(self, run: int) -> None:
-        """Wait for the standby of a run that is dead, and do its work where it was killed."""
+        """Wait for the standby of a run that is dead, and do its work where it was killed or stopped."""
         for seconds in self.looked_after(run):
             time.sleep(seconds)
 
     def looked_after(self, run: int) -> Iterator[float]:
-        """Do the same step by step, for the orchestrator: yield how long to wait each time, s."""
+        """Do the same as `look_after` step by step, for the orchestrator: yield how long to wait each time, s."""
         deadline = time.monotonic() + LONGEST
         while self._acts() and time.monotonic() < deadline:
             yield _LOOK
-        # Nobody stood by any more, or it was killed meanwhile, or has not woken up yet: twice does no harm.
+        # The standby was killed or stopped, or has not woken up yet: making a system safe twice does no harm.
         if self.state.care in {Care.RUN, Care.STANDBY} and not self._acts():
+            with suppress(StorageError):  # once continued, a stopped one would command the robot in the midst of a run
+                kill_if_stopped(self._experiment.folder)
             self.state.set(Care.RUN)
             self.begin(run)
             deadline = time.monotonic() + LONGEST
-            while not ends(self._pid, 0.0) and time.monotonic() < deadline:
+            while not (await_end(self._pid, 0.0) or is_stopped(self._pid)) and time.monotonic() < deadline:
                 yield _LOOK
             self.wait(0.0)
 
     def _acts(self) -> bool:
-        """Whether the process that stood by is alive and makes the systems safe."""
+        """Return whether the standby is alive, not stopped, and making the systems safe."""
         with suppress(StorageError):
-            return self.state.care is Care.STANDBY and locked_by(self._experiment.folder) is not None
+            return self.state.care is Care.STANDBY and is_at_work(self._experiment.folder)
         return False
 
     def finding(self) -> dict[str, Any] | None:
@@ -143,45 +160,57 @@ class Standby:
         }
 
     def _stand_by(self, run: int | None) -> NoReturn:
-        use_no_streams()  # what client libraries print while they join is not for the screen of who has forked this
+        use_no_streams()  # client libraries print while they join a graph, which is not for the orchestrator's screen
         try:
-            with suppress(Exception):  # a folder that was removed: no lock is worth a robot that drives on
+            with suppress(Exception):  # a folder that was removed: stopping the robot matters more than the lock
                 _lock(self._experiment.folder)
             with closing(_Connection(self._experiment, self._task)) as connection:
-                with suppress(Exception):  # the run fails for the same reason, and says so
+                with suppress(Exception):  # the run fails for the same reason, and reports it
                     preload_robot(self._experiment.parameters.robot)
                     join_beforehand(connection.contexts(CONFIG_OWNER))
                 for system in self.systems:
                     with suppress(Exception):
                         system.stand_by(connection.contexts(system.name))
                 if run is not None:
-                    ends(run)
+                    self._await_end(run)
                 if self.state.care is Care.RUN:
                     self._act(connection)
         finally:
             os._exit(0)
 
+    def _await_end(self, run: int) -> None:
+        """Wait until the run has ended; end it where its orchestrator is dead and its keeper is, too, or is stopped."""
+        if run in await_an_end([run, self._orchestrator]):
+            return
+        for number in (signal.SIGTERM, signal.SIGKILL):  # asked twice, by us and by its keeper, it closes once
+            with suppress(ProcessLookupError):
+                os.kill(run, number)
+            with suppress(OSError):  # no descriptor is left to wait with
+                if await_end(run, self._experiment.parameters.grace_in_s + _MARGIN):
+                    return
+
     def _act(self, connection: _Connection) -> None:
-        self.state.set(Care.STANDBY)
+        with suppress(OSError):  # stopping the robot matters more than saying so
+            self.state.set(Care.STANDBY)
         deadline = time.monotonic() + _RETRYING
         try:
-            with suppress(Exception):  # no log is worth a robot that drives on
+            with suppress(Exception):  # stopping the robot matters more than the log
                 print_to_log(self._experiment.folder)
                 settle_streams()
             try:
                 unheard = self._make_safe(connection)
-            except Exception:  # noqa: BLE001 - the connection may have been lost since: what fails again is told
+            except Exception:  # noqa: BLE001 - the connection may have been lost: what fails again is reported
                 unheard = self._make_safe_anew(deadline)
-        except BaseException as error:  # noqa: BLE001 - whatever it is, a person has to know that nobody stopped the robot
+        except BaseException as error:  # noqa: BLE001 - whatever it is, a person must know that the robot was not stopped
             self.state.set(Care.OUT_OF_REACH, failure_fields(error)["problem"])
         else:
             names = enumerated(sorted(unheard))
             if self._is_for_all:
-                SystemsFile(self._experiment.folder).remove()  # first: the next run may begin once it is known
+                SystemsFile(self._experiment.folder).remove()  # first: the next run may begin once the state is set
             self.state.set(Care.MADE_SAFE, f"nobody subscribes to {names} any more" if unheard else "")
 
     def _make_safe_anew(self, deadline: float) -> list[str]:
-        """Do it over a connection of its own, and, until then, again where the robot cannot be reached."""
+        """Make the systems safe over a new connection; try again until `deadline` where the robot is not reached."""
         while True:
             try:
                 with closing(_Connection(self._experiment, self._task)) as another:
@@ -192,23 +221,23 @@ class Standby:
             time.sleep(_AGAIN)
 
     def _make_safe(self, connection: _Connection) -> list[str]:
-        """Stop the robot where it was commanded, make each system safe, and stop it again, whatever fails of that.
+        """Stop the robot on each topic, make each system safe, and stop the robot again, whatever fails of that.
 
         Returns:
-            the topics to which nobody subscribes any more.
+            the topics without a subscriber.
         """
         commanded, unheard = self.state.commanded, list[str]()
         with ExitStack() as each_of_them:  # the last one first, as the run does it
             each_of_them.callback(lambda: unheard.extend(connection.stop_again(commanded)))
             for system in self.systems:
                 each_of_them.callback(made_safe, system, connection.contexts(system.name))
-            for topic, message_type in commanded:  # also for who has no `make_safe`, such as a config
+            for topic, message_type in commanded:  # a config, which has no `make_safe`, may have commanded, too
                 each_of_them.callback(connection.stop, topic, message_type)
         return unheard
 
 
 class _Connection:
-    """What is opened to reach the systems of a run.
+    """The links to the systems of a run.
 
     Attributes:
         contexts: makes the context of each owner.
@@ -221,11 +250,11 @@ class _Connection:
         )
 
     def stop(self, topic: str, message_type: str) -> None:
-        """Command a robot to stand still."""
+        """Publish a zero velocity."""
         connect_robot(self.contexts(CONFIG_OWNER)).publish(topic, message_type, {})
 
     def stop_again(self, commanded: Sequence[tuple[str, str]]) -> list[str]:
-        """Repeat the stop command for some seconds, by topic and type, and until every subscriber is reached.
+        """Repeat the zero velocity for some seconds, and until every subscriber is reached.
 
         Returns:
             the topics without any subscriber.
@@ -236,7 +265,7 @@ class _Connection:
         return keep_commanding_zero(connect_robot(self.contexts(CONFIG_OWNER)), commanded) if commanded else []
 
     def close(self) -> None:
-        """Close it."""
+        """Close the links."""
         self._resources.close()
 
 
@@ -249,7 +278,7 @@ def _lock(folder: ExperimentFolder) -> None:
 
 
 def locked_by(folder: ExperimentFolder) -> int | None:
-    """Return the process that stands by; None where nobody does, or where only a stranger has locked the file."""
+    """Return the process id of the standby; None where there is none, or only another user has locked the file."""
     try:
         descriptor = open_descriptor(folder.standing_by, folder.root, os.O_RDONLY)
     except MissingFileError:
@@ -265,8 +294,30 @@ def locked_by(folder: ExperimentFolder) -> int | None:
     return None
 
 
+def is_at_work(folder: ExperimentFolder) -> bool:
+    """Return whether a slot has a standby that is not stopped."""
+    pid = locked_by(folder)
+    return pid is not None and not is_stopped(pid)
+
+
+def kill_if_stopped(folder: ExperimentFolder) -> bool:
+    """Kill the standby of a slot where it is stopped; return whether it was."""
+    pid = locked_by(folder)
+    if pid is None or not is_stopped(pid):
+        return False
+    kill_standby(pid, folder)
+    return True
+
+
+def kill_standby(pid: int, folder: ExperimentFolder) -> None:
+    """Kill a process, unless it is not the standby: the number in the file may be wrong."""
+    if pid > 1 and (sys.platform != "linux" or has_locked(pid, folder.standing_by.resolve())):
+        with suppress(ProcessLookupError, PermissionError):
+            os.kill(pid, signal.SIGKILL)
+
+
 def standby_of(experiment: Experiment, task: RunTask) -> Standby | None:
-    """Return the standby of a run; None where nothing outlives it that would have to be made safe.
+    """Return the standby of a run; None where nothing has to be made safe after its death.
 
     The embedded simulation lives in the run's own process and dies with it.
     """

@@ -1,6 +1,7 @@
-"""Which process is responsible for a run's systems: known to the run, its keeper, its standby and the orchestrator.
+"""Which process is responsible for a run's systems: shared by the run, its keeper, its standby and the orchestrator.
 
-Where all of them were killed, a file in the experiment's folder tells the next execution what is not safe yet.
+Where all of them were killed, a file in the experiment's folder tells the next execution what is not safe yet, and a
+copy of it, among the user's claims, whoever uses that robot next: the folder may have been removed or renamed.
 """
 
 from __future__ import annotations
@@ -13,28 +14,33 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, TypeGuard
 
 from robot_runner.core.errors import StorageError
 from robot_runner.core.links.commanded_topics import VELOCITIES
+from robot_runner.core.storage.claim_locks import state_folder
 from robot_runner.core.storage.guarded_files import open_to_append, open_to_fill, read_text, remove, replace
 from robot_runner.core.storage.journal import journal_lines
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.system_refusals import fsync_file
 
-#: The longest reason that is kept of why a system could not be made safe, bytes.
+# Layout of the shared file: one byte for `Care`, the reason, and a line for each commanded topic.
+#: The size of the reason, bytes; a longer one is cut.
 _REASON = 2000
-#: Behind it stand the commanded topics, a line each.
+#: Where the topics begin.
 _TOPICS = 1 + _REASON
-#: The longest list of them, bytes; a robot has one or two.
+#: The longest list of topics, bytes; a robot has one or two.
 _LONGEST_LIST = 100_000
-#: The types by which a robot is stopped; as a list, as whatever was read may be compared with it.
+#: The folder of the copies, beside that of the claims.
+_COPIES = "left"
+#: The types by which a robot is stopped. A list, as what was read from a file need not be hashable.
 _STOPPED = sorted(VELOCITIES)
 
 
 class Care(IntEnum):
-    """Who has the care of a run's systems."""
+    """Who is responsible for a run's systems, or what has become of them."""
 
     NOBODY_YET = 0
     RUN = 1
@@ -45,7 +51,7 @@ class Care(IntEnum):
 
 
 class SystemsState:
-    """What the processes of a run tell each other of its systems: a file without a name, which all of them inherit.
+    """The state of a run's systems in an unnamed file, which all processes of the run inherit.
 
     Attributes:
         descriptor: of that file; a process that replaces itself hands it on.
@@ -60,12 +66,12 @@ class SystemsState:
 
     @property
     def care(self) -> Care:
-        """Who has the care of the systems now."""
+        """Who is responsible for the systems now."""
         return Care((os.pread(self.descriptor, 1, 0) or b"\0")[0])
 
     @property
     def reason(self) -> str:
-        """Why they could not be made safe; or what is not known of a robot that was told to stand still."""
+        """Why they could not be made safe; or what remains doubtful where they were."""
         return os.pread(self.descriptor, _REASON, 1).rstrip(b"\0").decode("utf-8", "replace")
 
     @property
@@ -75,24 +81,24 @@ class SystemsState:
         return [(topic, message_type) for topic, _, message_type in (line.partition(" ") for line in lines)]
 
     def add_commanded(self, topic: str, message_type: str) -> None:
-        """Say, in the run, that velocities will be commanded on a topic."""
+        """Add a topic on which the run is about to command velocities."""
         with self._lock:
             end = max(_TOPICS, os.fstat(self.descriptor).st_size)
             os.pwrite(self.descriptor, f"{topic} {message_type}\n".encode(), end)
 
     def set(self, care: Care, reason: str = "") -> None:
-        """Say who has it from now on."""
+        """Set who is responsible from now on."""
         os.pwrite(self.descriptor, reason.encode("utf-8", "backslashreplace")[:_REASON].ljust(_REASON, b"\0"), 1)
         os.pwrite(self.descriptor, bytes([care]), 0)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         os.close(self.descriptor)
 
 
 @dataclass(frozen=True, slots=True)
 class LeftSystems:
-    """The systems of a run that has begun, and of which nobody has said that they are safe.
+    """The systems of a run that has begun and is not known to have left them safe.
 
     Attributes:
         run_id: of the run.
@@ -100,7 +106,7 @@ class LeftSystems:
         task: the run, as plain data (`worker.described_task`).
         commanded: the full name and the type of each topic on which it has commanded a velocity.
         systems: the names of those that have a `make_safe` of their own.
-        is_told: whether its robot was told to stand still since, or a person to stop it.
+        is_told: whether its robot was commanded to stand still since, or a person was asked to stop it.
     """
 
     run_id: str
@@ -112,16 +118,48 @@ class LeftSystems:
 
     @property
     def in_words(self) -> str:
-        """What is said of it."""
+        """The beginning of a finding about them."""
         robot = "" if self.robot is None else f" ({self.robot})"
         return f"an earlier execution was killed in {self.run_id}{robot}, and nobody was left to make its systems safe"
+
+
+@dataclass(frozen=True, slots=True)
+class LeftCopy:
+    """What a run of this user has left on this machine, kept apart from its experiment's folder.
+
+    Attributes:
+        path: where it is.
+        original: the file in the experiment's folder, which may be gone.
+        left: what it tells.
+    """
+
+    path: Path
+    original: Path
+    left: LeftSystems
+
+    def remove(self) -> None:
+        """Remove the copy: its robot was stopped, or a person was asked to."""
+        with suppress(StorageError):
+            remove(self.path, self.path.parent)
+
+
+def left_copies() -> list[LeftCopy]:
+    """Return the copies of all files of this user that tell of a robot which may be moving."""
+    found = []
+    with suppress(StorageError):  # a user without a home folder has none
+        for path in sorted(state_folder(_COPIES).glob("*")):
+            lines = list(_lines_of(path, path.parent))
+            match lines[0] if lines else None:
+                case {"folder": str(folder), "file": str(name)} if (left := _left_of(lines)) is not None:
+                    found.append(LeftCopy(path, Path(folder) / name, left))
+    return found
 
 
 class SystemsFile:
     """A file that tells the next execution which systems of a run are not safe yet; it is removed once they are.
 
-    Where it cannot be written, the run goes on without it: it is needed only where all processes that stand by are
-    killed.
+    Where it cannot be written, the run goes on without it: it is needed only where keeper, standby and orchestrator are
+    killed with the run.
 
     Args:
         folder: of the experiment, at the slot.
@@ -129,16 +167,20 @@ class SystemsFile:
 
     def __init__(self, folder: ExperimentFolder) -> None:
         self._path, self._root, self._journal = folder.to_make_safe, folder.root, folder.journal
+        self._copy = _copy_of(self._path.absolute())
 
     def begin(self, robot: str | None, task: Mapping[str, Any], systems: Sequence[str] = ()) -> None:
-        """Say, in the run, that its systems are about to be used, and have it reach the disk."""
-        with suppress(OSError, StorageError), open_to_fill(self._path, self._root) as file:
-            file.write(self._line(robot, task, systems).encode())
-            file.flush()
-            fsync_file(file.fileno())
+        """Write, in the run, that its systems are about to be used; flushed to the disk."""
+        line = self._line(robot, task, systems).encode()
+        if robot is not None and self._copy is not None:
+            with suppress(OSError):
+                self._copy.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            _fill(self._copy, self._copy.parent, line)
+        _fill(self._path, self._root, line)
 
     def leave(self, left: LeftSystems) -> None:
-        """Say that its systems alone are to be made safe yet, as its robot was told, or a person; see `is_told`."""
+        """Keep only systems with a `make_safe`, if any: the robot was stopped, or a person asked to (`is_told`)."""
+        self._remove_copies()
         with suppress(StorageError):
             if left.systems:
                 replace(self._path, self._line(left.robot, left.task, sorted(left.systems), is_told=True), self._root)
@@ -146,50 +188,81 @@ class SystemsFile:
                 remove(self._path, self._root)
 
     def _line(self, robot: str | None, task: Mapping[str, Any], systems: Sequence[str], **more: object) -> str:
-        told = {"robot": robot, "systems": systems, "folder": str(self._root.absolute()), "task": task, **more}
+        where = {"folder": str(self._root.absolute()), "file": self._path.name}
+        told = {"robot": robot, "systems": systems, **where, "task": task, **more}
         return f"{json.dumps(told, default=str)}\n"
 
     def add_commanded(self, topic: str, message_type: str) -> None:
-        """Say, in the run, that velocities will be commanded on a topic, and have it reach the disk."""
-        with suppress(OSError, StorageError), open_to_append(self._path, self._root) as file:
-            file.write(f"{json.dumps({'topic': topic, 'type': message_type})}\n".encode())
-            fsync_file(file.fileno())
+        """Add, in the run, a topic on which velocities will be commanded; flushed to the disk."""
+        line = f"{json.dumps({'topic': topic, 'type': message_type})}\n".encode()
+        for path, root in ((self._copy, self._copy and self._copy.parent), (self._path, self._root)):
+            if path is not None:
+                with suppress(OSError, StorageError), open_to_append(path, root) as file:
+                    file.write(line)
+                    fsync_file(file.fileno())
 
     def remove(self) -> None:
-        """Say that they are safe, or that a person was told that they are not."""
+        """Remove the file: they are safe, or a person was told that they are not."""
+        self._remove_copies()  # first: a copy without the file tells of a robot that is moving
         with suppress(StorageError):
             remove(self._path, self._root)
 
+    def _remove_copies(self) -> None:
+        """Remove the copy, also the one of the folder that this one was before it was moved."""
+        told = next(_lines_of(self._path, self._root), {})
+        before = Path(str(told.get("folder"))) / str(told.get("file"))
+        for copy in {self._copy, _copy_of(before)}:
+            if copy is not None:
+                with suppress(StorageError):
+                    remove(copy, copy.parent)
+
     def left(self) -> LeftSystems | None:
         """Return what is not safe yet; None where nothing is, or the file is not what a run has written here."""
-        lines = list(self._lines())
-        if lines and self._is_copied_from(lines[0].get("folder")):
-            return None
-        match lines[0] if lines else None:
-            case {"robot": str() | None as robot, "task": {"run_id": str(run_id)} as task}:
-                topics = ((line.get("topic"), line.get("type")) for line in lines)
-                # Nothing else: an empty message of another type may have a robot do something.
-                commanded = ((topic, kind) for topic, kind in topics if _is_name(topic) and kind in _STOPPED)
-                names = told if isinstance(told := lines[0].get("systems"), list) else []
-                systems = frozenset(each for each in names if isinstance(each, str))
-                return LeftSystems(run_id, robot, task, tuple(commanded), systems, lines[0].get("is_told") is True)
-        return None
+        lines = list(_lines_of(self._path, self._root))
+        return None if lines and self._is_copied_from(lines[0].get("folder")) else _left_of(lines)
 
     def _is_copied_from(self, folder: object) -> bool:
-        """Whether the experiment is still in another folder, which tells of its run, and was copied meanwhile."""
+        """Return whether this is a copy of an experiment folder that still exists, which cares for its systems."""
         with suppress(OSError, StorageError, ValueError):
             if isinstance(folder, str) and not self._root.samefile(folder):
                 begun = next(journal_lines(self._journal), None)
                 return begun is not None and begun == next(journal_lines(Path(folder) / self._journal.name), None)
         return False
 
-    def _lines(self) -> Iterator[Mapping[str, Any]]:
-        with suppress(StorageError, ValueError, RecursionError):  # the last line may have been written by half
-            for line in read_text(self._path, self._root).splitlines():
-                if isinstance(read := json.loads(line), dict):
-                    yield read
+
+def _copy_of(path: Path) -> Path | None:
+    """Return where the copy of a file is; None where the user has no home folder."""
+    with suppress(StorageError):
+        return state_folder(_COPIES) / sha256(str(path).encode("utf-8", "backslashreplace")).hexdigest()
+    return None
+
+
+def _fill(path: Path, root: Path, content: bytes) -> None:
+    with suppress(OSError, StorageError), open_to_fill(path, root) as file:
+        file.write(content)
+        file.flush()
+        fsync_file(file.fileno())
+
+
+def _lines_of(path: Path, root: Path) -> Iterator[Mapping[str, Any]]:
+    with suppress(StorageError, ValueError, RecursionError):  # the last line may be incomplete
+        for line in read_text(path, root).splitlines():
+            if isinstance(read := json.loads(line), dict):
+                yield read
+
+
+def _left_of(lines: Sequence[Mapping[str, Any]]) -> LeftSystems | None:
+    match lines[0] if lines else None:
+        case {"robot": str() | None as robot, "task": {"run_id": str(run_id)} as task}:
+            topics = ((line.get("topic"), line.get("type")) for line in lines)
+            # Velocities only: an empty message of another type may be a command to do something.
+            commanded = ((topic, kind) for topic, kind in topics if _is_name(topic) and kind in _STOPPED)
+            names = told if isinstance(told := lines[0].get("systems"), list) else []
+            systems = frozenset(each for each in names if isinstance(each, str))
+            return LeftSystems(run_id, robot, task, tuple(commanded), systems, lines[0].get("is_told") is True)
+    return None
 
 
 def _is_name(topic: object) -> TypeGuard[str]:
-    """Whether it can be a topic's name: processes tell each other of each in a line, its type behind it."""
+    """Return whether a value can be a topic's name in the lines of `SystemsState`, which are separated by blanks."""
     return isinstance(topic, str) and topic.isascii() and topic.isprintable() and " " not in topic

@@ -23,7 +23,7 @@ from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import ConfigError
-from robot_runner.core.execution.inherited import begin_run, write_open_files
+from robot_runner.core.execution.inherited import freeze_inherited, write_open_files
 from robot_runner.core.execution.interruption import STOP_SIGNALS, InterruptGate
 from robot_runner.core.execution.left_over import RunMark, end_left_over
 from robot_runner.core.execution.processes import leave_after, settle_streams
@@ -42,7 +42,7 @@ _MODULE = "robot_runner.core.execution.worker"
 
 
 def be_run(experiment: Experiment, task: RunTask, systems: SystemsState | None, report: RecordWriter) -> None:
-    """Execute the run in this process, which was forked for it and sees what was set up in memory before."""
+    """Execute the run in this process, which was forked for it and shares what was set up in memory before."""
     print_to_log(experiment.folder)
     settle_streams()
     _execute(experiment, task, systems, report)
@@ -53,7 +53,7 @@ def become_interpreter(
 ) -> NoReturn:
     """Replace this process, which was forked for the run, by a fresh interpreter that executes it."""
     print_to_log(experiment.folder)
-    for number in STOP_SIGNALS:  # until the interpreter listens there is nothing to close: it may simply end
+    for number in STOP_SIGNALS:  # until the interpreter handles them, there is nothing to close
         signal.signal(number, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
     claims = held_against_users()
@@ -62,7 +62,7 @@ def become_interpreter(
         os.set_inheritable(descriptor, True)  # noqa: FBT003 - the system's own signature
     description = {
         "config": str(experiment.config_path),
-        # Of a replication, the config that is executed lies in the package, and its results go elsewhere.
+        # In a replication, the config lies in the package, and the results go elsewhere.
         "set": {
             **experiment.overrides,
             "results_output_path": str(experiment.folder.root.parent),
@@ -74,8 +74,8 @@ def become_interpreter(
         "systems": None if systems is None else systems.descriptor,
         "claims": claims,
     }
-    # Not as an argument: what was shared may be longer than the system takes, and others see arguments.
-    # In the experiment's folder, which can be written in any case: it has no name there.
+    # Not as an argument, which has a limited length and can be seen by others. In the experiment's folder, which is
+    # known to be writable; the file has no name there.
     with tempfile.TemporaryFile("w+", encoding="utf-8", dir=experiment.folder.root) as file:
         json.dump(description, file, default=str)
         file.flush()
@@ -85,7 +85,7 @@ def become_interpreter(
 
 
 def _own_robot(experiment: Experiment) -> dict[str, str]:
-    """Return the robot of the run's place, where several take turns."""
+    """Return the setting of the robot of the run's place, where several take turns."""
     robot = experiment.parameters.robot
     return {"robot": robot} if experiment.parameters.robots and robot is not None else {}
 
@@ -94,20 +94,20 @@ def _execute(experiment: Experiment, task: RunTask, systems: SystemsState | None
     gate = InterruptGate()
     gate.listen()
     keeper = os.getppid()
-    begin_run()
+    freeze_inherited()
     notice_programs(experiment, report)
     with nullcontext() if systems is None else _kept(systems, experiment, task):
         execute_run(experiment, task, report, gate, systems)
     for problem in write_open_files():
         report("failure", {"event": "", "owner": "", "problem": problem, "traceback": ""})
     report(FINISHED, {})
-    if os.getppid() != keeper:  # it was killed, and cannot end what the run leaves behind
+    if os.getppid() != keeper:  # the keeper was killed, and cannot end what the run leaves behind
         end_left_over(experiment.folder)
 
 
 @contextmanager
 def _kept(systems: SystemsState, experiment: Experiment, task: RunTask) -> Iterator[None]:
-    """Keep in a file what is to be made safe, for the case that all are killed who would do so, until it is safe."""
+    """Keep a `SystemsFile` until the systems are safe: keeper, standby and orchestrator may be killed, too."""
     file = SystemsFile(experiment.folder)
     names = [each.name for each in made_safe_of_their_own(experiment)]
     file.begin(experiment.parameters.robot, described_task(experiment, task), names)
@@ -124,7 +124,7 @@ def _execute_described(description: Mapping[str, Any], report: RecordWriter) -> 
     task = task_of(experiment, description["task"])
     experiment = replace(experiment, folder=experiment.folder.at_slot(task.slot))
     RunMark(experiment.folder).sign()  # the lock was lost when the process was replaced
-    for plugin in experiment.plugins:  # a forked run finds this done
+    for plugin in experiment.plugins:  # in a forked run, the orchestrator has done this
         bind(plugin, task.combination)
     shared = description["systems"]
     _execute(experiment, task, None if shared is None else SystemsState(shared), report)
@@ -132,8 +132,8 @@ def _execute_described(description: Mapping[str, Any], report: RecordWriter) -> 
 
 def described_task(experiment: Experiment, task: RunTask) -> dict[str, Any]:
     """Return a task as plain data, for a process that has loaded the config itself."""
-    # A treatment goes by its text, as it may be any object, and by no place: a set or a folder's listing has another
-    # order in each process. A value of a hand-written table is plain.
+    # A treatment is described by its text, as it may be any object, and not by its position, as a set or a folder's
+    # listing has another order in each process. A value of a hand-written table is plain.
     factors = {factor.name: factor for factor in experiment.model.factors}
     combination: dict[str, Any] = {}
     for name, value in task.combination.items():
@@ -146,7 +146,7 @@ def task_of(experiment: Experiment, described: Mapping[str, Any]) -> RunTask:
     """Return the task that `described_task` described.
 
     Raises:
-        ConfigError: the config, which was loaded once more, has another treatment in the place of one that is ordered.
+        ConfigError: a treatment is missing in the config as loaded by this process.
     """
     factors = {factor.name: factor for factor in experiment.model.factors}
     combination = {
@@ -166,7 +166,7 @@ def _treatment(factor: Factor, text: str) -> Any:
 
 
 def describe_revisions(factors: Sequence[Factor]) -> list[list[str]]:
-    """Return commit and path of each revision that was made, with its factor and its text there, as plain data."""
+    """Return `[factor, text of the treatment, commit, path]` of each revision that was made, as plain data."""
     return [
         [factor.name, factor.texts[place], each.commit, each.path]
         for factor in factors
@@ -176,10 +176,10 @@ def describe_revisions(factors: Sequence[Factor]) -> list[list[str]]:
 
 
 def restore_revisions(factors: Sequence[Factor], described: Sequence[Sequence[str]]) -> None:
-    """Tell revisions what `describe_revisions` returned of them.
+    """Set commit and path of revisions, as `describe_revisions` returned them.
 
     Raises:
-        ConfigError: one is not there when the config is loaded anew.
+        ConfigError: a revision is missing in the config as loaded by this process.
     """
     by_name = {factor.name: factor for factor in factors}
     for name, text, commit, path in described:

@@ -1,4 +1,4 @@
-"""The append-only history of an experiment: one record a line, flushed to disk where it matters."""
+"""The journal, the append-only history of an experiment: one record a line, flushed to disk where it matters."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ from robot_runner.core.storage.system_refusals import fsync_file, storage_errors
 _BEGINNING = '{"kind":"'
 _RECORD, _END = _BEGINNING.encode(), b"}\n"
 _FLAGS = os.O_RDWR | os.O_CREAT | os.O_APPEND
-#: How much of the end of a journal tells of the last runs: some thousand of them.
+#: How much of the end of a journal `last_records` reads: some thousand runs.
 _LAST_BYTES = 4_000_000
-#: What is told where the folder of an experiment that is executed is no longer there, and what to do.
+#: Problem and fix where the folder of an experiment that is being executed was removed.
 REMOVED = (
     "the experiment's folder was removed while it was executed",
     "Start the experiment again: it begins anew.",
@@ -50,7 +50,7 @@ def utc_now() -> str:
 
 
 def seconds_of(stamp: str) -> float:
-    """Return a moment that `utc_now` told, in seconds since 1970."""
+    """Return a time stamp of `utc_now` in seconds since 1970."""
     return datetime.fromisoformat(stamp).timestamp()
 
 
@@ -70,8 +70,8 @@ class Journal:
 
     Args:
         path: the file.
-        successor: returns, in words, what has taken the experiment's place by now, so that a journal that was removed
-            is not put back there; empty where nothing has.
+        successor: returns, in words, what has taken the experiment's place: then a removed journal is not put back
+            there. Empty where nothing has.
     """
 
     def __init__(self, path: Path, successor: Callable[[], str] = str) -> None:
@@ -95,12 +95,12 @@ class Journal:
         self.close()
 
     def append(self, kind: str, *, flush: bool = False, at: str | None = None, **fields: Any) -> None:
-        """Append one record; with `flush` it is on the disk, not only with the system, when this returns.
+        """Append one record; with `flush` it is on the disk when this returns.
 
-        Of a record that is longer than readers take, texts are shortened, as an exception may tell of a picture.
+        Texts in a record that is too long for readers are shortened: an exception's may contain a picture.
 
         Raises:
-            StorageError: it cannot be written (a full disk, say), or is too long; what stood before is intact.
+            StorageError: it cannot be written (a full disk, say), or is too long; earlier records are intact.
         """
         record = {"kind": kind, "at": at or utc_now(), **sentences_without_secrets(fields)}
         line = _line_of(record)
@@ -114,7 +114,7 @@ class Journal:
 
     @property
     def is_ours_alone(self) -> bool:
-        """Whether nobody else has appended a record, or begun another journal, since this one was opened."""
+        """Return whether no other process has appended a record, or begun another journal, since this was opened."""
         is_there = is_at(self._descriptor, self._path) or not self._path.exists()
         return is_there and os.fstat(self._descriptor).st_size == self._end
 
@@ -126,7 +126,7 @@ class Journal:
         except (FileNotFoundError, NotADirectoryError):
             if os.fstat(self._descriptor).st_nlink == 0:
                 return ""
-        except OSError:  # of a folder that cannot be looked at, as on a network, that is not known
+        except OSError:  # a folder that cannot be read, as on a network
             return ""
         else:
             return ""
@@ -151,7 +151,7 @@ class Journal:
             self._descriptor = -1
 
     def stay_in_place(self) -> None:
-        """Put it back where it was removed: what is written beside it is a view of it, and would pass for one alone.
+        """Put the journal back where it was removed: the table, a view of it, must not be left alone.
 
         Raises:
             StorageError: it cannot be put back, or was moved.
@@ -160,7 +160,7 @@ class Journal:
             self._put_back_if_removed()
             if not is_at(self._descriptor, self._path):
                 fix = "Move it back, and start the experiment again: it resumes."
-                raise StorageError("it was moved while it was written", where=str(self._path), fix=fix)
+                raise StorageError("the journal was moved while it was written", where=str(self._path), fix=fix)
 
     def _flush(self) -> None:
         fsync_file(self._descriptor)
@@ -176,7 +176,7 @@ class Journal:
         if successor := self._successor():
             kept = self._path.with_name(f"{self._path.name}.removed-{os.getpid()}")
             self._copy_to(kept)
-            problem = f"it was removed, and {successor}"
+            problem = f"the journal was removed, and {successor}"
             fix = f"Leave the folder alone while it is executed. What this process had recorded is in {kept.name}."
             raise StorageError(problem, where=str(self._path), fix=fix)
         with suppress(FileNotFoundError):
@@ -194,10 +194,10 @@ class Journal:
     def _write(self, line: bytes) -> None:
         written = 0
         try:
-            while written < len(line):  # a disk that is nearly full takes a part, and refuses the rest
+            while written < len(line):  # a nearly full disk takes a part
                 written += os.write(self._descriptor, line[written:])
         except OSError:
-            if written:  # take the torn line back, so that the next one is whole
+            if written:  # remove the torn line, so that the next one is whole
                 os.ftruncate(self._descriptor, os.fstat(self._descriptor).st_size - written)
             raise
         self._end += written
@@ -224,7 +224,7 @@ def read_journal(path: Path, *, kinds: Collection[str] | None = None) -> Iterato
 
     Args:
         path: the journal; one that does not exist has no records.
-        kinds: what to keep to; the others are not parsed, so that a long journal is read quickly.
+        kinds: only these; others are not parsed, so that a long journal is read quickly.
 
     Raises:
         StorageError: it cannot be read, or a line before the last is no record.
@@ -233,9 +233,9 @@ def read_journal(path: Path, *, kinds: Collection[str] | None = None) -> Iterato
 
 
 def journal_lines(path: Path, *, kinds: Collection[str] | None = None) -> Iterator[bytes]:
-    """Yield the lines of a journal as they stand, for a reader that need not parse each; see `read_journal`.
+    """Yield the lines of a journal, for a reader that need not parse all of them; see `read_journal`.
 
-    Every line is looked at: one that was cut or overwritten, of whatever kind, is refused and not passed over.
+    Every line is checked, of whatever kind: one that was cut or overwritten is refused.
     """
     beginnings = None if kinds is None else tuple(f'{_BEGINNING}{kind}"'.encode() for kind in kinds)
     with suppress(MissingFileError):
@@ -249,7 +249,7 @@ def journal_lines(path: Path, *, kinds: Collection[str] | None = None) -> Iterat
 
 
 def _is_whole(block: bytes) -> bool:
-    """Return whether each line of a block begins and ends as one record; counted in C, as a journal has millions."""
+    """Return whether each line of a block begins and ends as one record, by counting, which is fast."""
     lines = block.count(b"\n")
     begun = block.startswith(_RECORD) + block.count(b"\n" + _RECORD)
     return lines == begun == block.count(_END) == block.count(_RECORD) and block.endswith(_END)
@@ -267,7 +267,7 @@ def _lines_of_kinds(block: bytes, beginnings: Collection[bytes]) -> Iterator[byt
 
 
 def _lines_with_damage(path: Path, block: bytes, beginnings: tuple[bytes, ...] | None) -> Iterator[bytes]:
-    """Yield the lines of a block up to one that is damaged; the last one of a journal may be torn, as power failed.
+    """Yield the lines of a block up to a damaged one; the last one of a journal may be torn by a power failure.
 
     Raises:
         StorageError: one is damaged.
@@ -277,14 +277,14 @@ def _lines_with_damage(path: Path, block: bytes, beginnings: tuple[bytes, ...] |
             if line.endswith(b"\n"):
                 raise _corrupt(path, line)
             continue
-        if line.count(_RECORD) > 1:  # the beginning of one and the end of another, or a record that holds a `kind`
+        if line.count(_RECORD) > 1:  # two records in one line, or a record with a nested `kind`
             parsed_record(path, line)
         if beginnings is None or line.startswith(beginnings):
             yield line
 
 
 def last_records(path: Path, *, kinds: Collection[str], within: int = _LAST_BYTES) -> Iterator[dict[str, Any]]:
-    """Yield the records of these kinds in the last bytes of a journal, oldest first, so that its length costs nothing.
+    """Yield the records of these kinds in the last bytes of a journal, oldest first, at a cost that does not grow.
 
     Raises:
         StorageError: it cannot be read.
@@ -321,7 +321,7 @@ def parsed_record(path: Path, line: bytes) -> dict[str, Any]:
 
 
 def _corrupt(path: Path, line: bytes, reason: str = "") -> StorageError:
-    # Lines are counted only where one is wrong.
+    # The line number is computed only for an error.
     lines = chain.from_iterable(map(BytesIO, read_blocks(path)))
     number = next((number for number, each in enumerate(lines, start=1) if each == line), 0)
     return StorageError(

@@ -15,7 +15,7 @@ PARENT, GROUP, SESSION, STARTED = 1, 2, 3, 19
 
 
 def process_stat(pid: int) -> list[str]:
-    """Return what Linux tells of a process behind its name: state, parent, group, session, and so on.
+    """Return the fields of a process after its name in `/proc/<pid>/stat`: state, parent, group, session, and so on.
 
     Empty where there is no such process, or no /proc (macOS).
     """
@@ -26,8 +26,13 @@ def process_stat(pid: int) -> list[str]:
     return text.rpartition(")")[2].split()  # the second field is the name in brackets, and may hold anything
 
 
+def is_stopped(pid: int) -> bool:
+    """Return whether a process is stopped, by SIGSTOP or in a debugger (Linux)."""
+    return process_stat(pid)[:1] in (["T"], ["t"])
+
+
 def processes() -> Iterator[int]:
-    """Yield the ids of all processes; of none where there is no /proc (macOS)."""
+    """Yield the ids of all processes; none where there is no /proc (macOS)."""
     return (int(path.name) for path in Path("/proc").glob("[0-9]*"))
 
 
@@ -50,7 +55,7 @@ def ancestors(pid: int) -> Iterator[int]:
 
 
 def spare(path: Path, pid: int) -> None:
-    """Keep in the file at `path` that this process, and what it starts, may outlive its run.
+    """Add to the file at `path` a process that, with all that it starts, may outlive its run.
 
     Raises:
         StorageError: the file cannot be written.
@@ -62,12 +67,12 @@ def spare(path: Path, pid: int) -> None:
 
 
 def outliving(path: Path) -> frozenset[int]:
-    """Return those processes of the file at `path` that are alive: the same ones, by when they started."""
+    """Return the processes of the file at `path` that are alive and were started at the recorded time."""
     return frozenset(pid for pid, started in _read(path) if is_alive(pid) and _start_of(pid) == started)
 
 
 def is_spared(pid: int, spared: frozenset[int]) -> bool:
-    """Return whether a process is one of those, or was started by one: by descent, process group or session."""
+    """Return whether a process is in `spared`, or was started by one of them: by descent, process group or session."""
     if not spared:
         return False
     stat = process_stat(pid)
@@ -76,11 +81,11 @@ def is_spared(pid: int, spared: frozenset[int]) -> bool:
 
 
 def _read(path: Path) -> Iterator[tuple[int, str]]:
-    if not os.path.lexists(path):  # nearly always; every keeper asks, and a refusal costs twenty times that
+    if not os.path.lexists(path):  # nearly always; a failing `open` takes twenty times as long
         return
     with suppress(MissingFileError):
         for line in read_text(path, errors="replace").splitlines():
-            with suppress(ValueError, TypeError):  # a line that was torn when the power failed
+            with suppress(ValueError, TypeError):  # a line that was torn by a power failure
                 pid, started = json.loads(line)
                 yield int(pid), str(started)
 
@@ -95,13 +100,13 @@ def program_name(pid: int) -> str | None:
 
 
 def _start_of(pid: int) -> str:
-    """Return when a process started, in ticks since the machine did: a number is given again to another process."""
+    """Return when a process started, in clock ticks since boot: process ids are reused."""
     stat = process_stat(pid)
     return stat[STARTED] if stat else ""
 
 
 def is_alive(pid: int) -> bool:
-    """Return whether there is a process of this number."""
+    """Return whether there is a process with this id."""
     try:
         os.kill(pid, 0)
     except PermissionError:  # another user's
