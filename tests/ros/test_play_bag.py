@@ -251,6 +251,18 @@ def test_who_else_publishes_a_topic_of_the_bag_stops_the_run_before_it_is_played
     assert play(scans["mcap"], topics=["/note"], prepare=sensor)[1].measures["PlayedMessages"] == 1
 
 
+def test_topics_that_are_meant_for_many_publishers_are_played_beside_those_of_the_software_under_test(tmp_path, play):
+    shared = ("/tf", "/alice/tf_static", "/diagnostics", "/rosout", "/rosout_agg", "/parameter_events")
+
+    def slam(link):
+        for topic in shared:  # a SLAM node tells where the map is; each node publishes its logs and parameters
+            link.known_publishers[topic] = [GraphEndpoint("/slam", "std_msgs/String")]
+
+    _, context = play(scans_of_ros2(tmp_path / "all", others=shared), prepare=slam)
+    assert context.measures["PlayedMessages"] == 20 + len(shared)
+    assert not context.broker.findings
+
+
 def test_who_publishes_the_time_or_begins_while_the_bag_is_played_is_told(play, scans):
     def clock(link):
         link.known_topics["/clock"] = "rosgraph_msgs/Clock"
@@ -360,6 +372,8 @@ def test_rosbag_play_plays_it_and_its_end_ends_the_mission(tmp_path, master_uri,
     heard, measures, context = _heard(listener, f"ros1:master={master_uri}", plugin, tmp_path)
     assert len(heard) == 20
     assert list(measures) == ["PlayTime"]
+    (measure,) = plugin.measures
+    assert measure.description == "From the bag's first message until the program that played it had ended."
     assert 0.3 < measures["PlayTime"] == pytest.approx(context.window.duration - 0.1, abs=0.1)
     assert not context.broker.findings
 

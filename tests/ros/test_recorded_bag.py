@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+import sqlite3
 from contextlib import closing
 
 import pytest
@@ -153,3 +155,24 @@ def test_a_bag_that_git_has_yet_to_bring_says_so(tmp_path):
 
 def _loaded(metadata):
     return yaml.safe_load(metadata.read_text())
+
+
+def test_a_bag_whose_last_messages_are_still_in_sqlite_s_log_is_refused_until_they_are_in_it(tmp_path):
+    folder = scans_of_ros2(tmp_path / "hall", sqlite=True)
+    (file,) = folder.glob("*.db3")
+    recorder = tmp_path / "recorder.db3"
+    shutil.copy(file, recorder)
+    with closing(sqlite3.connect(recorder)) as written:  # as rosbag2 writes with the preset "resilient"
+        assert written.execute("PRAGMA journal_mode=WAL").fetchone() == ("wal",)
+        written.execute("INSERT INTO messages SELECT id + 100, topic_id, timestamp, data FROM messages")
+        written.commit()
+        for end in ("", "-wal"):  # what is there once the recorder is killed
+            shutil.copy(f"{recorder}{end}", f"{file}{end}")
+    for path in (folder, file):
+        with pytest.raises(PluginError, match=r"messages of the bag are still in 'hall\.db3-wal'") as refused:
+            RecordedBag(path)
+        assert f"sqlite3 '{file}' 'PRAGMA wal_checkpoint(TRUNCATE)'" in refused.value.fix
+    with closing(sqlite3.connect(file)) as mended:
+        mended.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    with RecordedBag(file) as bag:
+        assert bag.count == 40

@@ -9,16 +9,19 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.ros1_master import quiet_about_rospy, ros1_environment
+from tests.waiting import wait_until
 
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.robot import Qos
 from robot_runner.ros.dds_link import open_dds_link
+from robot_runner.ros.recorded_bag import RecordedBag
 from robot_runner.ros.ros1_link import open_ros1_link
 from robot_runner.ros.ros_bag import RosBag
 from robot_runner.ros.ros_graph import RosGraph
@@ -133,6 +136,28 @@ def test_topics_bag_and_graph_over_ros_1(tmp_path, master_uri):
     assert measures["OdomDropped"] == 0
     label = node.strip("/").replace("/", "_")
     assert measures[f"CPU_{label}"] > 0.0  # the process of this test, found by the number that the node tells
+
+
+@pytest.mark.long
+@quiet_about_rospy
+def test_what_a_publisher_of_ros_1_keeps_for_late_comers_is_in_the_bag_as_kept(tmp_path, master_uri):
+    speaker = open_ros1_link({"master": master_uri}, SystemClock(), "/kept")
+    speaker.publish("map_name", "std_msgs/String", {"data": "hall"}, qos=Qos.TRANSIENT_LOCAL)
+    speaker.publish("said", "std_msgs/String", {"data": "before the mission"})
+    plugin = RosBag(["map_name", "said"], by="link", namespace="/kept")
+    context = make_context(tmp_path, plugin, robot=f"ros1:master={master_uri}", clock=SystemClock())
+    said = []
+
+    def mission():
+        speaker.subscribe("said", "std_msgs/String", said.append)  # it is called once the plugin has the message
+        speaker.publish("said", "std_msgs/String", {"data": "in it"})
+        wait_until(lambda: said)
+
+    with closing(context.resources), closing(speaker):
+        rehearse(context, plugin, mission=mission)
+    with RecordedBag(context.run_path / "RosBag") as bag:
+        found = {topic.name: (topic.count, topic.qos) for topic in bag.chosen(None)}
+    assert found == {"/kept/map_name": (1, Qos.TRANSIENT_LOCAL), "/kept/said": (1, Qos.DEFAULT)}
 
 
 PUBLISHER = """

@@ -157,6 +157,40 @@ def launch_mission(self, context):
     assert all('required="true"' in record["fix"] for record in doubts)
 
 
+#: A node that ends later than Ctrl-C asks, so that roslaunch takes its time.
+STUBBORN = """\
+#!/usr/bin/python3
+import signal, time
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+while True:
+    time.sleep(1)
+"""
+
+
+@pytest.mark.long
+@needs_roslaunch
+@pytest.mark.parametrize("code", [3, 0])
+def test_values_are_doubtful_where_a_required_node_died_and_the_mission_ended_before_roslaunch_did(
+    execute: Callable[..., Executed], environment: dict[str, str], tmp_path: Path, code: int
+) -> None:
+    package = tmp_path / "subject_nav"
+    for name, text in (("dying.py", DYING.replace("exit(3)", f"exit({code})")), ("stubborn.py", STUBBORN)):
+        (package / name).write_text(text)
+        (package / name).chmod(0o755)
+    more = '<node name="dying" pkg="subject_nav" type="dying.py" required="true"/>\n'
+    more += '<node name="stubborn" pkg="subject_nav" type="stubborn.py"/>\n</launch>'
+    (package / "nav.launch").write_text((package / "nav.launch").read_text().replace("</launch>", more))
+    parameters = "'subject_nav', 'nav.launch', arguments={'planner': 'dwa'}, grace_s=0.5"
+    mission = """
+def launch_mission(self, context):
+    while "Initiating shutdown" not in (context.run_path / "Nav" / "stderr.txt").read_text():
+        context.clock.sleep(0.05)"""
+    done = execute(body_of(parameters, environment, 1) + mission, table=TABLE.replace('"dwa", ', ""))
+    assert (done.finished.failures, done.finished.done_count) == ((), 1)
+    told = [record["problem"] for record in done.journal("finding")]
+    assert f"dying-3, which it launched, has died: exit code {code}" in told
+
+
 @pytest.mark.long
 @needs_roslaunch
 def test_roslaunch_is_asked_for_what_it_would_refuse_with_each_treatment(

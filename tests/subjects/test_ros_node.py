@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import time
+import xmlrpc.client
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,7 +19,7 @@ import yaml
 from tests.conftest import HEAD, written_config
 from tests.core.execution.conftest import Executed, execute_in
 from tests.loopback_port import claim_port
-from tests.ros.ros1_master import ros1_environment
+from tests.ros.ros1_master import ros1_environment, ros1_master
 from tests.subjects.conftest import gone
 from tests.subjects.test_ros_launch import needs_roslaunch
 
@@ -133,6 +134,34 @@ def test_a_node_of_ros_1_gets_its_treatments_names_and_parameters_and_its_commit
     package = tmp_path / "ws" / "src" / "subject_nav"
     described = {"version": "1.2.3", "commit": _commit(package).strip(), "is_dirty": False}
     assert (started["ros"], started["packages"]) == (1, {"subject_nav": described})
+
+
+@pytest.mark.long
+@needs_roslaunch
+def test_a_node_of_ros_1_finds_nothing_at_the_master_that_the_run_before_has_set(
+    execute: Callable[..., Executed], workspace: dict[str, str], tmp_path: Path
+) -> None:
+    node = """#!/usr/bin/python3
+import rospy
+rospy.init_node("planner")
+print("planner has", rospy.get_param("~inflation", "no inflation"), rospy.get_param("~speed"), flush=True)
+rospy.spin()
+"""
+    (tmp_path / "ws/src/subject_nav/planner.py").write_text(node)
+    (tmp_path / "dwa.yaml").write_text("{inflation: 0.9, speed: 1}")
+    (tmp_path / "teb.yaml").write_text("speed: 2")
+    with ros1_master(tmp_path) as uri, xmlrpc.client.ServerProxy(uri) as server:
+        server.setParam("/test", "/alice/planner/speed", 7)
+        body = f"""plugins = [RosNode(
+            'subject_nav', 'planner.py', namespace='alice', node_name='planner',
+            parameters_file=[[{str(tmp_path)!r} + '/', treatment('Planner'), '.yaml']],
+            environment={workspace | {"ROS_MASTER_URI": uri}!r}, ros=1, name='Nav', ready='planner has')]"""
+        done = execute(body)
+        left = server.getParam("/test", "/alice")[2], server.getParam("/test", "/robot_runner_kept")[2]
+    told = [(done.folder / f"runs/{run}/Nav/stdout.txt").read_text() for run in ("r_1", "r_2")]
+    assert "planner has 0.9 1" in told[0]
+    assert "planner has no inflation 2" in told[1]
+    assert left == ({"planner": {"speed": 7}}, {})
 
 
 @pytest.mark.long

@@ -239,13 +239,15 @@ class LinkRecorder:
         return None if self._fault is None else f"the bag could not be written to its end: {self._fault}"
 
     def _subscribe(self, link: RobotLink, topic: TypedTopic) -> None:
-        definition, offers = link.definition(topic.message_type), _offers(link, topic.full_name)
-        number = self._bag.add_topic(topic.full_name, topic.message_type, definition, offers)
-        is_kept = Qos.TRANSIENT_LOCAL in offers
+        earlier: list[RawMessage] = []
+        number: int | None = None
+        is_kept = False
 
         def receive(message: RawMessage) -> None:
             with self._order:
-                if self._is_recording:
+                if number is None:
+                    earlier.append(message)
+                elif self._is_recording:
                     self._put_kept(message.received_ns)
                     self._received.put((number, message))
                 elif is_kept:
@@ -253,6 +255,14 @@ class LinkRecorder:
 
         subscription = link.subscribe_raw(topic.name, topic.message_type, receive)
         self._subscriptions.callback(subscription.close)
+        # In ROS 1, only who is connected to a publisher knows what it offers.
+        definition, offers = link.definition(topic.message_type), _offers(link, topic.full_name)
+        with self._order:
+            number = self._bag.add_topic(topic.full_name, topic.message_type, definition, offers)
+            is_kept = Qos.TRANSIENT_LOCAL in offers
+            if is_kept:
+                self._kept += [(number, message) for message in earlier]
+            earlier.clear()
 
     def _put_kept(self, received_ns: int | None) -> None:
         """Write what came before, as if it had come with the first message of the bag."""

@@ -23,6 +23,9 @@ from robot_runner.ros.shapes import stamp_of
 CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/Clock"
 #: How often the time is told, Hz of real time, as `rosbag play` does.
 CLOCK_RATE = 100.0
+#: How the names of topics end that are meant for many publishers: transforms of different frames, logs, parameters. A
+#: SLAM node under test, say, tells where the map is beside the odometry of the bag.
+_SHARED = frozenset({"tf", "tf_static", "diagnostics", "rosout", "rosout_agg", "parameter_events"})
 #: So many messages are read ahead at most while the next one is not due, and reading ends so long before that, s.
 _AHEAD, _MARGIN = 200, 0.002
 #: A message that is due within so little, s, is published at once: a sleep is no more precise than that.
@@ -206,7 +209,7 @@ def playing(bag: RecordedBag, topics: Sequence[str] | None, *, rate: float, has_
 
 
 def refuse_rivals(link: RobotLink, topics: Sequence[str], *, allowed: int = 0) -> None:
-    """See that nobody else publishes what is played: software under test would get both.
+    """See that nobody else publishes what is played, but for topics that many share: what is under test would get both.
 
     Args:
         link: to the graph.
@@ -217,7 +220,7 @@ def refuse_rivals(link: RobotLink, topics: Sequence[str], *, allowed: int = 0) -
         PluginError: somebody does; all of them are its findings.
     """
     faults = []
-    for topic in topics:
+    for topic in (each for each in topics if each.rpartition("/")[2] not in _SHARED):
         others = [each for each in link.publishers(topic) if not each.is_own]
         if len(others) > allowed:
             named = enumerated(sorted(map(str, others)))

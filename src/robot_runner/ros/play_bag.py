@@ -42,6 +42,9 @@ _GRAPH_OF_PROGRAM = {
 }
 
 
+_OF_PROGRAM = (Measure("PlayTime", "s", "From the bag's first message until the program that played it had ended."),)
+
+
 class _By(StrEnum):
     LINK = "link"
     PROGRAM = "program"
@@ -110,7 +113,7 @@ class PlayBag(RobotSystem):
         self.settle_s = settle_s
         self.late_s = late_s
         if self.by is _By.PROGRAM:  # it does not tell when it publishes what
-            self.measures = type(self).measures[:1]
+            self.measures = _OF_PROGRAM
         self._bag: RecordedBag | None = None
         self._link_player: LinkPlayer | None = None
         self._program: ProgramPlayer | None = None

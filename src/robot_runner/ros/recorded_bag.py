@@ -79,6 +79,7 @@ class RecordedBag:
 
     def __init__(self, path: Path) -> None:
         self.path = bag_at(path)
+        _check_merged(self.path)
         with _told_as_broken(self.path):
             self._bag = OpenedBag(self.path)
         self.encoding = self._bag.encoding
@@ -225,6 +226,20 @@ def bag_at(path: Path) -> Path:
         return found[0]
     fix = f"Name one of them: {', '.join(each.name for each in found)}." if found else "Name the folder of a bag."
     raise PluginError(f"there are {len(found) or 'no'} bags in {str(path)!r}", where=str(path), fix=fix)
+
+
+def _check_merged(path: Path) -> None:
+    """See that nothing of a bag is in SQLite's log beside it, which rosbags passes over.
+
+    Raises:
+        PluginError: there is.
+    """
+    for file in sorted(path.glob("*.db3")) if path.is_dir() else [path]:
+        log = file.with_name(f"{file.name}-wal")
+        if log.is_file() and log.stat().st_size:
+            problem = f"messages of the bag are still in {log.name!r}: its recorder is at work, or was killed"
+            fix = f"Have SQLite move them into the bag: sqlite3 {str(file)!r} 'PRAGMA wal_checkpoint(TRUNCATE)'."
+            raise PluginError(problem, where=str(path), fix=fix)
 
 
 def _points(path: Path) -> bool:

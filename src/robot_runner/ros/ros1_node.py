@@ -15,33 +15,34 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.links.robot import Qos
 from robot_runner.ros.ros1_master import Master, master_address
 
 T = TypeVar("T")
 
-#: How long the master may take to note one more publisher, subscriber or service, s.
+#: The timeout for registering a publisher, subscriber or service at the master, s.
 _REGISTERING = 5.0
 _NAME = "robot_runner"
-#: Such a name has each of our nodes: rospy adds the number of the process, and when it began.
+#: The names of our nodes: rospy adds the process id, and the time of the start.
 _OWN_NODE = re.compile(rf"/{_NAME}_(\d+)_\d+")
 _INSTALL = (
     "Source the setup file of ROS 1 (on Debian: apt install python3-rospy) and start robot-runner from that shell."
 )
-#: rospy's own set-up of logging would take the handlers of the process away: this one leaves everything as it is.
+#: rospy's own configuration of logging would remove the handlers of the process: this one changes nothing.
 _LOGGING = "version: 1\nincremental: true\n"
 
 
 class _Joined:
-    """Which graph this process has joined: one at a time."""
+    """The graph that this process has joined: one at a time."""
 
     master: str | None = None
     process: int | None = None
 
 
 def join_graph(master: Master) -> Any:
-    """Be a node on the graph of a master, and return rospy; a second call does nothing more.
+    """Become a node on the graph of a master, and return rospy; a second call only returns it.
 
-    Signal handlers, terminal, log files and the process's own logging are left alone.
+    Signal handlers, terminal, log files and the logging of the process are left as they are.
 
     Raises:
         LinkError: there is no such master, rospy is not installed, or the process has something open on another graph.
@@ -60,13 +61,13 @@ def join_graph(master: Master) -> Any:
 
 
 def within(action: Callable[[], T], *, where: str, doing: str, timeout: float = _REGISTERING) -> T:
-    """Return what an action of rospy's returns, whose questions to the master have no deadline.
+    """Call a function of rospy with a deadline, as rospy's requests to the master have none; return its result.
 
     Args:
-        action: what to do.
+        action: the function.
         where: the topic or service.
-        doing: what it does, for the error.
-        timeout: how long to wait, s; what takes longer is left to its thread.
+        doing: what the function does, for the error.
+        timeout: how long to wait, s; after that the call goes on in its thread.
 
     Raises:
         LinkError: it takes too long.
@@ -93,16 +94,16 @@ def within(action: Callable[[], T], *, where: str, doing: str, timeout: float = 
 
 @contextmanager
 def completed_first(topic: str, kind: str, complete: Callable[[Any], object]) -> Iterator[None]:
-    """While something is registered, have rospy complete it before it tells the master.
+    """Have rospy complete a publisher or subscriber before it registers it at the master, for a while.
 
-    rospy tells the master first, and sets afterwards what it was asked for: depth of the queue, latching, no delay of
-    small messages. Whom the master told and who connected in between would be served without: written to without a
-    queue, one that hangs would hold up who publishes.
+    rospy registers first, and sets the options afterwards: depth of the queue, latching, no delay of small messages. A
+    node that connects in between would be served without them: without a queue, a subscriber that hangs would block the
+    publisher.
 
     Args:
         topic: its absolute name.
         kind: `pub` for a publisher, `sub` for a subscriber.
-        complete: called with rospy's implementation of it.
+        complete: called with rospy's implementation of the topic.
     """
     registration = import_module("rospy.impl.registration")
 
@@ -113,16 +114,23 @@ def completed_first(topic: str, kind: str, complete: Callable[[Any], object]) ->
 
     listeners, ours = registration.get_registration_listeners(), Completing()
     with listeners.lock:
-        listeners.listeners.insert(0, ours)  # before the one that tells the master
+        listeners.listeners.insert(0, ours)  # before the one that registers at the master
     try:
         yield
     finally:
-        with listeners.lock, suppress(ValueError):  # where rospy is shut down meanwhile, it has forgotten all of them
+        with listeners.lock, suppress(ValueError):  # after a shutdown meanwhile, rospy has removed all listeners
             listeners.listeners.remove(ours)
 
 
+def offers_to_us(topic: str) -> dict[str, Qos]:
+    """Return the QoS of the publishers of a topic that are connected to this process, by the names of their nodes."""
+    subscriber = import_module("rospy.impl.registration").get_topic_manager().get_impl("sub", topic)
+    connections = [] if subscriber is None else list(subscriber.connections)
+    return {each.callerid_pub: Qos.TRANSIENT_LOCAL if each.is_latched else Qos.DEFAULT for each in connections}
+
+
 def check_running(was_shut_down: Callable[[], bool], where: str) -> None:
-    """See that rospy was not shut down: it sends nothing then, and says nothing.
+    """Check that rospy was not shut down: it would drop messages silently.
 
     Raises:
         LinkError: it was: by `rosnode kill`, by the config, or by a signal where the config has initialised the node.
@@ -133,7 +141,7 @@ def check_running(was_shut_down: Callable[[], bool], where: str) -> None:
 
 
 def pid_in_name(node: str) -> int | None:
-    """Return which process a node was begun in that is, or was, one of Robot Runner's; None where it is another's.
+    """Return the id of the process that started a node of Robot Runner; None for a node of another program.
 
     Example:
         >>> pid_in_name("/robot_runner_4711_1769853600000"), pid_in_name("/move_base")
@@ -144,9 +152,9 @@ def pid_in_name(node: str) -> int | None:
 
 
 def own_address(master: Master) -> str | None:
-    """Return the address by which this machine reaches a master on another; None where it is this machine's.
+    """Return the address from which this machine reaches a master on another one; None if the master is local.
 
-    Nothing is sent by asking.
+    Nothing is sent.
     """
     host, port = master_address(master.uri)
     try:
@@ -170,7 +178,7 @@ def _rospy() -> Any:
     except ImportError as error:
         raise rospy_missing(error.name or "rospy") from error
     finally:
-        logging.setLoggerClass(own)  # rospy makes all loggers of the process its own kind
+        logging.setLoggerClass(own)  # rospy sets its own class for all loggers of the process
 
 
 def _check_process() -> None:
@@ -183,10 +191,10 @@ def _check_process() -> None:
 
 
 def _move(master: Master) -> None:
-    """Be a node of another master from now on, which rospy does not know of; nothing may be open on the one before.
+    """Become a node of another master, which rospy does not provide for; nothing may be open at the one before.
 
     Raises:
-        LinkError: something is.
+        LinkError: something is open.
     """
     registration = import_module("rospy.impl.registration")
     topics, services = registration.get_topic_manager(), registration.get_service_manager()
@@ -205,7 +213,7 @@ def _initialise(rospy: Any, master: Master) -> None:
     os.environ["ROS_MASTER_URI"] = master.uri
     address = own_address(master)
     if address is not None and not {"ROS_IP", "ROS_HOSTNAME"} & set(os.environ):
-        # Otherwise rospy tells the robot this machine's name, which the robot seldom can resolve.
+        # Otherwise rospy registers this machine's host name, which the robot can seldom resolve.
         os.environ["ROS_IP"] = address
     logging.getLogger("rosout").addHandler(logging.NullHandler())  # without any handler it would print
     with tempfile.TemporaryDirectory(prefix="robot-runner-ros-") as folder:
@@ -220,7 +228,7 @@ def _init_node(rospy: Any) -> None:
     rospy.init_node(
         _NAME, argv=[_NAME], anonymous=True, disable_signals=True, disable_rostime=True, disable_rosout=True
     )
-    # Services of each node to set the level of its logs: one that is ended by os._exit would leave them at the master.
+    # Each node has services to set its log level: a node that ends by os._exit would leave them at the master.
     services = import_module("rospy.impl.registration").get_service_manager()
     for name, _ in services.get_services():
         services.map[name].shutdown()

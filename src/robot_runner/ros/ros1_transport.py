@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
@@ -23,7 +24,7 @@ from robot_runner.ros.graph_transport import (
     silent_publishers,
 )
 from robot_runner.ros.ros1_actions import Ros1Actions
-from robot_runner.ros.ros1_node import completed_first, join_graph, pid_in_name, within
+from robot_runner.ros.ros1_node import completed_first, join_graph, offers_to_us, pid_in_name, within
 from robot_runner.ros.ros1_publisher import CONNECTING, POLL, Publisher
 from robot_runner.ros.ros1_services import call_service, service_type
 from robot_runner.ros.ros1_types import Ros1Types, as_mapping, as_message, message_class, service_class
@@ -34,9 +35,9 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
-#: How long a publisher that is connected may take to tell so, s: a millisecond, or another client library does not.
+#: The timeout for a connected publisher to report the connection, s: it takes a millisecond, or is not supported.
 _TELLING_SECONDS = 0.5
-#: How long each service may take to tell its type, s.
+#: The timeout for asking a service for its type, s.
 _PROBING_SECONDS = 0.5
 _START = "Start the node that offers it."
 
@@ -61,14 +62,14 @@ class Ros1Transport:
         self._rospy = join_graph(master)
 
     def advertise(self, topic: str, message_type: str, qos: Qos) -> Publisher:
-        """Return a publisher, once the subscribers that are there already are connected."""
+        """Return a publisher, once the existing subscribers are connected."""
         self._check_type(topic, message_type)
         return Publisher(self._rospy, topic, message_class(message_type), qos, partial(self.subscribers, topic))
 
     def subscribe(
         self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
     ) -> _Subscription:
-        """Have `receive` called with each message, from a thread of rospy's; in ROS 1 only publishers choose a QoS.
+        """Call `receive` with each message, in a thread of rospy; in ROS 1 only publishers choose a QoS.
 
         It returns once the publishers that are there already are connected: what they publish next is received.
         """
@@ -89,14 +90,14 @@ class Ros1Transport:
         return as_mapping(call_service(service, uri, cls, as_message(cls._request_class, request), timeout=timeout))
 
     def serve(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> ExitStack:
-        """Offer a service; rospy tells the caller that a request failed, and no more."""
+        """Offer a service; rospy tells the caller only that a request failed."""
         self._check_free(service)
         cls, offer = service_class(service_type), ExitStack()
 
         def respond(request: Any) -> Any:
             return as_message(cls._response_class, answer(as_mapping(request)))
 
-        # Without a handler rospy would print what the answer raises; the link has logged it already.
+        # Without a handler rospy would print the exception of the callback, which the link has logged already.
         register = partial(self._rospy.Service, service, cls, respond, error_handler=lambda *_: None)
         offered = within(register, where=service, doing="registering the service")
         offer.callback(within, offered.shutdown, where=service, doing="withdrawing the service")
@@ -108,7 +109,7 @@ class Ros1Transport:
         return {name: plain_type(types.get(name, "")) for name in sorted({*state.publishers, *state.subscribers})}
 
     def services(self) -> Mapping[str, str]:
-        """Return the type of each service, asked of the service itself; those that do not answer are left out."""
+        """Return the type of each service, as the service reports it; those that do not answer are left out."""
         found = {}
         for name in sorted(self._master.state().services):
             try:
@@ -123,11 +124,13 @@ class Ros1Transport:
         return self._master.state().nodes
 
     def publishers(self, topic: str) -> Iterable[GraphEndpoint]:
-        """Return who publishes a topic; the master knows one type of it."""
-        return self._endpoints(topic, self._master.state().publishers)
+        """Return the publishers of a topic, with the type known to the master; QoS only of those connected to us."""
+        offered = offers_to_us(topic)
+        found = self._endpoints(topic, self._master.state().publishers)
+        return [replace(each, qos=offered.get(each.node)) for each in found]
 
     def subscribers(self, topic: str) -> Iterable[GraphEndpoint]:
-        """Return who subscribes a topic; the master knows one type of it."""
+        """Return the subscribers of a topic, all with the type that the master knows."""
         return self._endpoints(topic, self._master.state().subscribers)
 
     def _endpoints(self, topic: str, by_topic: Mapping[str, tuple[str, ...]]) -> list[GraphEndpoint]:
@@ -140,7 +143,7 @@ class Ros1Transport:
         ]
 
     def _is_there(self, node: str, *, is_alone: bool) -> bool:
-        """Whether a node answers: one that was killed stays registered at the master.
+        """Whether a node answers: a killed node stays registered at the master.
 
         One of ours is taken away then. Otherwise each run that is killed would leave one more, of which the master
         tells the robot, and which the robot tries to reach, whenever somebody new publishes. The only one of a topic
@@ -160,7 +163,7 @@ class Ros1Transport:
         return not is_taken_away if is_alone else answered is not None and not is_gone
 
     def _is_forgotten(self, node: str) -> bool:
-        """Take a node away that is registered with this machine's address: another's firewall may refuse us as well."""
+        """Unregister a node with this machine's address: on other machines, it may be a firewall that refuses us."""
         hosts = {urlsplit(uri or "").hostname for uri in (self._master.uri_of(node), self._rospy.get_node_uri())}
         if is_here := len(hosts) == 1:
             self._master.forget(node)
@@ -168,26 +171,26 @@ class Ros1Transport:
 
     @property
     def parameter_server(self) -> Master:
-        """The master, which is one."""
+        """The master, which has the parameter server."""
         return self._master
 
     def wait(self, event: threading.Event, seconds: float) -> None:
-        """Wait for an event, for so long at most."""
+        """Wait at most `seconds` for an event."""
         event.wait(seconds)
 
     def close(self) -> None:
-        """Stay a node: rospy's can be left only with the process, and shows nowhere once nothing is open on it."""
+        """Do nothing: rospy's node ends with the process, and is not visible once nothing is open on it."""
 
     def explain_silence(self, topic: str) -> str:
-        """Say what to do where nothing came on a topic."""
+        """Return the advice where no message came on a topic."""
         publishers = self._master.state().publishers
         return silent_publishers(publishers[topic]) if topic in publishers else nobody_publishes(topic, publishers)
 
     def open_subscriber(self, topic: str, receive: Callable[[Any], None]) -> Any:
-        """Return a subscriber of rospy's for messages of any type.
+        """Return a subscriber of rospy for messages of any type.
 
-        rospy shares one connection among all subscribers of a topic, with the class that the first of them asks for;
-        with its class for any message there is nothing that they can disagree about.
+        rospy shares one connection among all subscribers of a topic, with the class of the first. Its class for any
+        message suits all of them.
         """
 
         def complete(subscriber: Any) -> None:
@@ -201,18 +204,18 @@ class Ros1Transport:
         return within(register, where=topic, doing="registering the subscriber")
 
     def is_served(self, topic: str, publishers: Iterable[str]) -> bool:
-        """Whether all of these nodes send a topic to this one, as they tell."""
+        """Whether all of these nodes report that they send a topic to this one."""
         return all(self._master.is_serving(each, topic, self._rospy.get_name()) for each in publishers)
 
     def received(self, data: bytes, decode: Callable[[bytes], Message]) -> ReceivedBytes:
-        """Return bytes as a message that has arrived now."""
+        """Return bytes as a message received now."""
         return ReceivedBytes(data, self._now_ns(), decode)
 
     def _check_type(self, topic: str, wanted: str, *, publishers_only: bool = False) -> None:
         true = self._master.topic_types().get(topic, wanted)
         if true == wanted:
             return
-        state = self._master.state()  # the master remembers the types of topics that are no more
+        state = self._master.state()  # the master keeps the types of topics that no longer exist
         if state.publishers.get(topic) or (not publishers_only and state.subscribers.get(topic)):
             check_type(topic, wanted, [true])
 
@@ -223,14 +226,14 @@ class Ros1Transport:
         try:
             service_type(service, uri, timeout=_PROBING_SECONDS)
         except LinkError:
-            return  # left behind by a node that died
+            return  # the registration of a dead node
         raise already_offered(service, ", ".join(self._master.state().services.get(service, ("another node",))))
 
 
 def _connect_once(subscriber: Any) -> None:
-    """Have rospy keep the connection that it has to a publisher of which it is told twice at a time.
+    """Have rospy keep its connection to a publisher that is announced twice at a time.
 
-    It would replace the connection, and messages that have arrived on the former one unread would be lost.
+    rospy would replace the connection, and lose the messages that it has not yet read from the former one.
     """
     add = subscriber.add_connection
 
@@ -248,7 +251,7 @@ def _until(claim: Callable[[], bool], seconds: float) -> None:
 
 
 class _Subscription:
-    """Receives one topic as bytes, and drops messages of another type than the one that was asked for."""
+    """Receives one topic as bytes, and drops messages of another type than the requested one."""
 
     def __init__(self, transport: Ros1Transport, topic: str, cls: Any, receive: Callable[[Reception], None]) -> None:
         self._transport = transport
@@ -259,14 +262,14 @@ class _Subscription:
         self._receive = receive
         self._foreign: set[str] = set()
         self._kept: Any = None
-        # As on all other links, one message after the other: rospy has a thread for each publisher of the topic.
+        # Callbacks must not overlap, as on all other links, but rospy has a thread for each publisher of the topic.
         self._taking = threading.RLock()
         self._subscriber = transport.open_subscriber(topic, self._take)
 
     def connect(self, publishers: Sequence[str]) -> None:
-        """Wait until these nodes send to us, for so long as that takes at most."""
+        """Wait until these nodes send to us, or the timeout has passed."""
         _until(lambda: self._subscriber.get_num_connections() >= len(publishers), CONNECTING)
-        # Connected for us; a publisher begins to send a little later, and not all of them tell when.
+        # Our side is connected; a publisher begins to send a little later, and not every one reports that.
         _until(lambda: self._transport.is_served(self._topic, publishers), _TELLING_SECONDS)
 
     def explain(self) -> str:
@@ -278,7 +281,7 @@ class _Subscription:
     def _take(self, message: Any) -> None:
         with self._taking:
             header = message._connection_header  # noqa: SLF001 - where rospy documents it to be
-            # A message that its publisher keeps is handed on twice where it comes as the subscription begins.
+            # rospy delivers a latched message twice if it arrives while the subscription begins.
             is_known, self._kept = message is self._kept, message if header.get("latching") == "1" else None
             if header["md5sum"] in self._digests and not is_known:
                 self._receive(self._transport.received(message._buff, self._decode))  # noqa: SLF001 - as above

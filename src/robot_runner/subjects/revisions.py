@@ -60,7 +60,7 @@ class Repository:
             raise ExecutionError(problem, where=without_login(place), fix="Name the folder of a repository, or a URL.")
         if above:
             whole = (Path(self.place) / above.decode(errors="replace")).resolve()
-            problem = f"it is a folder within the repository {str(whole)!r}, which can be cloned as a whole only"
+            problem = f"this is a folder within the repository {str(whole)!r}, which can be cloned as a whole only"
             raise ExecutionError(problem, where=place, fix=f"Name {str(whole)!r}.")
         lines = answer.stdout.decode(errors="replace").splitlines()
         self._commits = {name: commit for commit, _, name in (line.partition("\t") for line in lines)}

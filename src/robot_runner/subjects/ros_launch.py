@@ -35,18 +35,26 @@ _ENDED = re.compile(
     _ESCAPE
     + rb"\[(?:(?:INFO|ERROR)\] \[)?(\S+?)\]:? process has (?:finished cleanly|died \[pid \d+, (exit code -?\d+))"
 )
+#: How roslaunch says that one ended with which the launch ends as well; the next line has how, unless it was well.
+_REQUIRED_ENDED = re.compile(_ESCAPE + rb"=+REQUIRED process \[(\S+)\] has died!")
+_HOW = re.compile(rb"process has died \[pid \d+, (exit code -?\d+)")
 _MIND_NODES = "Its output says why. Where a run is to fail at once, let the launch file end with the node: {}."
+_MIND_REQUIRED = "Its output says why. The launch was about to end with it when the mission did."
 #: By which a launch file ends with a node.
 _ENDS_WITH = {1: 'required="true"', 2: "on_exit=Shutdown()"}
 
 
 class _Nodes:
-    """What a launch has told of its nodes so far: how often each was started and ended, and how it died at last."""
+    """What a launch has told of its nodes so far: how often each was started and ended, and how it died at last.
+
+    Those with which the launch ends are `required`; they die however they end.
+    """
 
     def __init__(self, start: Start) -> None:
         self.starts: Counter[str] = Counter()
         self.ends: Counter[str] = Counter()
         self.deaths: dict[str, str] = {}
+        self.required: list[str] = []
         for path in (start.stdout, start.stderr):  # the generations differ in which has what
             with suppress(OSError), path.open("rb") as lines:
                 for line in lines:
@@ -55,6 +63,12 @@ class _Nodes:
     def _take(self, line: bytes) -> None:
         if started := _STARTED.match(line):
             self.starts[(started[1] or started[2]).decode(errors="replace")] += 1
+        elif required := _REQUIRED_ENDED.match(line):
+            self.required.append(required[1].decode(errors="replace"))
+            self.ends[self.required[-1]] += 1
+            self.deaths[self.required[-1]] = "exit code 0"
+        elif self.required and (how := _HOW.match(line)):
+            self.deaths[self.required[-1]] = how[1].decode()
         elif ended := _ENDED.match(line):
             node = ended[1].decode(errors="replace")
             self.ends[node] += 1
@@ -99,7 +113,7 @@ class RosLaunch(RosSubject):
         self.launch_file = (os.path.join(*words),) if isinstance(package, os.PathLike) else tuple(words)  # noqa: PTH118
         self.arguments = {name: word(self.name, value) for name, value in (arguments or {}).items()}
         if not self._is_of_run and any(_NAMESPACE in value for value in self.arguments.values()):
-            problem = f"it is launched once for all runs, and {_NAMESPACE} is the namespace of the run's robot"
+            problem = f"the file is launched once for all runs, and {_NAMESPACE} is the namespace of the run's robot"
             fix = "Start it in each run (per='run'), or write the namespace out."
             raise PluginError(problem, where=self.name, fix=fix)
         self._namespace = ""
@@ -117,8 +131,12 @@ class RosLaunch(RosSubject):
         told = (f"{name}:={value}" for name, value in given.items() if value or not self.arguments[name])
         return (*launch, *self.launch_file, *told)
 
+    def dumping(self) -> tuple[str, ...]:
+        """Return the command that writes the parameters which it sets at the master of ROS 1."""
+        return ("roslaunch", "--dump-params", *self.words()[1:])
+
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Yield what stands in the way, with this robot."""
+        """Yield the findings for this robot."""
         with suppress(LinkError):  # which is told of the robot itself
             robot = circumstances.robot
             self._namespace = "" if robot is None else resolved_robot(robot)[1].namespace.strip("/")
@@ -131,7 +149,8 @@ class RosLaunch(RosSubject):
             for node, how in nodes.deaths.items():
                 if nodes.ends[node] > self._ended_before[node] or nodes.ends[node] >= nodes.starts[node]:
                     problem = f"{node}, which it launched, has died: {how}"
-                    context.broker.doubt_run(self.name, problem, _MIND_NODES.format(_ENDS_WITH[self.ros]))
+                    fix = _MIND_REQUIRED if node in nodes.required else _MIND_NODES.format(_ENDS_WITH[self.ros])
+                    context.broker.doubt_run(self.name, problem, fix)
         super().stop_run(context)
 
     def _start(self, context: RobotRunnerContext) -> None:
@@ -146,13 +165,13 @@ class RosLaunch(RosSubject):
         return super()._begin(context, folder, begun)
 
     def files_read(self) -> Iterable[InputFile]:
-        """Yield the launch file that is named by its path, files that its arguments name, and what those name."""
+        """Yield the launch file if it is given by its path, files that its arguments name, and files named in these."""
         paths = map(self.surroundings.own_path, filter(None, self._files))
         there = [path for path in paths if path is not None and is_file(kept_copy(path) or path)]
         return [with_what_it_names(path) for path in there if not is_installed(path)]
 
     def ros_findings(self, where: str) -> Iterable[Finding]:
-        """Yield what ROS itself finds wrong with the package, the launch file, and its arguments."""
+        """Yield the errors of ROS itself about the package, the launch file, and its arguments."""
         ros, what = self.ros, "/".join(self.launch_file)
         asked = ("roslaunch", "--ros-args", *self.launch_file) if ros == 1 else (*self.words()[:2], "--show-args")
         described = self.surroundings.ask(asked if ros == 1 else (*asked, *self.launch_file))

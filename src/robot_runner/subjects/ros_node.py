@@ -28,8 +28,8 @@ _GRAPH_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _PARAMETER = re.compile(r"[A-Za-z0-9_./~-]+")
 #: roslaunch reads the launch file of the one node from its input, wherever it is executed; the file is its `$0`.
 _FROM_INPUT = "exec roslaunch - <<END\n$0\nEND\n"
-#: roslaunch tells the command of a node, for which it looks for the package and the executable, from a file alone.
-_ASK = 'file=$(mktemp) && printf %s "$0" >"$file" && roslaunch "--args=$1" "$file"; code=$?; rm -f "$file"; exit $code'
+#: roslaunch tells from a file alone what it sets, and the command of a node, for which it looks for the executable.
+_ASK = 'file=$(mktemp) && printf %s "$0" >"$file" && roslaunch "$1" "$file"; code=$?; rm -f "$file"; exit $code'
 #: What it says of them, among a traceback.
 _REFUSED = re.compile(
     r"Cannot locate node of type [^\n]*?\] in package [^\n]*?\]|[^\n]*does not exist[^\n]*|(ResourceNotFound: \S+)"
@@ -45,11 +45,11 @@ class RosNode(RosSubject):
     Args:
         package: the package that has the executable.
         executable: its name there.
-        arguments: words that the executable itself takes.
+        arguments: of the executable itself.
         parameters: of the node, by name; nested ones in mappings, or with dots in the name, which are slashes in ROS 1.
         parameters_file: a YAML file of parameters, or several; a path where the node is executed.
-        remappings: the names that the node uses, each with the one that it is to use instead.
-        node_name: what the node is called; left out, what it calls itself (ROS 2), or the executable (ROS 1).
+        remappings: the new name for each name that the node uses.
+        node_name: the name of the node; left out, its own default (ROS 2), or that of the executable (ROS 1).
         namespace: which it is started in, such as `/alice`; below that of the run's robot (`robot = "ros2://alice"`),
             but where it is started once for all runs.
         **options: `ros` and `rmw`, as of every `RosSubject`, and those of every `Subject`.
@@ -112,16 +112,20 @@ class RosNode(RosSubject):
         """Return the command."""
         return ("sh", "-c", _FROM_INPUT, self._launch_file()) if self.ros == 1 else self._run()
 
+    def dumping(self) -> tuple[str, ...]:
+        """Return the command that writes the parameters which it sets at the master of ROS 1."""
+        return ("sh", "-c", _ASK, self._launch_file(), "--dump-params")
+
     def files_read(self) -> Iterable[InputFile]:
         """Yield the files of parameters."""
         paths = map(self.surroundings.own_path, self._own_files)
         return [with_what_it_names(path) for path in paths if path is not None]
 
     def ros_findings(self, where: str) -> Iterable[Finding]:
-        """Yield that there is no such package, no such executable in it, or no file of parameters."""
+        """Yield errors: no such package, no such executable in it, or no file of parameters."""
         if self.ros == 1:
             name = f"{self._started_in}/{self._name_in_ros1}"
-            answer = self.surroundings.ask(("sh", "-c", _ASK, self._launch_file(), name))
+            answer = self.surroundings.ask(("sh", "-c", _ASK, self._launch_file(), f"--args={name}"))
             if answer.code != 0:
                 found = [*_REFUSED.finditer(answer.complaint)]  # the last one: before it stands a line of its source
                 told = answer._replace(complaint=(found[-1][1] or found[-1][0]).strip()) if found else answer

@@ -1,4 +1,4 @@
-"""What launch files and nodes of ROS share as subjects: which ROS, its middleware, its logs, its workspace."""
+"""The base of launch files and nodes of ROS as subjects: which ROS, its middleware, its logs, its workspace."""
 
 from __future__ import annotations
 
@@ -6,18 +6,23 @@ import json
 import re
 import signal
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
+from robot_runner.core.links.connect import graph_variables, robot_namespace
 from robot_runner.core.words import one_line
 from robot_runner.subjects.subject import Subject
 from robot_runner.subjects.supervised_program import Start
 from robot_runner.subjects.surroundings import Answer, is_known, word
 
-#: What starts the software of each generation.
+if TYPE_CHECKING:
+    from robot_runner.core.events.context import ExperimentContext
+    from robot_runner.subjects.supervised_program import SupervisedProgram
+
+#: The program that starts the software of each generation.
 PROGRAMS = {1: "roslaunch", 2: "ros2"}
 #: roslaunch gives its nodes 15 s after SIGINT and 2 s after SIGTERM; launch of ROS 2 gives them 5 s and 5 s.
 _GRACE = 20.0
@@ -35,15 +40,22 @@ _KNOWN_RMW = (
 _REQUIRED = re.compile(r"requires the '(\w+)' arg")
 _ESCAPES = re.compile(r"\x1b\[[0-9;]*m")
 _CHATTER = "The traceback for the exception"
-#: Executed where the subject is, so that the workspace which is sourced there is described.
-_DESCRIBE = ("python3", "-c", Path(__file__).with_name("workspace_packages.py").read_text(encoding="utf-8"))
+
+
+def _script(name: str) -> tuple[str, ...]:
+    return ("python3", "-c", Path(__file__).with_name(name).read_text(encoding="utf-8"))
+
+
+#: Executed where the subject is: the first has the workspace which is sourced there described.
+_DESCRIBE, _PUT_BACK = _script("workspace_packages.py"), _script("launched_parameters.py")
 
 
 class RosSubject(Subject):
     """Software of ROS under test: its nodes are ended as Ctrl-C would.
 
     The logs of its nodes go to its folder of raw data, too, where it is executed on this machine. The journal keeps
-    versions and git commits of the packages in the workspaces that are sourced.
+    versions and git commits of the packages in the workspaces that are sourced. What it sets of the parameters at a
+    master of ROS 1 is put back once it has ended; where the run was killed, before it is started again.
 
     Args:
         ros: 1 or 2; left out, the ROS that is sourced, or whose program is there.
@@ -82,6 +94,7 @@ class RosSubject(Subject):
             raise PluginError(f"rmw is {rmw!r}, and ros is 1", where=self.name, fix=fix)
         self.rmw = None if rmw is None else word(self.name, rmw)
         self._ros = ros
+        self._putting_back: tuple[str, ...] = ()
 
     @property
     def ros(self) -> int:
@@ -115,8 +128,12 @@ class RosSubject(Subject):
         yield from self.ros_findings(where)
 
     @abstractmethod
+    def dumping(self) -> tuple[str, ...]:
+        """Return the command that writes the parameters which it sets at the master of ROS 1."""
+
+    @abstractmethod
     def ros_findings(self, where: str) -> Iterable[Finding]:
-        """Yield what ROS itself finds wrong with what is to be started."""
+        """Yield the errors of ROS itself about the software that is to be started."""
 
     def refused(self, where: str, what: str, answer: Answer) -> Finding:
         """Return the finding that a program of ROS refuses something, with the last line that it wrote."""
@@ -134,6 +151,27 @@ class RosSubject(Subject):
             fix = did_you_mean(rmw, _KNOWN_RMW) if rmw not in _KNOWN_RMW else ""
             package = f"ros-<distribution>-{rmw.replace('_', '-')}"
             yield Finding.error(where, f"the middleware {rmw!r} is not installed", fix or f"Install it: {package}.")
+
+    def _begin(
+        self, context: ExperimentContext, folder: Path, begun: Callable[[int], object] = lambda _: None
+    ) -> SupervisedProgram:
+        if self.ros == 1:
+            of_graph = graph_variables(context.robot, is_here=self.surroundings.host is None)
+            told = [f"{name}={value}" for name, value in of_graph.items() if name not in self.surroundings.environment]
+            namespace = robot_namespace(context) if self._is_of_run else ""
+            key = f"{self._lock(context).stem}{namespace.replace('/', '_')}"
+            self._putting_back = ("env", *told, *_PUT_BACK, key)
+            answer = self.surroundings.ask((*self._putting_back, *self.dumping()))
+            if answer.code != 0 and isinstance(context, RobotRunnerContext):
+                problem = f"which parameters it leaves at the master cannot be told: {last_line(answer)}"
+                context.warn(problem, fix="See that python3 and roslaunch are there, with the workspace sourced.")
+        return super()._begin(context, folder, begun)
+
+    def _end(self) -> None:
+        was_begun = self._program is not None
+        super()._end()
+        if was_begun and self._putting_back:  # where that fails, the next start does it
+            self.surroundings.ask(self._putting_back)
 
     def _facts(self, context: RobotRunnerContext, start: Start) -> dict[str, Any]:
         """Return what the journal keeps of it, with the packages of the workspaces that are sourced."""
