@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from random import Random
 from typing import TYPE_CHECKING
 
 import pytest
@@ -120,6 +121,103 @@ def test_a_shuffled_order_comes_from_a_recorded_seed(
     order = [row["__run_id"] for row in first.table]
     assert sorted(order) != order
     assert [run_id for run_id, _ in planned(prepare(path))] == order
+
+
+@pytest.mark.long
+def test_what_is_no_text_in_the_search_path_is_passed_over_as_an_import_does(
+    config: Callable[..., Path], execute: Callable[..., Executed], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As `sys.path.append(os.getenv("RR_PATH"))` leaves there where the variable is not set."""
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    path = config()
+    head = "import pathlib, sys\nsys.path += [None, b'bytes', 3, pathlib.Path('folder')]\n"
+    path.write_text(head + path.read_text(encoding="utf-8"), encoding="utf-8")
+    assert {row["__done"] for row in execute(path).table} == {"DONE"}
+
+
+SHUFFLED = """\
+    def create_run_table_model(self):
+        return RunTableModel([FactorModel("n", list(range(20)))], shuffle=True, data_columns=[])
+"""
+
+
+SHUFFLED_BY_ITSELF = """\
+    def create_run_table_model(self):
+        rows = RunTableModel([FactorModel("n", list(range(20)))]).generate_experiment_run_table()
+        random.shuffle(rows)
+        return rows
+"""
+
+
+@pytest.mark.parametrize(
+    ("head", "table"),
+    [
+        ("import random\nrandom.seed(42)\n", SHUFFLED),
+        ("from random import seed\nseed(42)\n", SHUFFLED),
+        ("import random\n", SHUFFLED.replace("        return", "        random.seed(42)\n        return")),
+        ("import random\nrandom.seed(42)\n", SHUFFLED_BY_ITSELF),
+    ],
+    ids=["the file", "the function alone", "the table's method", "its own shuffling"],
+)
+def test_a_config_that_seeds_the_order_gets_the_order_of_the_earlier_tool(
+    head: str, table: str, config: Callable[..., Path]
+) -> None:
+    expected = list(range(20))
+    Random(42).shuffle(expected)  # noqa: S311 - what the earlier tool does with its rows
+    path = config(table=table)
+    path.write_text(head + path.read_text(encoding="utf-8"), encoding="utf-8")
+    preparation = prepare(path)
+    assert [combination["n"] for _, combination in planned(preparation)] == expected
+    assert preparation.experiment is not None
+    assert (preparation.experiment.model.seed, preparation.experiment.model.seed_is_given) == (42, True)
+
+
+@pytest.mark.long
+def test_an_order_by_a_seed_that_differs_each_time_is_gone_on_with_as_it_began(
+    config: Callable[..., Path], execute: Callable[..., Executed]
+) -> None:
+    methods = """
+    def interact(self, context):
+        assert (Path(__file__).parent / "mended").exists() or context.execute_run["n"] < 10
+"""
+    path = config(methods, table=SHUFFLED)
+    head = "import pathlib, random\nrandom.seed(int((pathlib.Path(__file__).parent / 'clock').read_text()))\n"
+    path.write_text(head + path.read_text(encoding="utf-8"), encoding="utf-8")
+    (path.parent / "clock").write_text("1")
+    begun = [row["n"] for row in execute(path).table]
+    (path.parent / "clock").write_text("2")
+    (path.parent / "mended").touch()
+    executed = execute(path)
+    assert [row["n"] for row in executed.table] == begun
+    assert {row["__done"] for row in executed.table} == {"DONE"}
+    assert not [warning for warning in executed.warnings if "order" in warning]
+
+
+@pytest.mark.long
+def test_a_factor_that_is_a_data_column_too_is_what_the_config_returns(
+    config: Callable[..., Path], execute: Callable[..., Executed]
+) -> None:
+    """As in a published study, which applied treatments of its own and returned them."""
+    table = """\
+    def create_run_table_model(self):
+        return RunTableModel(
+            [FactorModel("governor", ["powersave", "performance"]), FactorModel("load", ["low"])],
+            data_columns=["governor", "load", "energy"],
+        )
+"""
+    methods = """
+    def populate_run_data(self, context):
+        print(repr(context.execute_run["governor"]))
+        return {"governor": "ondemand", "load": context.run_nr % 2, "energy": context.run_nr}
+    """
+    executed = execute(config(methods, table=table))
+    assert executed.text.splitlines() == [
+        "__run_id,__done,governor,load,energy",
+        "run_0_repetition_0,DONE,ondemand,1,1",
+        "run_1_repetition_0,DONE,ondemand,0,2",
+    ]
+    assert executed.log("run_0_repetition_0").strip() == "' '"
+    assert any("'governor' is a factor and a data column" in warning for warning in executed.warnings)
 
 
 @pytest.mark.long

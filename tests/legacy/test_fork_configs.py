@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from random import Random
 from typing import TYPE_CHECKING
 
 import pytest
@@ -52,6 +53,20 @@ def test_a_randomised_order_of_a_fork_counts_ids_and_repetitions_as_they_come(
         seen[row["arena"]] += 1
         assert row["repetition"] == str(seen[row["arena"]])
     assert [run["arena"] for _, run in planned(prepare(path))] == [row["arena"] for row in executed.table]
+
+
+@pytest.mark.parametrize("repetitions", [1, 2])
+def test_a_fork_that_seeds_its_order_gets_the_order_of_the_fork(repetitions: int, config: Callable[..., Path]) -> None:
+    table = REPEATED.format(shuffled=True).replace('["circle", "line"]', "list(range(9))")
+    path = config(head=ROBOT, table=table.replace("num_of_repetitions=3", f"num_of_repetitions={repetitions}"))
+    path.write_text("import random\nrandom.seed(42)\n" + path.read_text(encoding="utf-8"), encoding="utf-8")
+    drawn = Random(42)  # noqa: S311 - what the fork does: it samples where nothing is repeated, else it shuffles
+    expected = [arena for arena in range(9) for _ in range(repetitions)]
+    if repetitions == 1:
+        expected = drawn.sample(expected, 9)
+    else:
+        drawn.shuffle(expected)
+    assert [combination["arena"] for _, combination in planned(prepare(path))] == expected
 
 
 def test_without_repetitions_a_fork_has_no_column_for_them(config: Callable[..., Path]) -> None:

@@ -109,7 +109,6 @@ def test_a_parameter_may_be_given_in_init(config: Callable[..., Path]) -> None:
         ("RunTableModel(['a'])", "'a' is no factor"),
         ("RunTableModel([FactorModel('a', [1])], data_columns='x')", "data_columns is 'x'"),
         ("RunTableModel([FactorModel('a', [1])], data_columns=['x', 'x'])", "two data columns are called 'x'"),
-        ("RunTableModel([FactorModel('a', [1])], data_columns=['a'])", "two columns are called 'a'"),
         ("RunTableModel([FactorModel('a', [1])], exclude_combinations=[{'b': [1]}])", "there is no factor 'b'"),
         ("RunTableModel([FactorModel('a', [1])], exclude_combinations=[{'a': [1]}])", "every combination is excluded"),
         ("RunTableModel([FactorModel('a', [1])], exclude_combinations=[3])", "an exclusion is 3, of type int"),

@@ -1,4 +1,4 @@
-"""From a config file of an earlier tool to a config object of ours, with all findings about it."""
+"""Load a config file of an earlier tool as a config object of ours, with all findings."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import threading
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from random import Random
 from secrets import randbits
 from typing import Any, NoReturn
 
@@ -48,15 +49,15 @@ from robot_runner.legacy.stand_ins.modules import StandIns
 
 @contextmanager
 def exits_raised() -> Iterator[None]:
-    """Have `os._exit`, with which some configs end their program, raise: this process is not theirs to end.
+    """Make `os._exit`, by which some configs end their program, raise instead, so that this process goes on.
 
     Raises:
-        SystemExit: it was called in this process.
+        SystemExit: `os._exit` was called in this process.
     """
     end, own_process = os._exit, os.getpid()
 
     def exit_or_raise(status: int = 0) -> NoReturn:
-        if os.getpid() != own_process:  # a process that the config forked
+        if os.getpid() != own_process:  # in a process that the config forked
             end(status)
         raise SystemExit(status)
 
@@ -67,8 +68,25 @@ def exits_raised() -> Iterator[None]:
         os._exit = end
 
 
-#: The static parameters that the earlier tools had, by our names, and what they called them: an attribute that is
-#: called like another one of ours means something else in their configs.
+@contextmanager
+def seeding_noted(session: Session) -> Iterator[None]:
+    """Note a whole number with which the config seeds `random`: the earlier tools shuffled by what that yields."""
+    seed = random.seed
+
+    def noted(a: Any = None, version: int = 2) -> None:
+        if isinstance(a, int) and not session.is_begun:
+            session.own_seed = abs(a)  # which yields the same
+        seed(a, version)
+
+    random.seed = noted
+    try:
+        yield
+    finally:
+        random.seed = seed
+
+
+#: The earlier tools' names of static parameters, by our names. Attributes with other names of ours have another meaning
+#: in their configs.
 _EARLIER_NAMES = {
     "experiment_name": "name",
     "results_output_path": "results_output_path",
@@ -85,7 +103,7 @@ def lift(recognised: Recognised, overrides: Mapping[str, str]) -> LoadedConfig:
     """Execute a config file of an earlier tool, make its run table, and return it as a config of ours.
 
     Raises:
-        ConfigError: its code raises, it misuses the tool's API, or a parameter that is to be set does not exist.
+        ConfigError: its code raises, it misuses the tool's API, or an override is for an unknown parameter.
     """
     refused = check_file(recognised)
     if any(finding.is_error for finding in refused):
@@ -111,13 +129,15 @@ class _Lifting:
         self._config: Any = None
         self._local_modules: Mapping[Path, Path] = {}
         self._threads: tuple[str, ...] = ()
+        self._random_state = random.getstate()
 
     @contextmanager
     def executing(self, when: str) -> Iterator[None]:
-        """Have the earlier tool's modules there, and what is raised become a ConfigError."""
+        """Make the earlier tool's modules importable, and turn exceptions into a ConfigError."""
         with (
             self._importable(),
             active_session(self.session),
+            seeding_noted(self.session),
             self._stand_ins.present(),
             raised_in(self._recognised.path, when),
             exits_raised(),
@@ -126,14 +146,14 @@ class _Lifting:
 
     @contextmanager
     def _importable(self) -> Iterator[None]:
-        """Let be imported what stands beside the config, and then what stands beside the tool's `__main__.py`."""
+        """Make modules beside the config importable, and then those beside the tool's `__main__.py`."""
         with ExitStack() as stack:
             for folder in (*reversed(clone_around(self._recognised.path).entries), self._recognised.path.parent):
                 stack.enter_context(importable(folder))
             yield
 
     def load(self) -> None:
-        """Execute the file, set what is set from outside, and instantiate the config class."""
+        """Execute the file, apply the overrides, and instantiate the config class."""
         before, threads_before = set(sys.modules), set(threading.enumerate())
         class_name = self._recognised.dialect.class_name
         source = ConfigSource(self._recognised.path, self._recognised.text, class_name)
@@ -153,17 +173,18 @@ class _Lifting:
                 setattr(self._config, earlier_name, value)
         self._local_modules = local_modules_among(self._recognised.path, set(sys.modules) - before)
         self._threads = threads_since(threads_before)
+        self._random_state = random.getstate()
 
     def lacking(self, error: ConfigError) -> list[Finding]:
-        """Return what else is missing for a file that could not be loaded, so that one report names everything."""
+        """Return further missing requirements of a file that failed to load, so that one report has all."""
         said = {finding.where for finding in error.findings}
         found = [*check_packages(self._recognised), *check_plugins((self._recognised.path,))]
         return [finding for finding in found if finding.is_error and finding.where not in said]
 
     def lifted(self) -> LoadedConfig:
-        """Make the run table, and put everything together."""
+        """Make the run table, and return the loaded config."""
         folder = self._folder()
-        self.session.seed = _recorded_seed(folder) if folder else randbits(32)
+        self._settle_seed(folder)
         if folder is not None:
             self._config.experiment_path = folder.root
         plugins = self._plugins()
@@ -188,6 +209,19 @@ class _Lifting:
             lacking=tuple(check_plugins(self._files)),
         )
 
+    def _settle_seed(self, folder: ExperimentFolder | None) -> None:
+        """Take the seed with which the experiment began, if it has; else the config's own, or draw one."""
+        recorded = _recorded_seed(folder) if folder else None
+        own = self.session.own_seed
+        if recorded is None:
+            self.session.seed = randbits(32) if own is None else own
+            return
+        self.session.is_begun = True
+        self.session.seed, is_own = recorded
+        if is_own and own != self.session.seed:
+            self._random_state = Random(self.session.seed).getstate()  # noqa: S311 - as the config's first seed did
+        self.session.own_seed = self.session.seed if is_own else None
+
     def _apply(self, config_class: type) -> None:
         others = {}
         for name, text in self._overrides.items():
@@ -210,15 +244,15 @@ class _Lifting:
     def _parameters(self) -> dict[str, Any]:
         values = {parameter.name: self._value(parameter.name, parameter.default) for parameter in PARAMETERS.values()}
         if values["robot"] is None and is_robot_operated(self._files):
-            values["robot"] = "auto"  # the earlier tools took the ROS that is sourced
+            values["robot"] = "auto"  # the earlier tools used the sourced ROS
         name = values["experiment_name"]
         if isinstance(name, str):
-            # The folder has the name as it is; what stands here is what the experiment is called.
+            # The folder keeps the original name; this is the name of the experiment.
             values["experiment_name"] = _UNFIT_FOR_NAME.sub("_", Path(name).name).strip(" ._-") or name
         return values
 
     def _folder(self) -> ExperimentFolder | None:
-        """Return the earlier tool's folder: a relative path begins in the current folder; runs stand in the root."""
+        """Return the experiment's folder: relative to the current folder, with run folders at its top level."""
         results, name = getattr(self._config, "results_output_path", None), getattr(self._config, "name", None)
         if not isinstance(results, str | Path) or not isinstance(name, str) or "\0" in f"{results}{name}":
             return None  # the check of the static parameters says why
@@ -237,7 +271,10 @@ class _Lifting:
 
     def _design(self, plugins: list[Plugin]) -> EarlierDesign | ConfigError:
         state = random.getstate()
-        random.seed(self.session.seed)  # a config that shuffles its own rows gets the same order again
+        if self.session.own_seed is None:
+            random.seed(self.session.seed)  # a config that shuffles its own rows gets the same order again
+        else:
+            random.setstate(self._random_state)
         try:
             with self.executing("in the making of the run table"):
                 made = self._table_method()()
@@ -260,9 +297,10 @@ class _Lifting:
         )
 
 
-def _recorded_seed(folder: ExperimentFolder) -> int:
-    """Return the seed with which an experiment began, so that it goes on in its order; a new one where it did not."""
+def _recorded_seed(folder: ExperimentFolder) -> tuple[int, bool] | None:
+    """Return the seed with which an experiment began and whether it was the config's own, or None if it has not."""
     try:
-        return int(read_manifest(folder.manifest)["seed"]) if folder.manifest.exists() else randbits(32)
-    except (StorageError, KeyError):  # reading the folder again to execute it says what is wrong
-        return randbits(32)
+        manifest = read_manifest(folder.manifest) if folder.manifest.exists() else {}
+        return (int(manifest["seed"]), bool(manifest.get("seed_is_given"))) if manifest else None
+    except (StorageError, KeyError):  # reading it again for the execution reports the error
+        return None

@@ -1,4 +1,4 @@
-"""From the run table that a config of an earlier tool made to a design of ours."""
+"""Convert the run table of a config of an earlier tool to a design of ours."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from robot_runner.legacy.session import Session
 from robot_runner.legacy.stand_ins.machinery import RunProgress
 from robot_runner.legacy.stand_ins.models import RunTableModel
 
-#: What headed the progress of a run.
+#: The headings of a run's id and progress.
 PROGRESS = ("__run_id", "__done")
 
 
 def named_columns(columns: Iterable[Any]) -> Mapping[Any, str]:
-    """Give each column a name that our run table can have; a column `status` would clash with our own.
+    """Return a name for each column that does not clash with our own columns, such as `status`.
 
     Example:
         >>> dict(named_columns(["Task", "status"]))
@@ -46,7 +46,7 @@ _ADDRESS = re.compile(r" at 0x[0-9A-Fa-f]+")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShownTreatment:
-    """A treatment whose own text could not be recognised when resuming: the table shows another text.
+    """A treatment with another text in the table, since its own could not be recognised when resuming.
 
     Example:
         >>> str(ShownTreatment(print, "print"))
@@ -64,16 +64,16 @@ class ShownTreatment:
 
 
 def value_of(treatment: Any) -> Any:
-    """Return the value that a callback is to see."""
+    """Return the value of a treatment for callbacks."""
     return treatment.value if isinstance(treatment, ShownTreatment) else treatment
 
 
 def shown_treatments(values: Iterable[Any], warn: Callable[[Any, str], None]) -> list[tuple[Any, Any]]:
-    """Return each different value with the treatment that stands for it in the design.
+    """Return each distinct value with its treatment in the design.
 
     Args:
-        values: in order, perhaps repeated.
-        warn: takes a value whose text had to be changed, and the text that it has now.
+        values: in order, with repetitions.
+        warn: called with a value whose text had to be changed, and its new text.
     """
     shown: list[tuple[Any, Any]] = []
     texts: set[str] = set()
@@ -99,7 +99,7 @@ def _is_same(one: Any, other: Any) -> bool:
 
 def _fit_text(value: Any, text: str, taken: set[str]) -> str:
     if isinstance(value, set | frozenset) and len(value) > 1:
-        text = "{" + ", ".join(sorted(map(repr, value))) + "}"  # a set is written in another order by each process
+        text = "{" + ", ".join(sorted(map(repr, value))) + "}"  # the order in a set's text differs between processes
     elif _ADDRESS.search(text):
         text = getattr(value, "__qualname__", None) or type(value).__name__
     elif text in taken:
@@ -120,10 +120,10 @@ class EarlierDesign:
     """The run table of a config.
 
     Attributes:
-        model: as a design of ours.
+        model: the design.
         names: our names of its columns.
-        factors: the columns that are factors, as the config calls them.
-        data_columns: those that are measures.
+        factors: the columns of factors, by the config's names.
+        data_columns: the columns of measures.
     """
 
     model: ListedRunTableModel
@@ -133,18 +133,19 @@ class EarlierDesign:
 
     @property
     def spelling(self) -> TableSpelling:
-        """How the run table's file spells its headings."""
+        """The spelling of the headings in the run table's file."""
         others = {name: str(column) for column, name in self.names.items() if name != str(column)}
         return replace(EARLIER_SPELLING, headings=MappingProxyType({**EARLIER_SPELLING.headings, **others}))
 
 
 def design_of(session: Session, returned: Any, config: Any, more_columns: Sequence[str] = ()) -> EarlierDesign:
-    """Return the design of what `create_run_table` or `create_run_table_model` returned: a model, or a list of rows.
+    """Return the design of the value returned by `create_run_table` or `create_run_table_model`.
 
-    The tool itself adds `more_columns` for measures. Experiment Runner's configs kept the model in an attribute.
+    That is a model or a list of rows; Experiment Runner's configs may keep the model in an attribute instead. The tool
+    itself adds `more_columns` for measures.
 
     Raises:
-        ConfigError: it is neither, or a row is not as it should be.
+        ConfigError: the value is neither, or a row is invalid.
     """
     if returned is None:
         returned = getattr(config, "run_table_model", None)
@@ -157,21 +158,24 @@ def design_of(session: Session, returned: Any, config: Any, more_columns: Sequen
     factors, data_columns = _columns_of(rows, model)
     data_columns += [column for column in more_columns if column not in data_columns]
     names = named_columns([*factors, *data_columns])
+    seed = session.seed if session.own_seed is None else session.own_seed
     treatments = {column: _treatments(session, column, rows, model) for column in factors}
     design = ListedRunTableModel(
         [Factor(names[column], [shown for _, shown in treatments[column]]) for column in factors],
         _listed_runs(session, rows, treatments, names),
         data_columns=[names[column] for column in data_columns],
-        order=RunOrder(shuffle=model is not None and model.is_shuffled, seed=session.seed),
+        order=RunOrder(
+            shuffle=model is not None and model.is_shuffled, seed=seed, seed_is_given=session.own_seed is not None
+        ),
     )
     return EarlierDesign(design, names, tuple(factors), tuple(data_columns))
 
 
 def _check_names(model: RunTableModel) -> None:
-    """Refuse a factor or a measure that is named like the tool's own columns: those would take its place.
+    """Refuse a factor or a measure with the name of one of the tool's own columns, which would replace it.
 
     Raises:
-        ConfigError: there is one.
+        ConfigError: a name is taken.
     """
     named = [("factor", factor.factor_name) for factor in model.get_factors()]
     named += [("measure", column) for column in model.get_data_columns()]
@@ -201,7 +205,7 @@ def _checked_rows(returned: Any) -> list[Mapping[Any, Any]]:
 
 
 def _columns_of(rows: Sequence[Mapping[Any, Any]], model: RunTableModel | None) -> tuple[list[Any], list[Any]]:
-    """Tell factors and measures apart: by the model that the rows are from; what it does not know, by its cells."""
+    """Return the columns of factors and of measures: by the model of the rows; other columns by their cells."""
     columns = [column for column in dict.fromkeys(name for row in rows for name in row) if column not in PROGRESS]
     measures = set(model.get_data_columns()) if model is not None else set()
     known = {factor.factor_name for factor in model.get_factors()} if model is not None else set()
@@ -273,5 +277,5 @@ def _is_done(row: Mapping[Any, Any]) -> bool:
 
 
 def is_blank(value: Any) -> bool:
-    """Return whether a cell holds nothing."""
+    """Return whether a cell is empty."""
     return value is None or (isinstance(value, str) and not value.strip())

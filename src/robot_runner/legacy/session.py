@@ -1,4 +1,4 @@
-"""What is known while a config file of an earlier tool is loaded and executed; its stand-in modules look here."""
+"""The state of loading and executing a config file of an earlier tool, for its stand-in modules."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class EarlierSubscription:
     """A callback that the config subscribed.
 
     Attributes:
-        place: the code that subscribed it: a config that derives from another replaces what that one subscribed.
-        is_of_fork: whether it was subscribed to an event of a fork's own, which stands beside the one that it is here.
+        place: the code that subscribed it: a derived config replaces the callbacks of its base.
+        is_of_fork: whether it subscribed to an additional event of a fork, which does not replace our event's callback.
     """
 
     event: RobotRunnerEvents
@@ -32,7 +32,7 @@ class EarlierSubscription:
 
 
 def name_of(callback: object) -> str:
-    """Return the name of a callback; empty where it has none."""
+    """Return the name of a callback; empty if it has none."""
     return str(getattr(callback, "__name__", ""))
 
 
@@ -41,17 +41,21 @@ class Session:
     """One config file of an earlier tool.
 
     Attributes:
-        seed: what a randomised order of its runs comes from.
-        subscriptions: its callbacks, in the order in which they subscribed.
-        findings: what was found while it was loaded, other than what refuses it at once.
+        seed: the seed of a random order of its runs.
+        own_seed: the whole number with which the config seeds `random`, or None: its order is the earlier tool's then.
+        is_begun: whether the experiment has begun, so that its seed is known.
+        subscriptions: its callbacks, in the order of subscription.
+        findings: from loading it, except errors that are raised at once.
         models: the run-table models that it made, in order.
         context: the context of the run that is being executed, or None.
-        config_class: the class that describes the experiment, when the file has been executed.
-        estimated: the columns whose values come from a model and not from a meter.
+        config_class: the config class, once the file has been executed.
+        estimated: the columns whose values are estimates by a model, not readings of a meter.
     """
 
     recognised: Recognised
     seed: int = 0
+    own_seed: int | None = None
+    is_begun: bool = False
     subscriptions: list[EarlierSubscription] = field(default_factory=list)
     findings: list[Finding] = field(default_factory=list)
     models: list[Any] = field(default_factory=list)
@@ -69,7 +73,7 @@ class Session:
         return {name_of(each.callback) for each in self.subscriptions if each.event in events}
 
     def warn(self, where: str, problem: str, fix: str = "") -> None:
-        """Note something that does not refuse the config; the same is noted once."""
+        """Add a warning, unless it was added before."""
         finding = Finding.warning(f"{self.path.name}, {where}", problem, fix)
         if finding not in self.findings:
             self.findings.append(finding)
@@ -81,7 +85,7 @@ _active: list[Session] = []
 
 @contextmanager
 def active_session(session: Session) -> Iterator[None]:
-    """Have stand-in modules look at this session."""
+    """Make this session the one that stand-in modules use."""
     _active.append(session)
     try:
         yield
@@ -93,7 +97,7 @@ def current_session() -> Session:
     """Return the session of the config whose code is being executed.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: no config is being executed.
     """
     if not _active:
         raise ConfigError(
@@ -113,7 +117,7 @@ def current_run(where: str) -> RobotRunnerContext:
     """Return the context of the run that is being executed.
 
     Raises:
-        LinkError: there is none; `where` names the plugin that needs it.
+        LinkError: no run is being executed; `where` names the plugin that needs it.
     """
     context = active_context()
     if context is None:
@@ -129,7 +133,7 @@ _log = logging.getLogger(__name__)
 
 
 def warn_of_run(problem: str, *, fix: str = "") -> None:
-    """Warn of something doubtful at the end of the experiment; outside a run it is logged."""
+    """Add a warning to the run, which is shown at the end of the experiment; outside a run it is logged."""
     context = active_context()
     if context is None:
         _log.warning("%s %s", problem, fix)

@@ -273,6 +273,14 @@ SHAPES = {
         made("__run_id,__done,task,start_time,energy", TASK, start_time="15711771{n:02}.5", **IDS),
         "id=__run_id done=__done rep=@ F=task M=energy X=start_time",
     ),
+    "moments as a spreadsheet writes them": (
+        made("Timestamp,device,availability", {"device": ["a"]}, 9, Timestamp="12/22/2024 18:0{q}"),
+        "F=device M=availability X=Timestamp",
+    ),
+    "moments of a day with a month in words": (
+        made("__run_id,__done,task,started,energy", TASK, started="22 Dec 2024 18:0{r}", **PLAIN),
+        "id=__run_id done=__done F=task M=energy X=started",
+    ),
     "a path": (
         made("__run_id,__done,task,energy,log_path", TASK, log_path="/data/{n}.log", **IDS),
         "id=__run_id done=__done rep=@ F=task M=energy X=log_path",
@@ -337,6 +345,42 @@ SHAPES = {
 def test_columns_are_what_they_look_like(tmp_path, text, expected):
     roles = roles_of(read_foreign_table(write(tmp_path / "run_table.csv", text)), ImportDescription())
     assert summary(roles) == expected
+
+
+def test_run_ids_that_contradict_all_columns_tell_no_combinations(tmp_path):
+    """As of a config that shuffles the run table and applies treatments of its own, one after the other."""
+    lines = ["__run_id,__done,governor,load,energy"]
+    planned = [(number, repetition) for repetition in range(5) for number in range(6)]
+    treatments = product(("powersave", "performance"), ("low", "mid", "high"), range(5))
+    for place, (governor, load, _) in enumerate(treatments):
+        number, repetition = planned[place * 7 % 30]
+        lines.append(f"run_{number}_repetition_{repetition},DONE,{governor},{load},{10 + (place * 37 % 101) / 7:.4f}")
+    roles = guessed(tmp_path, "\n".join(lines) + "\n")
+    assert summary(roles) == "id=__run_id done=__done F=governor+load M=energy"
+    assert roles.notes == (
+        "no column agrees with the combinations that __run_id names (run_0_repetition_0, ...): these are not used",
+    )
+
+
+def test_moments_since_1970_under_the_name_of_a_measure_are_asked_about(tmp_path):
+    text = made("__run_id,__done,task,energy_J,watts", TASK, energy_J="17610828{n:02}543", watts="{x:.1f}", **IDS)
+    roles = guessed(tmp_path, text)
+    assert summary(roles) == "id=__run_id done=__done rep=@ F=task M=energy_J+watts ?=energy_J"
+    assert {guess.column: guess.reason for guess in roles.guesses}["energy_J"] == (
+        "its numbers grow from row to row like moments in ms since 1970 (from 2025-10-21)"
+    )
+    (said,) = guessed(tmp_path, text, measures=("energy_J",)).unsure or ("nothing",)
+    assert said == "nothing"
+
+
+def test_large_counts_are_no_moments(tmp_path):
+    text = made("__run_id,__done,task,instructions", TASK, instructions="17610{q}28000{n:02}", **IDS)
+    assert summary(guessed(tmp_path, text)) == "id=__run_id done=__done rep=@ F=task M=instructions"
+
+
+def test_one_text_in_all_rows_is_not_said_to_have_one_run_each(tmp_path):
+    roles = guessed(tmp_path, made("seed,attribution,energy", {"attribution": ["per_device"]}, 6, seed="{x:.0f}"))
+    assert "attribution" in roles.extras
 
 
 REPEATED = made("task,repetition,energy", TASK, repetition="{rep}")

@@ -101,6 +101,8 @@ def test_without_guessing_nothing_is_taken_for_samples(root):
         ("\r\n,,,\r\n" + EARLIER_TABLE, "utf-8"),
         (EARLIER_TABLE.replace(",", ";").replace(".0", ",0"), "utf-8"),
         (EARLIER_TABLE.replace(",", "\t"), "utf-16"),
+        ("sep=;\r\n" + EARLIER_TABLE.replace(",", ";"), "utf-8"),
+        ('\r\n"sep=\t"\r\n' + EARLIER_TABLE.replace(",", "\t"), "utf-16"),
         (EARLIER_TABLE.replace("true", "TRUE").replace("false", "False").replace("DONE", "True"), "utf-8"),
         (EARLIER_TABLE.replace("\r\n", ",,\r\n"), "utf-8"),
         (EARLIER_TABLE.replace("__run_id,__done", "Run ID,Status"), "utf-8"),
@@ -111,6 +113,8 @@ def test_without_guessing_nothing_is_taken_for_samples(root):
         "blank first lines",
         "semicolons",
         "tabs, UTF-16",
+        "Excel's line of the separator",
+        "the same in quotes",
         "booleans",
         "empty columns",
         "renamed",
@@ -184,6 +188,29 @@ def test_text_among_numbers_is_noted(tmp_path):
     rows = "run_0,DONE,a,1.5\nrun_1,DONE,a,overflow\nrun_2,DONE,b,2.5\nrun_3,DONE,b,3.5\n"
     found = table_only(tmp_path, f"__run_id,__done,task,energy\n{rows}")
     assert "energy is text in 1 run, such as run_1: no statistics of it" in found.notes
+
+
+@pytest.mark.parametrize(("cells", "told"), [("0.31 -999999 -999999 0.29", True), ("-99 0.5 0.25 0.75", True)])
+def test_nines_that_may_stand_for_a_missing_value_are_noted(tmp_path, cells, told):
+    rows = "".join(f"run_{place},DONE,{'ab'[place % 2]},{cell}\n" for place, cell in enumerate(cells.split()))
+    found = table_only(tmp_path, f"__run_id,__done,task,r2\n{rows}")
+    nines = min(cells.split())
+    count = "2 runs" if nines == "-999999" else "1 run"
+    note = f"r2 is {nines} in {count}, far from all others: a missing value? Then leave these cells empty"
+    assert (note in found.notes) is told
+
+
+@pytest.mark.parametrize("cells", ["-99 -101.5 -80 -120", "999 1001 850 720", "99 98.5 97 1.5", "-999 -999 -999 -999"])
+def test_nines_among_numbers_like_them_are_numbers(tmp_path, cells):
+    rows = "".join(f"run_{place},DONE,{'ab'[place % 2]},{cell}\n" for place, cell in enumerate(cells.split()))
+    assert not any("missing value" in note for note in table_only(tmp_path, f"__run_id,__done,task,e\n{rows}").notes)
+
+
+def test_what_a_spreadsheet_has_for_not_available_is_a_missing_number(tmp_path):
+    rows = "run_0,DONE,a,1.5\nrun_1,DONE,a,#N/A\nrun_2,DONE,b,<NA>\nrun_3,DONE,b,3.5\n"
+    found = table_only(tmp_path, f"__run_id,__done,task,energy_J\n{rows}")
+    assert [run.measures["energy_J"] for run in found.runs] == [1.5, None, None, 3.5]
+    assert found.units["energy_J"] is not None
 
 
 def test_run_folders_may_be_elsewhere(tmp_path):

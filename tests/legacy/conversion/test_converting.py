@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import csv
+import sys
 from typing import TYPE_CHECKING
 
 import pytest
@@ -761,3 +762,43 @@ def test_a_place_that_ends_in_a_slash_is_a_folder(config: Callable[..., Path], t
     path = config("def populate_run_data(self, context): return {'seconds': 1}")
     assert main(["convert", str(path), "--out", f"{tmp_path}/new/"]) == 0
     assert (tmp_path / "new" / path.name).is_file()
+
+
+def test_what_is_no_text_in_the_search_path_is_passed_over(
+    config: Callable[..., Path], converted: Callable[[Path], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    path = config()
+    path.write_text("import sys\nsys.path.append(None)\n" + path.read_text(encoding="utf-8"), encoding="utf-8")
+    assert "sys.path.append(None)" in converted(path).read_text(encoding="utf-8")
+
+
+def test_folders_without_init_in_each_other_can_be_imported_from_elsewhere(
+    config: Callable[..., Path], converted: Callable[[Path], Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    module = tmp_path / "elsewhere/of_study/one/two/three/four/five/six/loads.py"
+    module.parent.mkdir(parents=True)
+    module.write_text("LOAD = 1\n")
+    path = config()
+    head = f"import sys\nsys.path.append({str(tmp_path / 'elsewhere')!r})\n"
+    head += "from of_study.one.two.three.four.five.six.loads import LOAD\n"
+    path.write_text(head + path.read_text(encoding="utf-8"), encoding="utf-8")
+    assert "import LOAD" in converted(path).read_text(encoding="utf-8")
+
+
+def test_an_order_that_the_config_seeded_is_said_to_be_another(config: Callable[..., Path]) -> None:
+    table = """\
+    def create_run_table_model(self):
+        return RunTableModel([FactorModel("n", list(range(20)))], shuffle=True, data_columns=["seconds"])
+"""
+    path = config(table=table)
+    path.write_text("import random\nrandom.seed(42)\n" + path.read_text(encoding="utf-8"), encoding="utf-8")
+    conversion = convert(path)
+    new = path.with_name("converted.py")
+    new.write_text(conversion.text, encoding="utf-8")
+    (finding,) = check_conversion(conversion, new)
+    assert str(finding) == (
+        "run table: random.seed(42) does not decide the order of the runs any more → Write RunTableModel(..., seed=42) "
+        "for an order that comes again each time; it is another one than before."
+    )

@@ -140,7 +140,7 @@ def test_what_a_base_cannot_keep_is_found_in_the_file_of_the_base(
         """,
         "E2.py",
     )
-    with pytest.raises(ConfigError, match="it writes into the row of the run table") as caught:
+    with pytest.raises(ConfigError, match="this writes into the row of the run table") as caught:
         convert(derived)
     place, _, line = caught.value.findings[0].where.rpartition(":")
     assert place == str(base)

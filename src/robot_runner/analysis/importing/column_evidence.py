@@ -1,4 +1,4 @@
-"""What the values and the heading of a column say about its role: whether values repeat, cross, count or differ."""
+"""Evidence for a column's role in its values and its heading: whether values repeat, cross, count or differ."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Role(Enum):
-    """What a column is."""
+    """The role of a column."""
 
     RUN_ID = "run id"
     STATUS = "status"
@@ -35,20 +35,20 @@ class Role(Enum):
 
 
 class Confidence(Enum):
-    """How sure a role is: LIKELY has something to say for it and little against, UNSURE needs an answer."""
+    """The confidence in a role: for LIKELY there is some evidence and little against it, UNSURE needs an answer."""
 
     SURE = "sure"
     LIKELY = "likely"
     UNSURE = "unsure"
 
 
-#: A role, how sure it is, and the reason in words.
+#: A role, the confidence in it, and the reason in words.
 Verdict = tuple[Role, Confidence, str]
 
 
 @dataclass(frozen=True, slots=True)
 class RoleGuess:
-    """What a column is taken for, how sure that is, and why.
+    """The guessed role of a column, the confidence in it, and the reason.
 
     Example:
         >>> guess = RoleGuess("level", Role.FACTOR, Confidence.UNSURE, "few numbers, which repeat unevenly")
@@ -63,30 +63,30 @@ class RoleGuess:
 
     @property
     def question(self) -> str:
-        """What is doubtful, in words."""
+        """The doubtful guess in words."""
         taken = self.role.value if self.role is Role.TEXT else f"taken for a {self.role.value}"
         return f"column {self.column!r} is {taken}: {self.reason}"
 
 
-#: Run ids that end in a repetition, as the earlier tools and people write them: `run_3_repetition_1`, `slow_rep2`.
+#: Run ids that end in a repetition, as earlier tools and people write them: `run_3_repetition_1`, `slow_rep2`.
 IN_RUN_ID = re.compile(r"(.*?)[_-](?:repetition|rep|trial)[_-]?(\d+)$", re.IGNORECASE)
-#: Repetitions that are numbered in words, as in `r3`, `rep_3` or `repeat3.csv`.
+#: Repetitions written as a word with a number, as in `r3`, `rep_3` or `repeat3.csv`.
 _LAST_NUMBER = re.compile(r"(?:\w*[A-Za-z_ -])?(\d+)(?:\.[A-Za-z]+)?")
 _LIKE_A_NUMBER = re.compile(r"[+-]?[0-9.,eE+-]+")
 _OF_MOMENTS = re.compile(r"start|begin|end|stop|finish|stamp|date|time|at$")
-_THIS_CENTURY = 978_307_200  # s since 1970; counted in ms or ns it is more
+_THIS_CENTURY = 978_307_200  # s since 1970; in ms or ns the number is larger
 
 _WORDS = {
     RunStatus.DONE: "done true yes 1 finished completed complete ok success x",
     RunStatus.TODO: "- – — todo to_do false no 0 pending running planned",  # noqa: RUF001 - spreadsheets write dashes
     RunStatus.FAILED: "failed error aborted crashed fail",
 }
-#: The words for how far a run is, in small letters.
+#: The words for a run's status, in lower case.
 STATUSES = {word: status for status, words in _WORDS.items() for word in words.split()} | dict.fromkeys(
     ("", "to do", "not done"), RunStatus.TODO
 )
 
-# Words that stand in the headings of what is measured.
+# Words in the headings of measures.
 _MEASURED = re.compile(
     r"energy|power|joules?|watts?|time|duration|latency|delay|elapsed|cpu|gpu|mem(ory)?|v?ram|swap|usage|util\w*|"
     r"accuracy|precision|recall|f1|score|errors?|r?mse|mae|throughput|temp(erature)?|emissions?|consum\w+|average|avg|"
@@ -97,38 +97,38 @@ _WORDS_OF_HEADING = re.compile(r"[A-Z]?[a-z]+\d?|[A-Z]+")
 #: Headings of columns that number rows.
 NUMBERING = re.compile(r"(.*[_ ])?(id|index|idx|no|nr|number|num|#)\.?|unnamed: ?\d+|n", re.IGNORECASE)
 
-#: What treatments are tried on: where each of these has one treatment, they belong to it rather than it to them.
+#: Units of study, to which treatments are applied: where each unit has one treatment, the treatment is the factor.
 _UNITS = re.compile(r"subject|participant|person|website|device|robot|room|app|phone|host|machine")
 
-#: What a study compares, whatever it is tried on: where each plant has one treatment, that is the factor.
+#: Headings of treatments, whatever the unit of study: where each plant has one treatment, the treatment is the factor.
 TREATMENTS = re.compile(r"treatments?|types?|conditions?|groups?|arms?", re.IGNORECASE)
 
-#: Treatments are planned, so that they come about equally often: the rarest at least half as often as the commonest.
+#: Treatments are planned, so that their frequencies are similar: the rarest has at least half of the most frequent.
 _EVENLY = 0.5
-#: A repetition tells runs of a combination apart, but for some that were executed again.
+#: Repetition numbers are unique within a combination, except for a few runs that were executed again.
 _TELLING = 0.95
 
 
 def repetition_number(cell: str) -> int | None:
-    """Return the number of a repetition, written as a number or in words, or None."""
+    """Return the number of a repetition, from a plain number or a word with one, or None."""
     worded = _LAST_NUMBER.fullmatch(cell)
     number = number_of(worded[1] if worded else cell)
     return int(number) if number is not None and number >= 0 and number == int(number) else None
 
 
 class ColumnEvidence:
-    """What a table's columns show; each is looked at once.
+    """Evidence for the roles of a table's columns; each column is examined once.
 
     Attributes:
-        count: how many rows the table has.
-        is_over: whether the table says of all runs that they are done.
+        count: the number of rows.
+        is_over: whether all runs of the table are done, by its status column.
     """
 
     def __init__(self, table: ForeignTable) -> None:
         self.table = table
         self.count = len(table.rows)
         self._cache: dict[str, tuple[Codes, tuple[str, ...]]] = {}
-        #: Which combination a run has, and which repetition of it, as far as run ids tell.
+        #: The combination of each run, and its repetition, as far as run ids tell.
         self._combination: Codes | None = None
         self._repetition: Codes | None = None
         self.is_over = False
@@ -145,23 +145,23 @@ class ColumnEvidence:
         return self._cache[name][0]
 
     def values(self, name: str) -> tuple[str, ...]:
-        """Return the different values of a column, in the order in which they come; an empty cell is one."""
+        """Return the distinct values of a column, in the order of their first cells; an empty cell is a value."""
         self._codes(name)
         return self._cache[name][1]
 
     def levels(self, name: str) -> int:
-        """Return how many different values a column has."""
+        """Return the number of distinct values of a column."""
         return len(self.values(name))
 
     def _combined(self, names: Sequence[str]) -> Codes:
-        """Return one number for each combination of values."""
+        """Return a code for each combination of values."""
         codes = np.zeros(self.count, dtype=np.int64)
         for name in names:
             codes = np.unique(codes * self.levels(name) + self._codes(name), return_inverse=True)[1]
         return codes
 
     def _follows(self, codes: Codes, name: str) -> bool:
-        """Return whether each code goes with one value of a column."""
+        """Return whether each code occurs with only one value of a column."""
         return _pairs(codes, self._codes(name)) == _distinct(codes)
 
     # Single columns.
@@ -175,7 +175,7 @@ class ColumnEvidence:
         return self.values(name) in {("",), ()}
 
     def differs_everywhere(self, name: str) -> bool:
-        """Return whether no value is there twice, and none is missing."""
+        """Return whether all values are distinct, and none is missing."""
         return self.levels(name) == self.count and self.is_filled(name)
 
     def is_numeric(self, name: str) -> bool:
@@ -186,43 +186,43 @@ class ColumnEvidence:
         return bool(filled) and 2 * sum(bool(_LIKE_A_NUMBER.fullmatch(value)) for value in filled) >= len(filled)
 
     def is_measurable(self, name: str) -> bool:
-        """Return whether values of the column could be a measure's: numbers, truth values, or none so far."""
+        """Return whether the column could be a measure: numbers, truth values, or no values so far."""
         if name in self.table.unnamed:
             return False
         return self.is_empty(name) or self.table.is_boolean(name) or self.is_numeric(name)
 
     def has_answers(self, name: str) -> bool:
-        """Return whether a column has nothing but truth values, or yes and no."""
+        """Return whether a column has only truth values, or only yes and no."""
         return self.table.is_boolean(name) or self.table.says_yes_or_no(name)
 
     def without_outcomes(self, name: str, others: Sequence[str]) -> list[str]:
-        """Return columns without those of answers and texts behind a column: these may be outcomes, as it may be."""
+        """Return columns without answers and texts that come after a column: they, like itself, may be outcomes."""
         behind = self.table.headings[self.table.headings.index(name) :]
         return [each for each in others if each not in behind or (self.is_numeric(each) and each != name)]
 
     def is_decimal(self, name: str) -> bool:
-        """Return whether a column has numbers that are no whole ones."""
+        """Return whether a column has fractional numbers."""
         numbers = (self.table.number(value) for value in self.values(name))
         return any(number is not None and number != int(number) for number in numbers)
 
     def are_epochs(self, name: str) -> bool:
-        """Return whether numbers count the time since 1970, in a column whose heading speaks of moments."""
+        """Return whether numbers are times since 1970, in a column whose heading names times."""
         if not _OF_MOMENTS.search(name.casefold()):
             return False
         numbers = [number for value in self.values(name) if (number := self.table.number(value)) is not None]
         return bool(numbers) and min(numbers) >= _THIS_CENTURY
 
     def is_even(self, name: str) -> bool:
-        """Return whether all values come about equally often."""
+        """Return whether all values occur about equally often."""
         counts = np.bincount(self._codes(name))
         return bool(counts.min() >= _EVENLY * counts.max())
 
     def is_equal(self, name: str) -> bool:
-        """Return whether all values come equally often."""
+        """Return whether all values occur equally often."""
         return len(set(np.bincount(self._codes(name)).tolist())) == 1
 
     def names_measure(self, name: str) -> bool:
-        """Return whether the heading speaks of something measured, by a unit or by its words."""
+        """Return whether the heading names a measure, by a unit or by its words."""
         unit = self.table.unit(name)
         words = (word.casefold() for word in _WORDS_OF_HEADING.findall(name))
         return (unit is not None and unit.si != "1") or any(map(_MEASURED.fullmatch, words))
@@ -230,7 +230,7 @@ class ColumnEvidence:
     # Run ids and repetitions.
 
     def read_run_ids(self, run_id: str | None) -> None:
-        """Learn from run ids which runs have one combination, where they end in the number of the repetition."""
+        """Find the combinations of runs from run ids that end in the number of the repetition."""
         found = [IN_RUN_ID.match(cell) for cell in self.table.column(run_id)] if run_id else []
         if not found or not all(found):
             return
@@ -240,13 +240,13 @@ class ColumnEvidence:
             self._combination, self._repetition = combination, repetition
 
     def read_status(self, status: str | None) -> None:
-        """Learn whether all runs are done: nothing is planned then, and what is empty was not measured."""
+        """Find out whether all runs are done: then none is still planned, and an empty cell was not measured."""
         words = self.values(status) if status is not None else ()
         self.is_over = bool(words) and {STATUSES.get(word.casefold()) for word in words} == {RunStatus.DONE}
 
     @property
     def knows_combinations(self) -> bool:
-        """Whether run ids tell which runs have one combination."""
+        """Whether run ids tell the combinations of runs."""
         return self._combination is not None
 
     @property
@@ -255,7 +255,7 @@ class ColumnEvidence:
         return self._repetition is not None
 
     def tells_status(self, name: str) -> bool:
-        """Return whether a column has words for how far a run is."""
+        """Return whether the values of a column are words for a run's status."""
         words = {value.casefold() for value in self.values(name)}
         return words <= STATUSES.keys() and not words <= {"0", "1"}
 
@@ -265,7 +265,7 @@ class ColumnEvidence:
             return False
         if self._combination is not None and self._follows(self._combination, name):
             return False
-        if self.differs_everywhere(name):  # it numbers all runs, unless all have one combination
+        if self.differs_everywhere(name):  # the column numbers all runs, unless they have one combination
             return not any(
                 1 < self.levels(other) <= self.count // 2
                 for other in self.table.headings
@@ -274,34 +274,34 @@ class ColumnEvidence:
         return self.levels(name) > 1
 
     def counts(self, name: str) -> bool:
-        """Return whether a column has numbers from 0 or 1 on, or texts that are numbered so, as `set_1` and `set_2`."""
+        """Return whether a column counts from 0 or 1, in numbers or in numbered texts such as `set_1` and `set_2`."""
         numbers = sorted(number for each in self.values(name) if (number := repetition_number(each)) is not None)
         return numbers in [list(range(first, first + self.levels(name))) for first in (0, 1)]
 
     def tells_runs_apart(self, name: str, factors: Sequence[str]) -> bool:
-        """Return whether the runs of each combination have values of their own in a column."""
+        """Return whether the runs of each combination have different values in a column."""
         return _pairs(self._combined(factors), self._codes(name)) >= _TELLING * self.count
 
     def sums_up(self, name: str, factors: Sequence[str]) -> bool:
-        """Return whether a column tells how many runs a row stands for: no combination has two, and none is a first."""
+        """Return whether a column counts the runs that a row summarises: one row a combination, and no count is a 1."""
         numbers = [repetition_number(each) for each in self.values(name)]
         return _distinct(self._combined(factors)) == self.count and min(each or 0 for each in numbers) > 1
 
     def is_part_of(self, name: str, texts: Sequence[str]) -> bool:
-        """Return whether a column has a few texts, each of which goes with some of another column's."""
+        """Return whether a column has a few texts, each of which groups some of another column's."""
         if self.is_numeric(name) or not self.is_filled(name) or not 1 < self.levels(name) <= self.count // 2:
             return False
         return any(self._follows(self._codes(text), name) for text in texts if self.levels(text) > self.levels(name))
 
     def follow(self, factors: Sequence[str], name: str) -> bool:
-        """Return whether all runs of a combination have one value of a column, and combinations have several runs."""
+        """Return whether all runs of a combination have the same value, and combinations have several runs."""
         combined = self._combined(factors)
         return 2 * _distinct(combined) <= self.count and self._follows(combined, name)
 
     def unit_of(self, name: str, factors: Sequence[str]) -> str | None:
-        """Return the factor of which each number of a column has one treatment, as numbered animals of a litter have.
+        """Return the factor of which each number of a column has one treatment, as numbered animals of a litter do.
 
-        Numbers of units are whole, and their rows stand together; measured ones that repeat come here and there.
+        Numbers of units are whole, and their rows are adjacent; measured numbers that repeat are scattered.
         """
         codes = self._codes(name)
         stand_together = 1 + np.count_nonzero(np.diff(codes)) == self.levels(name) <= self.count // 2
@@ -315,9 +315,9 @@ class ColumnEvidence:
         return self._combination is not None and not self._follows(self._combination, name)
 
     def differs_between_repetitions(self, name: str, others: Sequence[str], repetition: str | None) -> bool:
-        """Return whether a column differs between repetitions of a combination that is known without it.
+        """Return whether a column differs between repetitions of a combination of other columns.
 
-        Then it is measured. Measured numbers repeat, too, where they are few or round.
+        If so, it is measured. Measured numbers repeat, too, where they are few or round.
         """
         which = self._repetition if repetition is None else self._codes(repetition)
         if which is None:
@@ -325,21 +325,17 @@ class ColumnEvidence:
         combined = self._combined(others)
         return _pairs(combined, which) == self.count and not self._follows(combined, name)
 
-    # Factors among each other.
-
-    def could_be_only_factor(self, name: str) -> bool:
-        """Return whether texts that differ in all runs can be the treatments of the one factor."""
-        return name not in self.table.unnamed and self.is_filled(name) and not self.is_numeric(name)
+    # Relations between factors.
 
     def crosses(self, name: str, others: Sequence[str]) -> bool:
-        """Return whether each value of a column has every combination of the others."""
+        """Return whether each value of a column occurs with every combination of the others."""
         combined = self._combined(others)
         return _pairs(combined, self._codes(name)) == _distinct(combined) * self.levels(name)
 
     def aliases(
         self, factors: Sequence[str], free: Sequence[str], late: Collection[str]
     ) -> Iterator[tuple[str, Confidence, str]]:
-        """Yield each factor that says nothing of its own, how sure that is, and why."""
+        """Yield each factor that follows from others, the confidence in that, and the reason."""
         left = [name for name in factors if self.levels(name) > 1]
         for name in [each for each in left if each in free]:
             parts = [each for each in left if each != name and self._follows(self._codes(name), each)]
@@ -370,5 +366,5 @@ def _distinct(codes: Codes) -> int:
 
 
 def _pairs(first: Codes, second: Codes) -> int:
-    """Return how many pairs of codes there are."""
+    """Return the number of distinct pairs of codes."""
     return _distinct(first * (int(second.max(initial=0)) + 1) + second)

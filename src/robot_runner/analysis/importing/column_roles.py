@@ -1,4 +1,4 @@
-"""Which column of another tool's run table is what: as the user says, or as it looks, and how sure that is."""
+"""Roles of the columns of another tool's run table: given by the user or guessed, with the confidence in each guess."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ if TYPE_CHECKING:
     from robot_runner.analysis.importing.description import ImportDescription
     from robot_runner.analysis.importing.foreign_table import ForeignTable
 
-# As the earlier tools, the paper's Fig. 3 and people write them; blanks, underscores, dots and case are ignored.
+# As earlier tools, the paper's Fig. 3 and people write them; blanks, underscores, dots and case are ignored.
 _RUN_ID = ("runid",)
 _NUMBERING = ("id", "run", "runnumber", "runname", "runno", "nr", "no", "number", "index", "entryid", "experimentid")
 _STATUS = ("done", "status", "progress", "state")
-#: What counts repetitions, the surest first; the values have to count, too.
+#: Headings of repetitions, the surest first; the values have to count, too.
 _REPETITION = re.compile(
     r"(repetition|rep|repeat|replicate|replication|trial|iteration|iter|round|run|take|experiment)(id|no|nr|num|number|index|idx)?"
 )
 _PLURALS = {"repetitions": "repetition", "reps": "rep", "repeats": "repeat", "trials": "trial"}
-#: Columns of this name are always what the name says: the earlier tools write them.
+#: Earlier tools write columns of this name, so that the name alone decides.
 _CERTAIN = "repetition"
 
-# What runs are grouped by rather than compared for. A few robots or rooms of a kind stand for all; what is called a
-# subject or a device is as often what the study is about.
+# Headings of blocks, by which runs are grouped rather than compared. A few robots or rooms are a sample of their kind;
+# a subject or a device is as often the object of the study.
 _BLOCK = re.compile(r"(block|participant|person|operator|day|date|session|room|site|lab|robot|batch)s?(id|no|nr|name)?")
 _SURE_BLOCK = re.compile(r"blocks?(id|no|nr|name)?")
 _MAYBE_BLOCK = re.compile(r"(subject|device|host|machine|node|phone|website|app|vehicle|drone)s?(id|no|nr|name)?")
@@ -42,19 +42,19 @@ _FEWEST_COUNTED = 3
 
 @dataclass(frozen=True, slots=True)
 class ColumnRoles:
-    """What the columns of a run table are.
+    """The roles of a run table's columns.
 
     Attributes:
         run_id: None where runs are to be numbered.
         status: None where a run counts as done if it has any measure.
         repetition: a column, or None.
         repetition_in_run_id: whether run ids end in `_repetition_0` and the like.
-        block: the column that runs are grouped by, or None; the repetition may be one.
+        block: the column of the blocks, or None; the repetition may be one.
         factors, measures: columns in the order of the table.
-        extras: columns that are kept as they are.
+        extras: columns that are kept unchanged.
         of_design: the columns of a design that the user declared: robots, periods, whole plots.
-        guesses: for each column what it is taken for, and why.
-        notes: what to think of besides.
+        guesses: the guessed role of each column, with its reason.
+        notes: further notes for the user.
     """
 
     run_id: str | None
@@ -71,7 +71,7 @@ class ColumnRoles:
 
     @property
     def design(self) -> tuple[str, ...]:
-        """The columns that say under which treatments a run was executed: factors, block, what a design names."""
+        """The columns of the design: factors, block, and the columns of a declared design."""
         has_block = self.block is not None and self.block != self.repetition
         blocks = (*([self.block] if has_block and self.block else []), *self.of_design)
         return tuple(dict.fromkeys((*self.factors, *blocks)))
@@ -88,10 +88,10 @@ class ColumnRoles:
 
 
 def roles_of(table: ForeignTable, said: ImportDescription) -> ColumnRoles:
-    """Find out what each column is; what the user said comes first.
+    """Find the role of each column; the user's words come first.
 
     Raises:
-        AnalysisError: the user named a column that does not exist, or one for two things.
+        AnalysisError: the user named a column that does not exist, or gave one two roles.
     """
     _check(table, said)
     return _Guessing(table, said).roles()
@@ -141,6 +141,10 @@ class _Guessing:
         self._take_designed()
         run_id, status = self._run_id(), self._status()
         self._evidence.read_run_ids(run_id)
+        if self._evidence.contradict_run_ids(run_id):
+            example = self._evidence.values(str(run_id))[0]
+            combinations = f"the combinations that {run_id} names ({example}, ...)"
+            self._notes.append(f"no column agrees with {combinations}: these are not used")
         self._evidence.read_status(status)
         repetition = self._repetition()
         if said.block is not None and said.block != repetition:
@@ -173,7 +177,7 @@ class _Guessing:
         )
 
     def _take_designed(self) -> None:
-        """Take what the user's design names, and what a surface or a base is of, before anything is guessed."""
+        """Take the columns that the user's design names, also in a surface's ranges or a base, before guessing."""
         design = self._said.design
         if design is None:
             return
@@ -193,7 +197,7 @@ class _Guessing:
         self._guesses[name] = RoleGuess(name, role, confidence, reason)
         return name
 
-    # The run's id, its status and the repetition are known by their names, and by what stands under them.
+    # The run's id, its status and the repetition are recognised by their headings and their values.
 
     def _run_id(self) -> str | None:
         if self._said.run_id:
@@ -216,7 +220,7 @@ class _Guessing:
         return None
 
     def _called(self, names: Iterable[str]) -> list[str]:
-        """Return the columns that are called one of the names, in the order of the names."""
+        """Return the columns with one of the names, in the order of the names."""
         folded: dict[str, list[str]] = {}
         for name in self._left():
             folded.setdefault(_folded(name), []).append(name)
@@ -238,7 +242,7 @@ class _Guessing:
         return self._take(name, Role.REPETITION, sure, "its name, and its numbers count")
 
     def _checked_repetition(self, repetition: str | None) -> str | None:
-        """Return the column if it counts the runs of each combination; else its role is found as that of any other."""
+        """Return the column if it counts the runs of each combination; otherwise its role is guessed like any other."""
         if repetition is None or self._said.repetition or _folded(repetition) == _CERTAIN:
             return repetition
         factors = self._named(Role.FACTOR)
@@ -262,10 +266,10 @@ class _Guessing:
     def _guess_rest(self, repetition: str | None) -> None:
         evidence = self._evidence
         left = self._left()
-        # Texts first: they tell for which runs numbers differ between repetitions of one combination.
+        # Texts first: they tell the combinations, between whose repetitions numbers may differ.
         begun = min((place for place, name in enumerate(left) if evidence.is_surely_measured(name)), default=len(left))
         self._late = set(left[begun:])
-        # Truth values behind a measure may be outcomes, however evenly they come.
+        # Truth values after a measure may be outcomes, even if they are equally frequent.
         worded = [name for name in left if name not in self._late or not evidence.has_answers(name)]
         texts = [name for name in worded if evidence.is_treatment_text(name)]
         texts = [name for name in worded if name in texts or evidence.is_part_of(name, texts)]
@@ -278,7 +282,7 @@ class _Guessing:
             is_first = (place < begun and not has_measures) or (name in texts and not is_outcome)
             role, confidence, reason = self._evidence.verdict(name, factors, repetition, is_first=is_first)
             self._take(name, role, confidence, reason)
-            # Without run ids that tell combinations apart, a number that varies begins the measures.
+            # If run ids do not tell combinations, the first number that varies begins the measures.
             varies = len(evidence.values(name)) > 1 and not evidence.knows_combinations
             has_measures |= role is Role.MEASURE and confidence is not Confidence.UNSURE and varies
             if role is Role.FACTOR and name not in factors:
@@ -291,16 +295,17 @@ class _Guessing:
             self._doubt_counts()
 
     def _take_only_text(self, names: Sequence[str]) -> None:
-        """Take the first text for the factor where nothing repeats: a table with one run for each treatment."""
+        """Take the first text as the factor where nothing repeats: a table with one run for each treatment."""
         for name in names:
             if self._guesses[name].role is Role.TEXT and self._evidence.could_be_only_factor(name):
-                self._take(name, Role.FACTOR, Confidence.LIKELY, "the one text of the table; each value has one run")
+                each = "each value has" if self._evidence.differs_everywhere(name) else "most values have"
+                self._take(name, Role.FACTOR, Confidence.LIKELY, f"the one text of the table; {each} one run")
                 return
 
     def _doubt_counts(self) -> None:
-        """Ask about a factor of numbered texts with one run for each combination: it may count repetitions.
+        """Ask about a factor of numbered texts with one run for each combination, which may count repetitions.
 
-        Plain numbers are more often treatments, and are noted: their column may be called so in another language.
+        Plain numbers are more often treatments, so they are only noted: the heading may say it in another language.
         """
         factors = self._named(Role.FACTOR)
         for name in factors:
@@ -323,7 +328,7 @@ class _Guessing:
                     self._notes.append(f"{told}: repetitions? Then say --repetition {shlex.quote(name)}")
 
     def _name_aliases(self) -> None:
-        """Keep as text what follows from factors: names and numbers of combinations, second names of treatments."""
+        """Keep columns that follow from factors as text: names and numbers of combinations, synonyms of treatments."""
         factors = self._named(Role.FACTOR)
         free = [name for name in factors if name not in (self._said.factors or ())]
         for name, confidence, reason in self._evidence.aliases(factors, free, self._late):
@@ -339,7 +344,7 @@ class _Guessing:
     # Blocks.
 
     def _block_by_name(self) -> str | None:
-        """Return the column that is called block, if it groups runs of several treatments."""
+        """Return the column that is named block, if its blocks have several treatments."""
         said = (*(self._said.factors or ()), *(self._said.measures or ()))
         factors = [name for name in self._named(Role.FACTOR) if self._evidence.levels(name) > 1]
         for name in (*factors, *self._named(Role.MEASURE)):
@@ -349,7 +354,7 @@ class _Guessing:
         return None
 
     def _guessed_block(self) -> str | None:
-        """Return the factor that is better taken for a block; others that may be one are noted."""
+        """Return the factor that is more likely a block; note others that may be one."""
         found = self._block_by_name()
         for name in self._named(Role.FACTOR):
             varied = [each for each in self._named(Role.FACTOR) if len(self._evidence.values(each)) > 1]

@@ -1,9 +1,11 @@
-"""What a column is by what its values and its heading show, how sure that is, and why: the first reason that holds."""
+"""The role of a column by its values and its heading, with confidence and reason: the first reason that applies."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from itertools import pairwise
 
 from robot_runner.analysis.importing.column_evidence import (
     NUMBERING,
@@ -14,15 +16,23 @@ from robot_runner.analysis.importing.column_evidence import (
     Verdict,
 )
 
-_MOMENT = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d.*")
-#: Numbers that were planned are few: more than these are seldom treatments, however evenly they come.
+#: A date of any order, with a time of day: `2025-10-21T19:04:27`, `12/22/2024 18:04`, `22 Dec 2024, 6:04 PM`.
+_MOMENT = re.compile(
+    r"(\d{4}([-/.])\d\d?\2\d\d?|\d\d?([-/.])\d\d?\3\d{2,4}|\d\d?[ -][a-z]{3,9}\.?[ -]\d{4})[t ,]+\d\d?:\d\d.*",
+    re.IGNORECASE,
+)
+#: Units in which moments since 1970 are counted in so large numbers that few measures reach them, in seconds.
+_EPOCHS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
+_THIS_CENTURY = (978_307_200, 4_102_444_800)  # s since 1970
+_FEWEST_MOMENTS = 5
+#: Planned numbers are few: more than these are rarely treatments, however equal their frequencies.
 _MANY_TREATMENTS = 12
-#: With no more, runs of a part of all combinations may look like repetitions of those without one factor.
+#: With so few, an incomplete set of combinations may look like repetitions of combinations without one factor.
 _FEW_REPETITIONS = 2
 
 
 class ColumnVerdicts(ColumnEvidence):
-    """The verdicts on the columns of one table, by its evidence.
+    """The verdicts on the columns of one table.
 
     Example:
         >>> ColumnVerdicts(table).verdict("speed", ["task"], "rep", is_first=True)  # doctest: +SKIP
@@ -33,10 +43,20 @@ class ColumnVerdicts(ColumnEvidence):
         """Return whether a column has a few texts that repeat."""
         if name in self.table.unnamed or self.is_numeric(name) or not self.is_filled(name):
             return False
-        return 1 < self.levels(name) <= max(2, self.count // 2) and self.is_even(name) and not self.varies(name)
+        is_few = 1 < self.levels(name) <= max(2, self.count // 2) and self.is_even(name) and not self.varies(name)
+        return is_few and not self._are_moments(name)
+
+    def could_be_only_factor(self, name: str) -> bool:
+        """Return whether texts that differ in most runs can be the treatments of the only factor."""
+        if name in self.table.unnamed or self.is_numeric(name) or not self.is_filled(name) or self.levels(name) == 1:
+            return False
+        return not self._are_moments(name)
+
+    def _are_moments(self, name: str) -> bool:
+        return all(map(_MOMENT.fullmatch, self.values(name)))
 
     def is_surely_measured(self, name: str) -> bool:
-        """Return whether treatments do not come after this column, in the tables of the earlier tools."""
+        """Return whether no treatments come after this column, as in the tables of earlier tools."""
         if NUMBERING.fullmatch(name) and self.differs_everywhere(name):
             return False
         if not self.is_measurable(name) or self.levels(name) == 1:
@@ -47,24 +67,61 @@ class ColumnVerdicts(ColumnEvidence):
         return differs and (self.is_decimal(name) or self.names_measure(name)) and not self._is_planned(name)
 
     def _is_planned(self, name: str) -> bool:
-        """Return whether a column is filled in runs that are still to do, as treatments are and measures are not."""
+        """Return whether a column has values in runs that are still to do: treatments do, measures do not."""
         if self.is_over or not self.is_filled(name) or self.is_decimal(name):
             return False
         return any(map(self.is_empty, self.table.headings))
 
+    def contradict_run_ids(self, run_id: str | None) -> bool:
+        """Forget the combinations that run ids name where columns have as many of their own, and none agrees.
+
+        A config of the earlier tools may apply treatments of its own in the place of those that the tool planned.
+
+        Returns:
+            Whether it is so.
+        """
+        names = [name for name in self.table.headings if name != run_id and name not in self.table.unnamed]
+        names = [name for name in names if self.is_filled(name) and 1 < self.levels(name) <= self.count // 2]
+        if self._combination is None or any(self._follows(self._combination, name) for name in names):
+            return False
+        planned = [name for name in names if self.is_even(name) and not self.names_measure(name)]
+        planned = [
+            name
+            for name in planned
+            if not self.is_numeric(name) or (not self.is_decimal(name) and self.levels(name) <= _MANY_TREATMENTS)
+        ]
+        count = len(set(self._combination.tolist()))
+        if not planned or len(set(self._combined(planned).tolist())) != count:
+            return False
+        self._combination = self._repetition = None
+        return True
+
+    def _grow_like_moments(self, name: str) -> str | None:
+        """Return why numbers that grow from row to row are rather moments since 1970, or None."""
+        numbers = [self.table.number(cell) for cell in self.table.column(name)]
+        found = [number for number in numbers if number is not None]
+        if len(found) < _FEWEST_MOMENTS or not all(first < second for first, second in pairwise(found)):
+            return None
+        earliest, latest = _THIS_CENTURY
+        for unit, parts in _EPOCHS.items():
+            if earliest * parts <= found[0] <= found[-1] <= latest * parts:
+                first = datetime.fromtimestamp(found[0] / parts, UTC)
+                return f"its numbers grow from row to row like moments in {unit} since 1970 (from {first:%Y-%m-%d})"
+        return None
+
     def verdict(self, name: str, factors: Sequence[str], repetition: str | None, *, is_first: bool) -> Verdict:
-        """Return what a column is.
+        """Return the verdict on a column.
 
         Args:
             name: the column.
-            factors: those that are taken for factors already, and the texts that will be.
+            factors: the columns that are already taken as factors, and the texts that will be.
             repetition: the column that counts repetitions, or None.
             is_first: whether no column before it is surely measured.
         """
         others = [each for each in factors if each != name]
         return next(self._verdicts(name, others, repetition, is_first=is_first))
 
-    # Of the verdicts below the first one counts.
+    # The first of these verdicts counts.
 
     def _verdicts(
         self, name: str, others: Sequence[str], repetition: str | None, *, is_first: bool
@@ -90,7 +147,7 @@ class ColumnVerdicts(ColumnEvidence):
         return (Role.FACTOR if is_first else Role.TEXT), Confidence.LIKELY, "the same in all runs"
 
     def _of_truth_values(self, name: str, others: Sequence[str], repetition: str | None, *, is_first: bool) -> Verdict:
-        """Return what a column of truth values is."""
+        """Return the verdict on a column of truth values."""
         differs = self.differs_between_repetitions(name, self.without_outcomes(name, others), repetition)
         if differs and not is_first:
             return Role.MEASURE, Confidence.SURE, "it differs between the repetitions of a combination"
@@ -110,7 +167,7 @@ class ColumnVerdicts(ColumnEvidence):
             yield Role.FACTOR, Confidence.LIKELY, "a text, in the one run"
         if not self.is_filled(name):
             yield Role.TEXT, Confidence.LIKELY, "text that some runs lack"
-        if all(map(_MOMENT.fullmatch, self.values(name))):
+        if self._are_moments(name):
             yield Role.TEXT, Confidence.SURE, "moments"
         if self.varies(name):
             yield Role.TEXT, Confidence.SURE, "text that differs between the repetitions of a combination"
@@ -135,6 +192,8 @@ class ColumnVerdicts(ColumnEvidence):
             yield Role.TEXT, Confidence.SURE, "it numbers the rows"
         if self.are_epochs(name):
             yield Role.TEXT, Confidence.SURE, "moments, counted since 1970"
+        if (moments := self._grow_like_moments(name)) is not None:
+            yield Role.MEASURE, Confidence.UNSURE, moments
         if self.count == 1:
             yield Role.MEASURE, Confidence.LIKELY, "a number, in the one run"
         if self.varies(name) or self.differs_between_repetitions(name, others, repetition):
@@ -153,7 +212,7 @@ class ColumnVerdicts(ColumnEvidence):
         yield self._few_numbers(name, levels, is_first=is_first, named=named)
 
     def _few_numbers(self, name: str, levels: int, *, is_first: bool, named: bool) -> Verdict:
-        """Return what a column of numbers is that repeat, where nothing tells which runs have one combination."""
+        """Return the verdict on numbers that repeat, where nothing tells the combinations of runs."""
         even = self.is_even(name)
         are_names = NUMBERING.fullmatch(name) or levels > _MANY_TREATMENTS
         if even and are_names and not named and not self.is_decimal(name):

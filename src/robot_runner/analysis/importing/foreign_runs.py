@@ -1,4 +1,4 @@
-"""The rows of another tool's run table, understood."""
+"""Runs from the rows of another tool's run table."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ if TYPE_CHECKING:
 _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
 _LONGEST_ID = 60
 _NUMBER = re.compile(r"\d+")
-#: Names of raw files, as they stand in tables.
+#: Names of raw files in tables.
 _FILE = re.compile(r"[^\0]{1,200}\.(csv|tsv|json|txt|log|bag|db3|mcap|parquet|png|jpe?g|mp4|zip|gz)", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
 class ForeignRun:
-    """One row of the run table, understood.
+    """One run, from a row of the run table.
 
     Attributes:
-        run_id: its id here; the same as there, but for characters that cannot name a folder.
-        source_id: its id there.
-        status: how far it had come.
+        run_id: its id in the experiment; the source's, without characters that cannot be in a folder's name.
+        source_id: its id in the source.
+        status: its status.
         treatments: the texts of the factors' cells.
         repetition: from 1; None where there are none.
-        measures: the values; None where one is missing.
-        extras: the texts of columns that are kept as they are.
-        folder: its raw files, or None.
+        measures: the values; None for a missing one.
+        extras: the texts of columns that are kept unchanged.
+        folder: the folder of its raw files, or None.
     """
 
     run_id: str
@@ -54,15 +54,15 @@ class ForeignRun:
 def read_runs(
     root: Path, table: ForeignTable, roles: ColumnRoles, pattern: str | None, notes: list[str]
 ) -> list[ForeignRun]:
-    """Return the runs of a table; what looks odd is added to the notes.
+    """Return the runs of a table, and add anomalies to the notes.
 
     Args:
-        root: the folder that the table is in.
+        root: the folder of the table.
         table: the run table.
-        roles: what its columns are.
-        pattern: where a run's files are below the folder, with `{run_id}` in it; None for `{run_id}`, else
+        roles: the roles of its columns.
+        pattern: the path of a run's files below the folder, with `{run_id}` in it; None for `{run_id}` or
             `runs/{run_id}`.
-        notes: takes what looks odd.
+        notes: receives the anomalies.
 
     Raises:
         AnalysisError: a run has no id; a status or a repetition cannot be read.
@@ -99,7 +99,7 @@ def read_runs(
 
 
 def _renumbered(runs: list[ForeignRun], notes: list[str]) -> list[ForeignRun]:
-    """Return the runs with repetitions that count the runs of each combination, where they count others as well."""
+    """Return the runs with repetitions numbered within each combination, where the table counts across combinations."""
     sizes = Counter(tuple(run.treatments.values()) for run in runs)
     if any(run.repetition is None for run in runs) or max(run.repetition or 0 for run in runs) <= 2 * max(
         sizes.values()
@@ -116,7 +116,7 @@ def _renumbered(runs: list[ForeignRun], notes: list[str]) -> list[ForeignRun]:
 
 
 def _without_copies(table: ForeignTable, roles: ColumnRoles, notes: list[str]) -> ForeignTable:
-    """Return the table without rows that repeat an earlier one cell by cell: tables are put together by hand."""
+    """Return the table without rows that equal an earlier one in all cells: tables are assembled by hand."""
     first = dict(zip(reversed(table.rows), reversed(table.lines), strict=True))
     copies = len(table.rows) - len(first)
     if roles.run_id is None or not copies:
@@ -127,7 +127,7 @@ def _without_copies(table: ForeignTable, roles: ColumnRoles, notes: list[str]) -
 
 
 def _run_ids(source_ids: Sequence[str], table: ForeignTable, notes: list[str]) -> list[str]:
-    """Return an id for each run that can name a folder, and that no other run has."""
+    """Return a unique id for each run that can name a folder."""
     plain = [_UNFIT.sub("_", source).strip(".-")[:_LONGEST_ID] for source in source_ids]
     if "" in plain:
         where = f"{table.path}:{table.lines[plain.index('')]}"
@@ -182,7 +182,7 @@ def _status(cells: Mapping[str, str], roles: ColumnRoles, measures: Mapping[str,
     return STATUSES[word.casefold()]
 
 
-#: What texts of measures mean, in any case of letters; yes and no only where a column has nothing else.
+#: The values of texts in measures, in any case; yes and no count only in columns without other texts.
 _TRUTH = {"true": True, "false": False}
 _ANSWERS = {"yes": True, "no": False}
 
@@ -195,7 +195,7 @@ def _value(cell: str, table: ForeignTable, words: Mapping[str, bool]) -> CellVal
 
 
 def _treatments(factor: str, table: ForeignTable) -> dict[str, str]:
-    """Return the treatment of each cell of a factor: `1`, `01` and `1.0` are one number, as the first is written."""
+    """Return the treatment of each cell of a factor; `1`, `01` and `1.0` are the same number."""
     cells = dict.fromkeys(table.column(factor))
     if table.is_boolean(factor):
         return {cell: cell.capitalize() for cell in cells}
@@ -205,7 +205,7 @@ def _treatments(factor: str, table: ForeignTable) -> dict[str, str]:
     found = {}
     for cell in cells:
         number = table.number(cell)
-        # What stands for no number is not a treatment that is called None.
+        # A cell without a number must not become a treatment named None.
         found[cell] = cell if number is None else texts.setdefault(number, str(number))
     return found
 
@@ -219,17 +219,34 @@ def _run_notes(table: ForeignTable, roles: ColumnRoles, runs: Sequence[ForeignRu
         texts = [run.run_id for run in runs if isinstance(run.measures[name], str)]
         if texts and any(isinstance(run.measures[name], int | float) for run in runs):
             notes.append(f"{name} is text in {counted(len(texts), 'run')}, such as {texts[0]}: no statistics of it")
+        notes += _nines(name, [run.measures[name] for run in runs])
     without = [run.run_id for run in runs if run.status is RunStatus.DONE and run.folder is None]
     if any(run.folder for run in runs) and without:
         notes.append(f"{counted(len(without), 'run')} done without a folder of raw files, such as {without[0]}")
     return notes
 
 
+#: Numbers of nines alone, by which programs tell that there is none, and how far they are from all others then.
+_NINES = re.compile(r"-9{2,}|9{4,}")
+_FAR = 10
+
+
+def _nines(name: str, values: Sequence[object]) -> Iterator[str]:
+    """Say which nines stand rather for a missing value: those that are far from all other numbers of a measure."""
+    numbers = Counter(float(value) for value in values if isinstance(value, int | float))
+    nines = [number for number in numbers if _NINES.fullmatch(f"{number:.0f}") and number == int(number)]
+    others = [abs(number) for number in numbers if number not in nines]
+    for number in nines:
+        if others and abs(number) >= _FAR * max(others):
+            told = f"{name} is {number:.0f} in {counted(numbers[number], 'run')}, far from all others"
+            yield f"{told}: a missing value? Then leave these cells empty"
+
+
 _FOLDERS_SHOWN = 3
 
 
 def _folder_notes(runs: Sequence[ForeignRun]) -> Iterator[str]:
-    """Say which folders look like those of runs, and belong to none in the table."""
+    """Yield a note on folders that look like those of runs but belong to none in the table."""
     used = {run.folder for run in runs if run.folder is not None}
     kinds = {_NUMBER.sub("#", run.folder.name) for run in runs if run.folder is not None}
     parents = {folder.parent for folder in used}
@@ -241,7 +258,7 @@ def _folder_notes(runs: Sequence[ForeignRun]) -> Iterator[str]:
 
 
 def _file_notes(root: Path, runs: Sequence[ForeignRun]) -> Iterator[str]:
-    """Say which columns name files that are not there."""
+    """Yield a note for each column that names missing files."""
     for name in runs[0].extras if runs else ():
         named = [(run, run.extras[name]) for run in runs if _FILE.fullmatch(run.extras[name])]
         missing = [

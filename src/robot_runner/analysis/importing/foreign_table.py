@@ -1,4 +1,4 @@
-"""Reading a CSV file that another tool wrote, or that was saved from a spreadsheet, as text."""
+"""Read a CSV file of another tool or a spreadsheet as text."""
 
 from __future__ import annotations
 
@@ -15,15 +15,18 @@ from robot_runner.analysis.importing.units import MISSING, Unit, plain_cells, sp
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.storage.cells import number_of
 from robot_runner.core.storage.system_refusals import storage_error, storage_errors
+from robot_runner.core.words import counted
 
 _DELIMITERS = {",": "", ";": "semicolons", "\t": "tabs", "|": "bars"}
+#: The line by which Excel says what stands between the cells; it has none itself.
+_SEPARATOR = re.compile(rf'"?sep=([{"".join(_DELIMITERS)}])"?\s*', re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"(?<![0-9])-?[0-9]+,[0-9]+(?![0-9,])")
-#: What pandas writes above a column that has no name.
+#: The heading that pandas writes for a column without a name.
 _WRITTEN_FOR_NONE = re.compile(r"Unnamed: \d+(_level_\d+)?")
 
-#: As much of a file as is needed to see how it is written.
+#: The part of a file that is examined to find its dialect, bytes.
 _HEAD = 1 << 16
-#: More rows are no experiment: at a second a run these take two days, and nobody could look at the report.
+#: More rows are not an experiment: at a second a run they would take two days, and nobody could read the report.
 _MOST_RUNS = 200_000
 _LINES_LOOKED_AT = 50
 
@@ -36,7 +39,7 @@ class CsvDialect:
         encoding: `utf-8-sig`, `utf-16` or `cp1252`.
         delimiter: the character between the cells.
         decimal_comma: whether numbers are written `0,5`.
-        blank_lines: how many lines without any cell come before the heading.
+        blank_lines: how many lines come before the heading: without any cell, or Excel's own (`sep=;`).
     """
 
     encoding: str
@@ -46,8 +49,8 @@ class CsvDialect:
 
     @property
     def words(self) -> str:
-        """What is unusual about it, in words; empty where nothing is."""
-        blank = f"{self.blank_lines} blank line{'s' * (self.blank_lines > 1)} first" if self.blank_lines else ""
+        """The unusual parts of the dialect in words; empty without any."""
+        blank = f"{counted(self.blank_lines, 'line')} before the heading" if self.blank_lines else ""
         decimal = "decimal commas" if self.decimal_comma else ""
         encoding = f"character set {self.encoding}" if self.encoding != "utf-8-sig" else ""
         return ", ".join(filter(None, (_DELIMITERS[self.delimiter], decimal, blank, encoding)))
@@ -61,10 +64,10 @@ class ForeignTable:
         headings: the names of the columns, trimmed.
         rows: the cells of each row, trimmed; as many as there are headings.
         lines: the line of the file on which each row begins.
-        unnamed: the columns that had no heading, by the names that they have here.
-        cell_units: the units that stood behind the numbers of columns.
-        doubts: what numbers of columns may mean otherwise, as `1,234`.
-        notes: what was done to read it.
+        unnamed: the columns without a heading, by the names that they were given.
+        cell_units: the units behind the numbers in cells, by column.
+        doubts: other possible readings of numbers such as `1,234`, by column.
+        notes: what was changed in reading.
     """
 
     path: Path
@@ -86,25 +89,25 @@ class ForeignTable:
         return self._numbers.get(cell)
 
     def is_numeric(self, heading: str) -> bool:
-        """Return whether the column has numbers, and nothing else beside missing values."""
+        """Return whether the column has only numbers and missing values."""
         return heading in self._numeric
 
     def is_boolean(self, heading: str) -> bool:
-        """Return whether the column has `true` and `false` in any case of letters, and nothing else."""
+        """Return whether the column has only `true` and `false`, in any case."""
         return self._says_only(heading, {"true", "false"})
 
     def says_yes_or_no(self, heading: str) -> bool:
-        """Return whether the column has `yes` and `no` in any case of letters, and nothing else."""
+        """Return whether the column has only `yes` and `no`, in any case."""
         return self._says_only(heading, {"yes", "no"})
 
     def _says_only(self, heading: str, words: Collection[str]) -> bool:
         return heading in self._distinct and all(cell.casefold() in words for cell in self._distinct[heading])
 
     def unit(self, heading: str) -> Unit | None:
-        """Return the unit that stands behind each number of a column, or in its heading; None where neither is."""
+        """Return the unit behind each number of a column, or in its heading; None without either."""
         return self.cell_units.get(heading) or split_heading(heading)[1]
 
-    # Each text is examined once, however many runs have it.
+    # Each distinct text is examined once.
 
     @cached_property
     def _numbers(self) -> dict[str, int | float | None]:
@@ -116,7 +119,7 @@ class ForeignTable:
 
     @cached_property
     def _distinct(self) -> dict[str, set[str]]:
-        """The values of each column that has any."""
+        """The distinct values of each column, without missing ones."""
         filled = {
             name: {cell for cell in set(cells) if cell.casefold() not in MISSING}
             for name, cells in self._columns.items()
@@ -134,11 +137,11 @@ def read_foreign_table(path: Path, decimal: str | None = None) -> ForeignTable:
 
     Args:
         path: the file.
-        decimal: the decimal sign of its numbers; None to find it out.
+        decimal: the decimal sign of its numbers; None to guess it.
 
     Raises:
         StorageError: the file cannot be read.
-        AnalysisError: it has no heading, rows that do not fit the heading, or too many of them.
+        AnalysisError: the table has no heading, rows that do not fit the heading, or too many rows.
     """
     dialect = dialect_of(path)
     filled: list[tuple[int, list[str]]] = []
@@ -147,7 +150,7 @@ def read_foreign_table(path: Path, decimal: str | None = None) -> ForeignTable:
         with path.open(encoding=dialect.encoding, errors="replace", newline="") as file:
             lines = csv.reader(file, delimiter=dialect.delimiter)
             for row in lines:
-                if any(cells := [cell.strip() for cell in row]):
+                if before >= dialect.blank_lines and any(cells := [cell.strip() for cell in row]):
                     filled.append((before + 1, cells))
                 if len(filled) > _MOST_RUNS:
                     problem = f"the table has more than {_MOST_RUNS:,} rows: are they samples rather than runs?"
@@ -165,11 +168,11 @@ def read_foreign_table(path: Path, decimal: str | None = None) -> ForeignTable:
 
 
 def dialect_of(path: Path) -> CsvDialect:
-    """Return how a CSV file is written, by its first lines.
+    """Return the dialect of a CSV file, from its first lines.
 
     Raises:
         StorageError: the file cannot be read.
-        AnalysisError: it is not text.
+        AnalysisError: the file is not text.
     """
     with storage_errors(path, "read"), path.open("rb") as file:
         head = file.read(_HEAD)
@@ -180,8 +183,12 @@ def dialect_of(path: Path) -> CsvDialect:
         raise AnalysisError("the file is not text: it holds zero bytes", where=str(path), fix=fix)
     lines = text.splitlines()
     blank = next((place for place, line in enumerate(lines) if line.strip(" ,;\t|")), len(lines))
+    told = _SEPARATOR.fullmatch(lines[blank]) if blank < len(lines) else None
+    if told is not None:
+        blank += 1
     heading, *body = lines[blank : blank + _LINES_LOOKED_AT] or [""]
-    delimiter = max(_DELIMITERS, key=lambda each: len(next(csv.reader([heading], delimiter=each), [])))
+    cells = {each: len(next(csv.reader([heading], delimiter=each), [])) for each in _DELIMITERS}
+    delimiter = max(_DELIMITERS, key=cells.__getitem__) if told is None else told[1]
     return CsvDialect(encoding, delimiter, delimiter != "," and bool(_DECIMAL_COMMA.search("\n".join(body))), blank)
 
 
@@ -189,7 +196,7 @@ def _encoding(head: bytes, rest: BinaryIO) -> str:
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
     decoder = codecs.getincrementaldecoder("utf-8")()
-    try:  # all of it: the first letter that tells may stand in the last row
+    try:  # the whole file: the only letter that is not ASCII may be in the last row
         while head:
             decoder.decode(head)
             head = rest.read(_HEAD)
@@ -217,7 +224,7 @@ def _table(
             problem = f"the row has {len(row)} cells, the heading has {width}"
             raise AnalysisError(problem, where=f"{path}:{number}", fix="Give it a cell under each heading.")
     columns = list(zip(*((*row[:width], *[""] * (width - len(row))) for _, row in body), strict=True))
-    # A spreadsheet leaves an empty column behind a deleted one.
+    # A spreadsheet leaves an empty column where one was deleted.
     kept = [place for place, name in enumerate(headings) if name or (columns and any(columns[place]))]
     notes = []
     if kept and not headings[kept[0]] and columns and _numbers_rows(columns[kept[0]]):
@@ -232,7 +239,7 @@ def _table(
     cells = {name: columns[place] for place, name in named.items()} if columns else {}
     plain = {name: plain_cells(each, decimal=decimal, has_decimal_commas=commas) for name, each in cells.items()}
     if not commas and any(each.has_decimal_commas for each in plain.values()):
-        # One column tells of the others: where it has `870,5`, `1.000` beside it may be a thousand.
+        # One column helps to read the others: if it has `870,5`, a `1.000` in another may be a thousand.
         plain = {name: plain_cells(each, decimal=decimal, has_decimal_commas=True) for name, each in cells.items()}
     notes += [f"{name} is written with {each.words}" for name, each in plain.items() if each.words and not commas]
     return ForeignTable(
@@ -254,7 +261,7 @@ def _numbers_rows(cells: Sequence[str]) -> bool:
 
 
 def free_heading(heading: str, taken: Collection[str]) -> str:
-    """Return a heading, with underscores at its end where it is taken."""
+    """Return a heading, with underscores at its end if it is taken."""
     while heading in taken:
         heading += "_"
     return heading

@@ -1,4 +1,4 @@
-"""Numbers and units as people write them: decimal commas, grouped thousands, units by pint; where headings name one."""
+"""Numbers and units as people write them: decimal commas, grouped thousands, units (by pint) in cells and headings."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import Any
 
 from robot_runner.core.storage.cells import number_of
 
-#: What a time may be counted in.
+#: The units of times.
 TIME_UNITS = ("s", "ms", "us", "ns", "min", "h")
 
-#: The units that the last word of a heading may be; of others it only looks like one (`mem_avg`, `run_d`, `cpu_min`).
-#: In brackets, or said by the user, a unit may be any that pint knows.
+#: The units that are recognised in the last word of a heading; other words only look like units (`mem_avg`, `run_d`,
+#: `cpu_min`). In brackets, or from the user, any unit of pint is accepted.
 _IN_NAMES = (
     *(
         "s",
@@ -42,9 +42,9 @@ _IN_NAMES = (
     *("A", "mA", "uA", "mAh", "Hz", "kHz", "MHz", "GHz", "B", "kB", "KB", "MB", "GB", "KiB", "MiB", "GiB", "K", "degC"),
     *("m", "cm", "mm", "km", "rad", "deg", "m/s", "rad/s", "N", "Pa", "kg", "g", "rpm", "rps", "fps", "%", "1"),
 )
-#: What SI, and this house, has for each kind of quantity: a percentage and a byte stand for themselves.
+#: The unit for each kind of quantity: the SI unit; percentages and bytes are not converted.
 _SI = ("s", "W", "J", "V", "A", "Hz", "B", "B/s", "K", "m", "rad", "rad/s", "N", "Pa", "kg", "C", "ohm", "%", "1")
-#: Products that have a name. A newton metre may be a torque, and a joule a metre is no force: these stay as they are.
+#: Products with a name of their own. N*m and J/m are not replaced: one may be a torque, the other is not a force.
 _NAMED = {"W*s": "J", "J/s": "W", "A*V": "W", "V*A": "W"}
 
 _SPELLINGS = {
@@ -61,28 +61,28 @@ _SPELLINGS = {
     "W": "watt watts",
     "V": "volt volts",
     "B": "byte bytes",
-    # Python programmers write headings without capital letters; these are unambiguous all the same.
+    # Python programmers write headings in lower case; these are unambiguous nevertheless.
     "J": "joule joules j",
     **{each: each.lower() for each in ("kJ", "Wh", "kWh", "Hz", "kHz", "MHz", "GHz")},
     **{each: each.lower() for each in ("kB", "MB", "GB", "KiB", "MiB", "GiB")},
 }
 _SPELT = {spelling: symbol for symbol, all_of in _SPELLINGS.items() for spelling in all_of.split()}
-#: What is counted: `ops/sec` is a number of times a second.
+#: Words for counted things: `ops/sec` is a number per second.
 _COUNTED = re.compile(
     r"\b(ops?|operations?|req|requests?|frames?|packets?|messages?|msgs?|samples?|tokens?|counts?|cycles?|points?|pts)\b"
 )
-#: What pint takes for pints, atomic masses, surveyors' links or the speed of light, and headings do not mean so.
+#: Words that pint reads as pints, atomic masses, surveyors' links or the speed of light, and headings do not.
 _MEANT_OTHERWISE = (
     "a.u. n/a unit units pt pp pi pc eu db link links hand hands rod rods chain chains pole poles pin pins cup cups "
     "shot shots dot dots bag bags stone slug"
 )
 _WORD = re.compile(r"[A-Za-zµμ°Ω%℃]+")
-#: How pint writes what is written otherwise here, and the signs of multiplication and of powers.
+#: Pint's spelling of units that are written otherwise here, and of the signs of multiplication and powers.
 _IN_PINT = {"KB": "kB", "1": "", "rps": "count/s", "fps": "count/s", "qps": "count/s", "px": "pixel"}
-#: Torques without a sign of multiplication; pint takes them for the fineness of yarn.
+#: Torques without a multiplication sign, which pint reads as the fineness of yarn.
 _IN_PINT |= {f"{prefix}Nm": f"({prefix}N*m)" for prefix in ("", "m", "k")}
 _SIGNS = str.maketrans({"⋅": "*", "·": "*", "²": "^2", "³": "^3", "μ": "µ"})
-#: Single letters that pint knows, and that are units in headings; others (`C`, `G`, `b`) mean something else too often.
+#: Single letters that are units in headings; others that pint knows (`C`, `G`, `b`) too often mean something else.
 _LETTERS = frozenset("sWJVAKmNhBgΩ%1")
 _MAY_BE_A_UNIT = re.compile(r"[A-Za-zµμ°Ω%℃1][A-Za-zµμ°Ω%\d/*^ ().⋅·²³_-]{0,23}")
 
@@ -92,6 +92,8 @@ _SUFFIXED = re.compile(
     r"(?P<rest>[_ ](?:avg|mean|median|max|sd|std|rss|total))?",
     re.IGNORECASE,
 )
+#: What multiplies the unit behind it, as in `[1/10 C]` and `(x1000 J)`: the numbers are not in that unit.
+_SCALE = re.compile(r"[x×*]?\d.*", re.IGNORECASE)  # noqa: RUF001 - people write either
 _SPREAD = re.compile(r"(^|[_ ])(var|variance|cv)($|[_ ])", re.IGNORECASE)
 _ACCELERATION = re.compile(r"acc(el|[^a-z]|$)|gravity", re.IGNORECASE)
 _TIMES = re.compile(r"time|duration|elapsed|latency|delay|period|interval|\bt$", re.IGNORECASE)
@@ -104,9 +106,9 @@ class Unit:
 
     Attributes:
         symbol: as it was written.
-        si: the SI symbol (`%` and `B` stand for themselves).
-        factor: multiplies a value to bring it to SI.
-        offset: added afterwards.
+        si: the symbol of the SI unit (`%` and `B` are not converted).
+        factor: multiplies a value to convert it to SI.
+        offset: is added afterwards.
 
     Example:
         >>> unit_of("mW").factor, unit_of("kJ/km").si
@@ -119,11 +121,11 @@ class Unit:
     offset: float = 0.0
 
     def to_si(self, values: Any) -> Any:
-        """Return a number, or an array of them, in SI."""
+        """Return a number, or an array, in SI."""
         if self.factor == 1.0 and self.offset == 0.0:
             return values
         parts = round(1 / self.factor)
-        # Dividing by a whole number rounds once: 14.849 ms are 0.014849 s, and not 0.014849000000000001 s.
+        # Dividing by a whole number rounds only once: 14.849 ms are 0.014849 s, not 0.014849000000000001 s.
         is_whole_part = self.factor < 1 and math.isclose(parts * self.factor, 1.0, rel_tol=1e-12)
         return (values / parts if is_whole_part else values * self.factor) + self.offset
 
@@ -134,7 +136,7 @@ def known_units() -> tuple[str, ...]:
 
 
 def unit_of(text: str) -> Unit | None:
-    """Return the unit that is written like this, or None."""
+    """Parse a unit; None if it is not known."""
     symbol = _symbol(text.strip())
     return _unit(symbol) if symbol in _IN_NAMES or (_MAY_BE_A_UNIT.fullmatch(symbol) and _is_clear(symbol)) else None
 
@@ -154,8 +156,8 @@ def _unit(symbol: str) -> Unit | None:
         return Unit(symbol, symbol)
     written = _WORD.sub(lambda found: _IN_PINT.get(_symbol(found[0]), _symbol(found[0])), _COUNTED.sub("count", symbol))
     try:
-        parsed = dict(_registry().parse_units(written.translate(_SIGNS))._units)  # noqa: SLF001 - no other way to its parts
-    except Exception:  # noqa: BLE001 - pint raises errors of many kinds for what is no unit
+        parsed = dict(_registry().parse_units(written.translate(_SIGNS))._units)  # noqa: SLF001 - the only way to the parts
+    except Exception:  # noqa: BLE001 - pint raises many kinds of errors for texts that are not units
         return None
     parts = [(_part(name), power) for name, power in parsed.items()]
     factor, offset = math.prod(part.factor**power for part, power in parts), sum(part.offset for part, _ in parts)
@@ -169,7 +171,7 @@ def _unit(symbol: str) -> Unit | None:
 
 @cache
 def _part(name: str) -> Unit:
-    """Return a unit of pint that has a name of its own, converted to what we have for its kind of quantity."""
+    """Return a single unit of pint, converted to ours for its kind of quantity."""
     registry = _registry()
     if name == "percent":
         return Unit("%", "%")
@@ -198,19 +200,20 @@ def _registry() -> Any:
 
 
 def split_heading(heading: str) -> tuple[str, Unit | None]:
-    """Return a heading without its unit, and the unit; the whole heading where it names none.
+    """Split a heading into name and unit; the name is the whole heading where there is no unit.
 
     Example:
         >>> split_heading("power_mW")[0], split_heading("PACKAGE_ENERGY (J)")[1].si, split_heading("cpu_util")
         ('power', 'J', ('cpu_util', None))
     """
     name = heading.strip()
-    if _SPREAD.search(name):  # a variance has the square of the unit, and a coefficient of variation none
+    if _SPREAD.search(name):  # a variance has the squared unit, a coefficient of variation has none
         return name, None
     for found in reversed([*_BRACKETED.finditer(name)]):
         # Of `[avg %]` the last word is the unit; `Core(s)` is a plural.
         base = (name[: found.start()] + name[found.end() :]).strip()
-        unit = _unit_in(base, found[1]) or _unit_in(base, found[1].split()[-1])
+        *before, last = found[1].split()
+        unit = _unit_in(base, found[1]) or (None if before and _SCALE.fullmatch(before[-1]) else _unit_in(base, last))
         is_plural = found[0] == "(s)" and not _TIMES.search(base)
         if base and unit is not None and not is_plural:
             return base, unit
@@ -222,25 +225,25 @@ def split_heading(heading: str) -> tuple[str, Unit | None]:
         unit = _unit_in(base, written) if is_known and not base.endswith("_per") else None
         if unit is not None:
             return base + (suffixed["rest"] or ""), unit
-    # A heading of its own is a unit if it is a word: `Joules`, `Watts`.
+    # A heading that is only a unit has to be a word: `Joules`, `Watts`.
     return name, unit_of(name) if name.casefold() in _SPELT and len(name) > len("Hour") else None
 
 
 def _unit_in(base: str, written: str) -> Unit | None:
-    """Return the unit in a heading, where letters may mean several: degrees or coulombs, minutes or metres."""
-    # `w` is watts in the name of a power only: an orientation, too, has a component w.
+    """Return the unit in a heading, also for ambiguous letters: degrees or coulombs, minutes or metres."""
+    # `w` is watts only in the name of a power: orientations also have a component w.
     if written == "w" and "power" in base.casefold():
         return unit_of("W")
     if written == "C" and "temp" in base.casefold():
         return unit_of("degC")
-    # The least of powers is not in minutes, and an acceleration not in grams: it is in multiples of that of the Earth.
+    # `power_min` is a minimum, not minutes; the g of an acceleration is that of the Earth, not grams.
     if (written == "min" and not _TIMES.search(base)) or (written == "g" and _ACCELERATION.search(base)):
         return None
     return None if written == "m" and _TIMES.search(base) else unit_of(written)
 
 
 def si_heading(heading: str, unit: Unit | None) -> str:
-    """Return the heading of a column once its values are in SI.
+    """Return the heading of a column for values in SI.
 
     Example:
         >>> si_heading("power_mW", unit_of("mW")), si_heading("Watts", unit_of("W"))
@@ -254,9 +257,11 @@ def si_heading(heading: str, unit: Unit | None) -> str:
 
 
 #: What stands for a missing value among numbers, in small letters.
-MISSING = frozenset({"", "na", "n/a", "nan", "none", "null", "-", "–", "—"})  # noqa: RUF001 - spreadsheets write dashes
+MISSING = frozenset(
+    {"", "na", "n/a", "#n/a", "<na>", "nan", "none", "null", "-", "–", "—"}  # noqa: RUF001 - spreadsheets write dashes
+)
 
-#: How numbers are written that are not plain: what groups thousands, the decimal sign, and both in words.
+#: Styles of numbers that are not plain: the separator of thousands, the decimal sign, and both in words.
 _STYLES = (
     ("", ",", "decimal commas"),
     (",", ".", "commas between thousands"),
@@ -270,13 +275,13 @@ _WITH_UNIT = re.compile(r"([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*([^\d\s.,].{0,11})
 
 @dataclass(frozen=True, slots=True)
 class PlainCells:
-    """The cells of a column with its numbers written plainly.
+    """The cells of a column in plain notation.
 
     Attributes:
         cells: the column.
-        unit: the unit that stood behind each number, or None.
-        words: how the numbers were written, in words; empty where nothing was changed.
-        doubt: what they may mean otherwise, as in `1,234`; empty where that is clear.
+        unit: the unit behind each number, or None.
+        words: the original notation in words; empty where nothing was changed.
+        doubt: other possible readings, as of `1,234`; empty where the numbers are clear.
     """
 
     cells: Sequence[str]
@@ -286,16 +291,16 @@ class PlainCells:
 
     @property
     def has_decimal_commas(self) -> bool:
-        """Whether numbers have decimal commas, beyond doubt."""
+        """Whether numbers certainly have decimal commas."""
         return not self.doubt and any(each in _WITH_COMMAS for each in self.words.split(", "))
 
 
 def plain_cells(cells: Sequence[str], *, decimal: str | None, has_decimal_commas: bool) -> PlainCells:
-    """Return a column with its numbers written plainly; others stay as they are.
+    """Return a column with its numbers in plain notation; a column that is not numeric is unchanged.
 
     Args:
         cells: the column.
-        decimal: the decimal sign, if the user named it.
+        decimal: the decimal sign, if the user gave it.
         has_decimal_commas: whether other numbers of the file have decimal commas.
 
     Example:
@@ -305,7 +310,7 @@ def plain_cells(cells: Sequence[str], *, decimal: str | None, has_decimal_commas
     filled = {cell for cell in set(cells) if cell.casefold() not in MISSING}
     numbers = {cell: cell for cell in filled}
     unit = None
-    suffixed = {cell: found for cell in filled if (found := _WITH_UNIT.fullmatch(cell))} if _ends_alike(filled) else {}
+    suffixed = {cell: found for cell in filled if (found := _WITH_UNIT.fullmatch(cell))} if _have_units(filled) else {}
     if filled and len(suffixed) == len(filled):
         suffixes = {found[2].strip() for found in suffixed.values()}
         unit = unit_of(suffixes.pop()) if len(suffixes) == 1 else None
@@ -323,13 +328,13 @@ def plain_cells(cells: Sequence[str], *, decimal: str | None, has_decimal_commas
     return PlainCells([written.get(cell, cell) for cell in cells], unit, said, doubt)
 
 
-def _ends_alike(filled: Collection[str]) -> bool:
-    """Return whether texts begin like numbers and go on like units, by a few of them: most columns do not."""
+def _have_units(filled: Collection[str]) -> bool:
+    """Return whether a few of the texts look like numbers with units, to skip the many columns that do not."""
     return all(cell[0] in "+-0123456789" and not cell[-1].isdigit() for cell in list(filled)[:5])
 
 
 def _readings(numbers: Collection[str], has_decimal_commas: bool) -> list[tuple[str, dict[str, str]]]:
-    """Return the ways in which all numbers can be read, the likeliest first: in words, and written plainly."""
+    """Return the possible readings of all numbers, the likeliest first: the style in words, and the plain numbers."""
     if all(number_of(number) is not None for number in numbers):
         if not has_decimal_commas or not any("." in number for number in numbers):
             return [("", {number: number for number in numbers})] if numbers else []
@@ -344,7 +349,7 @@ def _readings(numbers: Collection[str], has_decimal_commas: bool) -> list[tuple[
 
 
 def _read(numbers: Collection[str], group: str, decimal: str, words: str) -> tuple[str, dict[str, str]] | None:
-    groups = rf"[1-9]\d{{0,2}}(?:{re.escape(group) if len(group) == 1 else group}\d{{3}})+|"  # 0,125 is no thousand
+    groups = rf"[1-9]\d{{0,2}}(?:{re.escape(group) if len(group) == 1 else group}\d{{3}})+|"  # 0,125 is not a thousand
     whole = rf"{groups if group else ''}\d+"
     sign = decimal if decimal.startswith("[") else re.escape(decimal)
     pattern = re.compile(rf"([+-]?(?:{whole}))(?:{sign}(\d+))?([eE][+-]?\d+)?")

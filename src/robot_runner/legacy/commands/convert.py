@@ -1,8 +1,8 @@
 """Write configs of an earlier tool in our own spelling.
 
-The earlier tools are Experiment Runner and the first versions of Robot Runner. The old files stay as they are. A file
-whose class a config derives from is converted with it. Each new config is loaded, and its run table compared with that
-of the old one.
+The earlier tools are Experiment Runner and the first versions of Robot Runner. The old files are not changed. The file
+of a config's base class is converted with it. Each new config is loaded, and its run table is compared with the old
+one's.
 
 Exit code 0: both plan the same runs; 2: an old file is refused, or a new one has to be mended by hand.
 """
@@ -34,7 +34,7 @@ from robot_runner.legacy.stand_ins.events import do_nothing
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     parser.add_argument(
         "configs", metavar="CONFIG", nargs="+", help="a config of an earlier tool, or a folder: all that are in it"
     )
@@ -48,7 +48,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def execute(arguments: Namespace) -> int:
-    """Write the configs in our own spelling; one that is refused does not keep the others from it."""
+    """Write the configs in our own spelling; a refused one does not stop the others."""
     old = list(dict.fromkeys(file for each in arguments.configs for file in _files_in(Path(each))))
     folder, name = _folder_and_name(arguments.out, arguments.configs)
     codes, refused, written = [0], {}, set[Path]()
@@ -58,7 +58,7 @@ def execute(arguments: Namespace) -> int:
             codes.append(_convert(file, new, folder, written, overwrites=arguments.overwrite))
         except RobotRunnerError as error:
             refused[new] = error
-    # What is no experiment by itself is written where another config derives from it.
+    # A file that is not an experiment by itself may have been written as the base of another config.
     findings = [each for new, error in refused.items() if new not in written for each in error.findings]
     if findings:
         show_findings(findings)
@@ -66,7 +66,7 @@ def execute(arguments: Namespace) -> int:
 
 
 def _files_in(place: Path) -> list[Path]:
-    """Return a file itself, and of a folder the configs in it and below it that are an earlier tool's."""
+    """Return the file itself, or all configs of an earlier tool in a folder and its subfolders."""
     if not place.is_dir():
         return [place]
     files = [file for file in sorted(place.rglob("*.py")) if _is_earlier(file)]
@@ -79,13 +79,13 @@ def _files_in(place: Path) -> list[Path]:
 def _is_earlier(file: Path) -> bool:
     try:
         recognised = recognise(file)
-    except RobotRunnerError:  # not a config, or one that says why when it is named
+    except RobotRunnerError:  # not a config, or an invalid one, whose error is shown if it is named
         return False
     return recognised is not None
 
 
 def _folder_and_name(out: str | None, configs: list[str]) -> tuple[Path | None, str]:
-    """Return the folder for everything, and the file's name where one is named."""
+    """Return the folder for all files, and the name of the file if one is given."""
     if out is None:
         return None, ""
     place = Path(out)
@@ -111,7 +111,7 @@ def _convert(old: Path, new: Path, folder: Path | None, written: set[Path], *, o
             _write(new.with_name(name), text, kept, instead="Convert into a folder of its own: --out FOLDER/NAME.py")
         stale: list[Finding] = []
         for base, text in conversion.bases.items():
-            # One that another config of this call has brought may not differ; one from before is kept.
+            # A base that this call has written must not differ; an earlier one is kept.
             stale += _write_base(base, text, kept, may_differ=base not in written)
         written |= set(conversion.bases)
         findings = (*stale, *check_conversion(conversion, new))
@@ -124,7 +124,7 @@ def _convert(old: Path, new: Path, folder: Path | None, written: set[Path], *, o
     runs = counted(len(conversion.before.model.plan()), "run")
     console.tell(f"{shown_path(new)} is written: it plans the same {runs}.")
     name = conversion.before.parameters.experiment_name
-    # Its own results would be refused for each line that is another now.
+    # With the old name, earlier results would refuse the changed config.
     beside = ("--set", f"experiment_name={name}_2") if conversion.before.folder.manifest.is_file() else ()
     print_facts(
         console,
@@ -139,12 +139,12 @@ def _convert(old: Path, new: Path, folder: Path | None, written: set[Path], *, o
 
 
 def _write(file: Path, text: str, kept: Collection[Path] | None, *, instead: str) -> None:
-    """Write a file; nothing is done where it is there as it would be written.
+    """Write a file, unless it exists with this text.
 
-    Files that are `kept` are not written over; None is for all of them.
+    Files in `kept` are not overwritten; None keeps all files.
 
     Raises:
-        StorageError: another one is there and is kept, or it cannot be written.
+        StorageError: another file is there and is kept, or the file cannot be written.
     """
     if file.is_file():
         if file.read_text(encoding="utf-8", errors="replace") == text:
@@ -155,7 +155,7 @@ def _write(file: Path, text: str, kept: Collection[Path] | None, *, instead: str
 
 
 def _write_base(base: Path, text: str, kept: Collection[Path] | None, *, may_differ: bool) -> Iterator[Finding]:
-    """Write the file of a class that a config derives from; yields a warning where another one is there and is kept."""
+    """Write the file of a config's base class; yields a warning if another file is there and is kept."""
     instead = "Convert the configs into folders of their own: --out FOLDER"
     try:
         _write(base, text, kept if may_differ else None, instead=instead)
@@ -174,7 +174,7 @@ Run = tuple[tuple[str, str], ...]
 
 
 def _differences(before: Experiment, after: Experiment) -> Iterator[Finding]:
-    """Yield what the run table of one config has and that of the other lacks; ids are each tool's own."""
+    """Yield findings on differences between two run tables; ids are not compared, as each tool has its own."""
     old, new = _runs(before), _runs(after)
     if not before.model.factors and [factor.name for factor in after.model.factors] == [ONLY_FACTOR]:
         old = [((ONLY_FACTOR, str(after.model.factors[0].treatments[0])),)] * len(old)
@@ -192,6 +192,14 @@ def _differences(before: Experiment, after: Experiment) -> Iterator[Finding]:
     is_random = before.model.shuffle or after.model.shuffle
     if Counter(old) == Counter(new) and old != new and not is_random:
         yield Finding.error("run table", "the order of the runs is another", "Mend it by hand.")
+    if before.model.shuffle and before.model.seed_is_given and old != new:
+        seed = before.model.seed
+        yield Finding.warning(
+            "run table",
+            f"random.seed({seed}) does not decide the order of the runs any more",
+            f"Write RunTableModel(..., seed={seed}) for an order that comes again each time; it is another one than "
+            "before.",
+        )
     names = after.columns.names
     lost = {name for name in before.columns.names if name not in names and not is_told_as_of_codecarbon(name, names)}
     if lost:
@@ -207,7 +215,7 @@ def _runs(experiment: Experiment) -> list[Run]:
 
 
 def check_conversion(conversion: Conversion, written: Path) -> tuple[Finding, ...]:
-    """Load the file that was written, and compare its run table and callbacks with those of the file it is from."""
+    """Load the written file, and compare its run table and callbacks with those of the original."""
     with load_apart():
         preparation = prepare(written, is_for_here=False)
     if preparation.experiment is None:
@@ -217,7 +225,7 @@ def check_conversion(conversion: Conversion, written: Path) -> tuple[Finding, ..
 
 
 def _left_behind(conversion: Conversion, written: Path) -> Iterator[Finding]:
-    """Yield what the old file imports from beside it and what does not stand beside the new one."""
+    """Yield findings on modules that the old file imports from its folder, and that are missing beside the new file."""
     old, new = conversion.before.config_path.parent, written.resolve().parent
     kept = [
         each for each in conversion.before.local_modules if old in each.parents and each not in conversion.originals
@@ -232,7 +240,7 @@ def _left_behind(conversion: Conversion, written: Path) -> Iterator[Finding]:
 
 
 def _heard_otherwise(before: Experiment, after: Experiment) -> Iterator[Finding]:
-    """Yield the events that have more callbacks of the config than before, or fewer."""
+    """Yield findings on events whose number of callbacks of the config has changed."""
     with before.config.executing_nothing() as session:
         subscribed = [
             each for each in session.subscriptions if getattr(each.callback, "__func__", None) is not do_nothing

@@ -1,4 +1,4 @@
-"""Configs that derive from a config in another file: that file is converted first, and says what it passes on."""
+"""Convert the files of a config's base classes first, and record the names that they pass on."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def _is_installed(file: Path) -> bool:
 
 
 def file_of_module(name: str) -> Path | None:
-    """Return the file of a module that has been imported; None where it has none that is Python."""
+    """Return the Python file of an imported module, or None."""
     file = Path(getattr(sys.modules.get(name), "__file__", None) or "")
     return file.resolve() if file.suffix == ".py" else None
 
 
 def imported_files(tree: ast.Module) -> Iterator[Path]:
-    """Yield the files of what a config imports, wherever it put their folder on the path itself."""
+    """Yield the files of a config's imports that are neither installed nor in the standard library."""
     for each in imports_of(tree):
         file = file_of_module(each.module)
         is_standard = each.module.partition(".")[0] in sys.stdlib_module_names
@@ -41,9 +41,9 @@ def imported_files(tree: ast.Module) -> Iterator[Path]:
 
 @contextmanager
 def load_apart() -> Iterator[None]:
-    """Forget afterwards what was imported from folders that were not importable before.
+    """Afterwards remove the modules that were imported from folders added to the path meanwhile.
 
-    A converted file may be called like its original, and like that of another study.
+    A converted file may have the same name as its original, or as a file of another study.
     """
     folders, modules = list(sys.path), set(sys.modules)
     try:
@@ -51,18 +51,21 @@ def load_apart() -> Iterator[None]:
     finally:
         added = {Path(folder).resolve() for folder in sys.path if folder not in folders}
         sys.path[:] = folders
-        for name in set(sys.modules) - modules:
-            # A package without a file of its own has folders.
-            places = [getattr(sys.modules[name], "__file__", None), *getattr(sys.modules[name], "__path__", ())]
-            files = [Path(place).resolve() for place in places if place]
-            if any(added & {file, *file.parents} and not _is_installed(file) for file in files):
-                del sys.modules[name]
+        # A package without a file of its own has folders, which it looks up in its parent: see all, then forget.
+        for name in [name for name in set(sys.modules) - modules if _is_from(added, sys.modules[name])]:
+            del sys.modules[name]
+
+
+def _is_from(folders: set[Path], module: object) -> bool:
+    places = [getattr(module, "__file__", None), *getattr(module, "__path__", ())]
+    files = [Path(place).resolve() for place in places if place]
+    return any(folders & {file, *file.parents} and not _is_installed(file) for file in files)
 
 
 def base_files(config: Path, config_class: type) -> dict[Path, type]:
-    """Return the files of the config classes that one derives from, the farthest first, each with its class.
+    """Return the files of a config's base classes, the farthest first, each with its class.
 
-    Classes that have nothing to do with the earlier tool are left out, and so are those in the config's own file.
+    Classes without a relation to the earlier tool, and those in the config's own file, are left out.
     """
     found: dict[Path, type] = {}
     for each in config_class.__mro__[1:]:
@@ -80,16 +83,16 @@ def _file_of(config_class: type) -> Path | None:
 
 
 def earlier_import_in(file: Path) -> ImportedName | None:
-    """Return the first line of a file that imports a module of the earlier tool; None where there is none."""
+    """Return a file's first import of a module of the earlier tool, or None."""
     try:
         imports = imports_of(read_tree(file)[1])
-    except ConfigError:  # it is compiled, or in another encoding: Python read it in another way
+    except ConfigError:  # compiled, or in another encoding: Python can import it nevertheless
         return None
     return next((each for each in imports if is_earlier_import(each.module)), None)
 
 
 def name_whole_modules(tree: ast.Module, base_class: type) -> None:
-    """Have the imports of a file that are relative to its package name whole modules, in the tree alone."""
+    """Make a file's relative imports absolute, in the tree alone."""
     package = getattr(sys.modules.get(base_class.__module__), "__package__", None)
     for node in nodes(tree, ast.ImportFrom):
         if node.level and package:
@@ -99,13 +102,13 @@ def name_whole_modules(tree: ast.Module, base_class: type) -> None:
 
 @dataclass(frozen=True, slots=True)
 class BaseFile:
-    """A converted file whose config class another one derives from.
+    """A converted file with a base class of another config.
 
     Attributes:
-        new: where it is written.
-        is_beside: whether it is written beside its original, and not beside the config that derives from it.
-        renamed: the new names of its classes, those among them that it imports from other converted files.
-        gained: the earlier tool's names in it, each as module and name, by what they are called there.
+        new: the path of the new file.
+        is_beside: whether it is written beside its original, and not beside the derived config.
+        renamed: the new names of its classes, also of those that it imports from other converted files.
+        gained: the earlier tool's names in it: module and name, by the name in the file.
     """
 
     new: Path
@@ -114,19 +117,19 @@ class BaseFile:
     gained: dict[str, tuple[str, str]]
 
     def module(self, old: str) -> str:
-        """Return what its module is called in an import that called it `old`."""
+        """Return the new name of its module in an import that named it `old`."""
         package = old.rpartition(".")[0] if self.is_beside else ""
         return f"{package}.{self.new.stem}".lstrip(".")
 
 
 @dataclass(slots=True)
 class Inherited:
-    """What a config has from the converted files of the classes that it derives from.
+    """The members that a config inherits from the converted files of its base classes.
 
     Attributes:
-        files: those files, by their originals.
-        methods: what their methods are called now, by their old names.
-        heard: the callbacks among them that hear an event by their name.
+        files: the converted files, by their originals.
+        methods: the new names of their methods, by their old names.
+        heard: the callbacks among them that are subscribed to an event by their name.
     """
 
     files: dict[Path, BaseFile] = field(default_factory=dict)
@@ -135,7 +138,7 @@ class Inherited:
 
     @classmethod
     def of_base(cls, original: Path, base: BaseFile, config: ast.ClassDef, renamed: dict[str, str]) -> Inherited:
-        """Return what one converted file passes on: `config` is its class as it was, `renamed` what changed in it."""
+        """Return the members of one converted file: `config` is its original class, `renamed` has new names."""
         methods = {name: renamed.get(name, name) for name in bound_names(config.body)}
         heard = set(methods.values()) & set(EVENTS_BY_CALLBACK)
         if "continue_experiment" in heard:
@@ -144,7 +147,7 @@ class Inherited:
 
     @classmethod
     def together(cls, parts: Iterable[Inherited]) -> Inherited:
-        """Return what several files pass on, the farthest first."""
+        """Return the members of several files, the farthest first."""
         inherited = cls()
         for part in parts:
             inherited.files |= part.files
@@ -153,7 +156,7 @@ class Inherited:
         return inherited
 
     def gained_by(self, tree: ast.Module) -> dict[str, tuple[str, str]]:
-        """Return the earlier tool's names that a file has: its own imports, and what these files pass on to it."""
+        """Return the earlier tool's names in a file: from its own imports, and through these files."""
         gained: dict[str, tuple[str, str]] = {}
         for each in imports_of(tree):
             base = self.file_of(each.module)
@@ -171,9 +174,9 @@ class Inherited:
 
 
 def convert_base_imports(converted: ConvertedFile, inherited: Inherited) -> list[int]:
-    """Have a config import the converted files of the classes that it derives from; returns the lines where it does.
+    """Make a config import the converted files of its base classes; returns the lines of these imports.
 
-    What it had of the earlier tool through them it imports itself.
+    The config itself imports the names that it had from the earlier tool through these files.
     """
     lines = []
     for node in nodes(converted.tree, ast.ImportFrom):
@@ -195,7 +198,7 @@ def convert_base_imports(converted: ConvertedFile, inherited: Inherited) -> list
 
 
 def _names_of_base(node: ast.ImportFrom, base: BaseFile, converted: ConvertedFile) -> str:
-    """Return the import of what the converted file still has; the rest is imported from robot_runner."""
+    """Return the import of the names that the converted file still has; the others come from robot_runner."""
     kept = []
     for alias in node.names:
         if alias.name == "*":
@@ -243,7 +246,7 @@ def _module_of_base(node: ast.Import, alias: ast.alias, base: BaseFile, converte
 
 
 def _refuse_gained(node: ast.stmt, bound: str, base: BaseFile, converted: ConvertedFile) -> None:
-    """Rename the classes that are reached through a module, and refuse the earlier tool's names there."""
+    """Rename classes that are attributes of a module, and refuse the earlier tool's names there."""
     for _, each in attributes_of(converted.tree, {bound}):
         if each.attr in base.renamed:
             converted.edits.replace(each, f"{bound}.{base.renamed[each.attr]}")

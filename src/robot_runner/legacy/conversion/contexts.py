@@ -1,4 +1,4 @@
-"""What the functions of a config read from their context, and write into it."""
+"""Convert the accesses of a config's functions to their context."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from robot_runner.legacy.earlier_experiment import ROW_NAMES, WITHOUT_CONTEXT
 from robot_runner.legacy.session import Session
 from robot_runner.legacy.syntax import attributes_of, bound_names, classes_of, imports_of, nodes
 
-#: What callbacks read from their context, and its name here.
+#: Attributes of the context, with their names here.
 _ROWS = frozenset({"run_variation", "execute_run"})
 _ATTRIBUTES = {"run_nr": "run_number", "run_dir": "run_folder"}
 _NAMES_HERE = _ATTRIBUTES | dict.fromkeys(sorted(_ROWS), "combination")
@@ -27,9 +27,9 @@ _BY_HAND = "Write this part by hand, then convert the file."
 
 
 def convert_contexts(converted: ConvertedFile, session: Session, columns: Collection[str]) -> Iterator[Finding]:
-    """Convert the functions that have a context, and yield what is done with one that has no counterpart.
+    """Convert the functions with a context, and yield findings on accesses without a counterpart.
 
-    A parameter is a context if it is called so, if its annotation says so, or if it is the first of a run's callback.
+    A parameter is a context by its name, by its annotation, or as the first parameter of a run's callback.
     """
     tree = converted.tree
     every: list[ast.FunctionDef | ast.Lambda] = [*nodes(tree, ast.FunctionDef), *nodes(tree, ast.Lambda)]
@@ -41,7 +41,7 @@ def convert_contexts(converted: ConvertedFile, session: Session, columns: Collec
     for function, names in functions.items():
         if names or kept:
             found += _Function(function, names | kept, converted, columns, moved).findings()
-    yield from dict.fromkeys(found)  # a function in another one is walked through with both
+    yield from dict.fromkeys(found)  # nested functions are visited twice
     yield from _left(converted, contexts)
 
 
@@ -71,14 +71,14 @@ def _contexts_of(function: ast.FunctionDef | ast.Lambda, tree: ast.Module, sessi
 
 
 def _places_kept(function: ast.FunctionDef | ast.Lambda, names: Collection[str]) -> Iterator[str]:
-    """Yield where a function leaves its context for others: `self.context`."""
+    """Yield the attributes in which a function keeps its context for others: `self.context`."""
     for node in nodes(function, ast.Assign):
         if isinstance(node.value, ast.Name) and node.value.id in names:
             yield from (ast.unparse(each) for each in node.targets if isinstance(each, ast.Attribute))
 
 
 def _attributes_to_move(tree: ast.Module, contexts: Collection[str]) -> Iterator[str]:
-    """Yield the attributes that callbacks set on their context, and that can be kept on `self` instead."""
+    """Yield the attributes that callbacks set on their context, and that can move to `self`."""
     methods = [each for each in nodes(tree, ast.FunctionDef) if [arg.arg for arg in each.args.args[:1]] == ["self"]]
     in_methods = {id(node) for method in methods for node in ast.walk(method)}
     asked = [each for each in nodes(tree, ast.Call) if isinstance(each.func, ast.Name) and each.func.id in _BY_TEXT]
@@ -93,7 +93,7 @@ def _attributes_to_move(tree: ast.Module, contexts: Collection[str]) -> Iterator
 
 
 def _left(converted: ConvertedFile, contexts: Collection[str]) -> Iterator[Finding]:
-    """Yield where something is read that may be of a context, and is not known to be."""
+    """Yield a warning for each read of an attribute that may be a context's, of an object that may not be one."""
     tree = converted.tree
     own = {node.attr for node in nodes(tree, ast.Attribute) if isinstance(node.ctx, ast.Store)}
     own |= {name for each in classes_of(tree).values() for name in bound_names(each.body)}
@@ -108,7 +108,7 @@ def _left(converted: ConvertedFile, contexts: Collection[str]) -> Iterator[Findi
 
 @dataclass(slots=True)
 class _Function:
-    """A function; `contexts` are the texts by which it reaches one, `moved` its attributes that `self` has now."""
+    """A function; `contexts` are its expressions for a context, `moved` the attributes that moved to `self`."""
 
     _function: ast.FunctionDef | ast.Lambda
     _contexts: Collection[str]
@@ -124,13 +124,13 @@ class _Function:
         self._returned |= {node.id for node in returned if isinstance(node, ast.Name)}
 
     def findings(self) -> Iterator[Finding]:
-        """Convert every use of the context, and of a variable that holds the row."""
+        """Convert every use of the context, and of variables with the row; yields findings."""
         for node in ast.walk(self._function):
             match node:
                 case ast.Assign(targets=[ast.Subscript(value=row) as cell]) if self._context_of(row):
                     yield from self._convert_writing(node, cell)
                 case ast.Call(func=ast.Attribute(value=row, attr=name)) if self._is_row(row) and name in _CHANGING:
-                    yield self._lacking(node, "it changes the row of the run table, which cannot be written into here")
+                    yield self._lacking(node, "this changes the row of the run table, which cannot be written here")
                 case ast.Call(func=ast.Attribute(value=row, attr="get"), args=[ast.Constant(value="__run_id"), *_]) if (
                     self._context_of(row)
                 ):
@@ -164,12 +164,12 @@ class _Function:
                 self._file.edits.replace_span(start, end, f"{context}.publish({key!r}, ")
                 self._file.edits.insert(self._file.edits.end_of(node.value), ")")
             case ast.Constant(value=str(key)) if key in self._columns and ast.unparse(row) not in self._returned:
-                # The variable holds a copy of the row here, which is read as before.
+                # The variable is a copy of the row, which is read as before.
                 self._file.edits.insert(
                     self._file.edits.end_of(node), f"; {context}.publish({key!r}, {ast.unparse(cell)})"
                 )
             case _ if self._is_row(row):
-                yield self._lacking(node, "it writes into the row of the run table what is in none of the data columns")
+                yield self._lacking(node, "this writes into the row of the run table, in none of the data columns")
 
     def _convert_cell(self, node: ast.Subscript, row: ast.expr, key: str) -> None:
         if key == _RUN_ID:
@@ -181,7 +181,7 @@ class _Function:
         return Finding.error(f"{self._file.path}:{node.lineno}", problem, fix)
 
     def _row_variables(self) -> Iterator[tuple[str, str]]:
-        """Yield the variables that hold the row, each with the context that it is from."""
+        """Yield the variables with a row, each with the context of the row."""
         for node in nodes(self._function, ast.Assign):
             match node.targets:
                 case [ast.Name(id=name)] if self._is_row(node.value):
@@ -194,7 +194,7 @@ class _Function:
         return isinstance(node, ast.Attribute) and node.attr in _ROWS and self._is_context(node.value)
 
     def _context_of(self, row: ast.expr) -> str:
-        """Return the context that a row is from, as it is written; empty where it is no row."""
+        """Return the source text of a row's context; empty if the expression is not a row."""
         match row:
             case ast.Attribute(value=owner) if self._is_row(row):
                 return ast.unparse(owner)

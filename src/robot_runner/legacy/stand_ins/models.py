@@ -1,7 +1,8 @@
-"""Factors and run tables as configs of the earlier tools made them, with the arguments of all their versions."""
+"""The factors and run tables of the earlier tools, with the arguments of all their versions."""
 
 from __future__ import annotations
 
+import random
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -13,7 +14,7 @@ from robot_runner.legacy.run_ids import Numbering, numbering_of
 from robot_runner.legacy.session import Session, current_session
 from robot_runner.legacy.stand_ins.machinery import RunProgress
 
-#: What the earlier tools put into a cell that was still to be filled.
+#: The earlier tools' value of an empty cell.
 MISSING = " "
 
 _FACTORS = ("factors", "treatments")
@@ -39,7 +40,7 @@ class FactorModel:
                 fix="Give a list.",
             )
         self.factor_name = factor_name
-        # The list itself: a config may go on to change it.
+        # The list itself, not a copy: a config may change it later.
         self.treatments: Sequence[Any] = (
             treatments if isinstance(treatments, list | tuple | range) else list(treatments)
         )
@@ -54,20 +55,20 @@ class FactorModel:
 
 
 class RunTableModel:
-    """The plan of all runs, as any public version of the earlier tools and their common forks understood it.
+    """The plan of all runs, as in any public version of the earlier tools and their common forks.
 
-    Arguments may stand in the order of any version: what is a list, a number or a bool tells what it is.
+    Positional arguments may be in the order of any version: their types (list, number, bool) identify them.
 
     Attributes:
-        exclusions: what is left out, as it was given.
-        is_shuffled: whether the order is randomised.
+        exclusions: the given exclusions.
+        is_shuffled: whether the order is random.
     """
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         """Take factors, exclusions, repetitions, data columns and order, under the names of any version.
 
         Raises:
-            ConfigError: an argument is not known or cannot be what it is to be.
+            ConfigError: an argument is unknown or has an invalid value.
         """
         unknown = [
             Finding.error("RunTableModel", f"RunTableModel has no argument {name!r}", did_you_mean(name, _KNOWN))
@@ -90,7 +91,7 @@ class RunTableModel:
         return self._factors
 
     def get_data_columns(self) -> list[str]:
-        """Return the measures' columns; what is appended here becomes a column."""
+        """Return the list of the measures' columns, to which a config may append."""
         return self._data_columns
 
     def create_experiment_run_table(self) -> None:
@@ -105,10 +106,17 @@ class RunTableModel:
         """Make and return the rows: `__run_id`, `__done`, treatments, measures.
 
         Raises:
-            ConfigError: an exclusion names what there is not.
+            ConfigError: an exclusion names something unknown.
         """
         session = current_session()
-        _check_equal_names("column", [*(factor.factor_name for factor in self._factors), *self._data_columns])
+        for name in (factor.factor_name for factor in self._factors):
+            if name in self._data_columns:
+                session.warn(
+                    "RunTableModel",
+                    f"{name!r} is a factor and a data column: as in the earlier tool, callbacks do not get its "
+                    "treatment, and its column has what populate_run_data returns",
+                    "Take it out of data_columns, and apply context.execute_run[...].",
+                )
         combinations = kept_combinations(session, self._factors, self.exclusions)
         numbering = numbering_of(session.recognised, self._arguments, self._repetitions)
         rows = (
@@ -134,7 +142,7 @@ class RunTableModel:
     ) -> list[tuple[str, dict[str, Any]]]:
         """Make the rows as a public fork did: ids in the order of execution, and a column `repetition`."""
         runs = [place for place in range(len(combinations)) for _ in range(self._repetitions)]
-        ordered = [runs[place] for place in self._order(len(runs), session)]
+        ordered = [runs[place] for place in self._order(len(runs), session, is_of_fork=True)]
         counts = dict.fromkeys(range(len(combinations)), 0)
         rows = []
         for number, place in enumerate(ordered):
@@ -145,7 +153,14 @@ class RunTableModel:
             rows.append((Numbering.COUNTED_FROM_1.run_id(number, 0), treatments))
         return rows
 
-    def _order(self, count: int, session: Session) -> Sequence[int]:
+    def _order(self, count: int, session: Session, *, is_of_fork: bool = False) -> Sequence[int]:
+        if self.is_shuffled and session.own_seed is not None:
+            # As the earlier tools did, so that the config's own seed yields the same order.
+            places = list(range(count))
+            if is_of_fork and self._repetitions == 1:
+                return random.sample(places, count)
+            random.shuffle(places)
+            return places
         return arranged(count, None, RunOrder(shuffle=self.is_shuffled, seed=session.seed))
 
     def _treatments(self, combination: Sequence[Any]) -> dict[str, Any]:
@@ -153,7 +168,7 @@ class RunTableModel:
 
 
 def _by_position(arguments: Sequence[Any]) -> dict[str, Any]:
-    """Name arguments by what they are: only the first two have the same place in all versions."""
+    """Name positional arguments by their types: only the first two have the same position in all versions."""
     given = dict(zip(("factors", "exclude_variations"), arguments, strict=False))
     for value in arguments[2:]:
         if isinstance(value, bool):
@@ -196,7 +211,7 @@ def _check_equal_names(kind: str, names: Sequence[Any]) -> None:
 
 
 def _check_equal_treatments(factors: Sequence[FactorModel]) -> None:
-    # Robot Runner took a treatment that is given twice for two runs; Experiment Runner refused it.
+    # Robot Runner made two runs of a treatment that is given twice; Experiment Runner refused it.
     for factor in factors:
         texts = [(type(value), str(value)) for value in factor.treatments]
         for place, text in enumerate(texts):
