@@ -310,12 +310,18 @@ _INTERVALS = (
         others=_skewed((79, 84), (74, 80), (66, 73)),
         why=_NOT_NORMAL,
     ),
-    _Covered("Cliff's delta of 0, A12 of 0.5", _delta),
+    _Covered(
+        "Cliff's delta of 0, A12 of 0.5",
+        _delta,
+        others={(name, 5): (97, 100) for name in ("normal", "uniform", "lognormal")}
+        | {(name, 10): (96, 99.5) for name in ("normal", "uniform", "lognormal")},
+        why=_ROUGH,
+    ),
     _Covered(
         "Cliff's delta of 0.52, A12 of 0.76",
         partial(_delta, shift=1.0),
         names=("normal",),
-        others=_skewed((97, 100), name="normal"),
+        others=_skewed((97, 100), (96, 99.5), name="normal"),
         why=_ROUGH,
     ),
     _Covered(

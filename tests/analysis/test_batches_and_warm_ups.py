@@ -75,6 +75,7 @@ def test_the_report_accounts_for_batches_and_warm_up_runs(folder, tmp_path):
     assert "10 runs (r_7 to r_16), added on 20" in text
     assert "; randomised from seed 2" in text
     assert "The experiment was extended" in text
+    assert "Where runs were added as the first had shown nothing, chance shows something in 8 %" in text
     assert "Its 2 batches, of 6 and 10 runs, were executed at other times" in text
     assert "Floor is confounded with time" in text
     assert "runs before count as carpet, which nobody set" in text

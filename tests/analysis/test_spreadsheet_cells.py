@@ -1,13 +1,12 @@
-"""What is exported for spreadsheets has no formulas; the tables themselves are left as they are."""
+"""What is exported for spreadsheets means the same in all of them; the tables themselves are left as they are."""
 
 from __future__ import annotations
 
-import csv
-
+import openpyxl
 import pytest
 from tests.analysis.made_experiment import make_experiment
 
-from robot_runner.analysis.exporting import harmless_cell
+from robot_runner.analysis.exporting import write_workbook
 from robot_runner.core.design.factor import Factor
 
 FORMULAS = [
@@ -16,52 +15,88 @@ FORMULAS = [
     "+cmd|' /C calc'!A0",
     "-2+3",
     "@SUM(1,1)",
-    "\t=1+1",
-    "\r=1+1",
     "\uff1d1+1",
     "-",
-    "+1 m",
 ]
 
 
-@pytest.mark.parametrize("text", FORMULAS)
-def test_a_formula_becomes_text(text):
-    assert harmless_cell(text).startswith("'")
-    assert harmless_cell(text).replace("'", "") == text.replace("'", "")
+def cells_of(path):
+    """Return what openpyxl finds in the cells of a workbook: numbers, texts, None where there is nothing."""
+    rows = list(openpyxl.load_workbook(path).active.iter_rows())
+    assert not [cell for row in rows for cell in row if cell.data_type not in {"n", "s", "inlineStr"}]  # a formula
+    return [[cell.value for cell in row] for row in rows]
+
+
+def written(tmp_path, rows, **settings):
+    write_workbook(rows, tmp_path / "table.xlsx", **settings)
+    return cells_of(tmp_path / "table.xlsx")
+
+
+def test_a_formula_is_a_text(tmp_path):
+    assert written(tmp_path, [["Task"], *([each] for each in FORMULAS)]) == [["Task"], *([each] for each in FORMULAS)]
 
 
 @pytest.mark.parametrize(
-    "text", ["-1.5", "+3", "-.5e-7", "1e+3", "0", "", "Video", "a=b", "r_1", "2026-11-22T16:16:25Z"]
+    "text", ["0.125", "-1.5", "-0.875", "1e-07", "4996803012878.671", "0", "870.0", "9007199254740992"]
 )
-def test_numbers_and_texts_stay(text):
-    assert harmless_cell(text) == text
+def test_a_number_is_a_number_whose_decimal_sign_no_language_changes(tmp_path, text):
+    # In a CSV file, a German spreadsheet takes 0.125 for 125, and 12.5 for a day in May.
+    assert written(tmp_path, [["Energy"], [text]]) == [["Energy"], [float(text)]]
 
 
-def test_a_formula_behind_another_separator_is_seen():
-    assert harmless_cell("a;=1+1") == "a;'=1+1"
-    assert harmless_cell("line\n@x") == "line\n'@x"
+@pytest.mark.parametrize(
+    "text", ["1.10", "007", "9007199254740993", "1e400", "2026-11-22T16:16:25Z", "Video", "a=b", " 1"]
+)
+def test_what_a_number_would_not_show_as_it_is_stays_a_text(tmp_path, text):
+    assert written(tmp_path, [["Version"], [text]]) == [["Version"], [text]]
 
 
-def test_the_command_writes_copies_and_changes_no_table(tmp_path, robot_runner):
+def test_of_a_column_of_numbers_each_number_is_one_however_it_is_written(tmp_path):
+    rows = [["run_id", "Energy", "Version"], ["r_1", "1.10", "1.10"], ["r_2", "+3", "+3"], ["r_3", "", ""]]
+    assert written(tmp_path, rows, numeric={"Energy"}) == [
+        ["run_id", "Energy", "Version"],
+        ["r_1", 1.1, "1.10"],
+        ["r_2", 3.0, "+3"],
+        ["r_3", None, None],
+    ]
+
+
+def test_signs_that_xml_has_no_place_for_are_written_as_spreadsheets_read_them(tmp_path):
+    [[heading], [text]] = written(tmp_path, [['<b> & "q"'], ["a\x07b_x0041_ \r\n c"]])
+    assert heading == '<b> & "q"'
+    assert text == "a_x0007_b_x005F_x0041_ _x000D_\n c"
+
+
+def test_a_row_that_is_longer_than_the_headings_keeps_its_cells(tmp_path):
+    assert written(tmp_path, [["Task"], ["Video", "0.5", "note"]])[1] == ["Video", 0.5, "note"]
+
+
+def test_the_same_table_is_the_same_bytes(tmp_path):
+    for name in ("one", "other"):
+        write_workbook([["Task"], ["Video"]], tmp_path / name)
+    assert (tmp_path / "one").read_bytes() == (tmp_path / "other").read_bytes()
+
+
+def test_the_command_writes_workbooks_and_changes_no_table(tmp_path, robot_runner):
     made = make_experiment(
         tmp_path / "made",
         [Factor("Task", ["=1+1", "Video"]), Factor("Offset", [-1.5, 2.0])],
-        lambda treatments, repetition: {"Energy": -870.0},
+        lambda treatments, repetition: {"Energy": -870.125},
         measures=["Energy"],
         units={"Energy": "J"},
     )
     (made.root / "report" / "tables").mkdir(parents=True)
-    (made.root / "report" / "tables" / "means.csv").write_text("Task,Mean\r\n@x,-3.5\r\n", encoding="utf-8")
+    (made.root / "report" / "tables" / "means.csv").write_text("Task,Mean\r\n@x,-3.125\r\n", encoding="utf-8")
     before = made.run_table.read_bytes()
     answer = robot_runner("export", made.root, "--to", tmp_path / "out", "--spreadsheets")
     assert answer.code == 0, answer.err
     assert "Spreadsheets" in answer.out
     assert made.run_table.read_bytes() == before == (tmp_path / "out" / "run_table.csv").read_bytes()
-    with (tmp_path / "out" / "spreadsheets" / "run_table.csv").open(encoding="utf-8-sig", newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert {row["Task"] for row in rows} == {"'=1+1", "Video"}
-    assert {float(row["Offset"]) for row in rows} == {-1.5, 2.0}
-    assert {float(row["Energy"]) for row in rows} == {-870.0}
-    assert (tmp_path / "out" / "spreadsheets" / "means.csv").read_text("utf-8-sig") == "Task,Mean\n'@x,-3.5\n"
+    heading, *rows = cells_of(tmp_path / "out" / "spreadsheets" / "run_table.xlsx")
+    columns = dict(zip(heading, zip(*rows, strict=True), strict=True))
+    assert set(columns["Task"]) == {"=1+1", "Video"}
+    assert set(columns["Offset"]) == {-1.5, 2.0}
+    assert set(columns["Energy"]) == {-870.125}
+    assert cells_of(tmp_path / "out" / "spreadsheets" / "means.xlsx") == [["Task", "Mean"], ["@x", -3.125]]
     assert robot_runner("export", made.root, "--to", tmp_path / "plain").code == 0
     assert not (tmp_path / "plain" / "spreadsheets").exists()

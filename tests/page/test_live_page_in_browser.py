@@ -361,6 +361,25 @@ def test_10000_runs_are_shown_soon_and_scrolled_smoothly(
     assert browser.complaints == []
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("window", [{"width": 1280}, PHONE], ids=["desk", "phone"])
+def test_means_are_in_sight_where_a_treatment_is_a_long_word(
+    browser: Browser, serve_page: Callable[..., ServedPage], tmp_path: Path, window: dict[str, int]
+) -> None:
+    make_large(tmp_path / "long", 6)
+    table = (tmp_path / "long" / "run_table.csv").read_text()
+    (tmp_path / "long" / "run_table.csv").write_text(table.replace(",A,", f",{'0123456789abcdef' * 10},"))
+    browser.open(serve_page(tmp_path / "long").links["Here"], **window)
+    browser.wait_for(seen("#means-table", "0123456789abcdef"))
+    assert browser.evaluate("document.documentElement.scrollWidth") <= window["width"]
+    ends = "[...document.querySelectorAll('#means-table td')].map(each => each.getBoundingClientRect().right)"
+    assert max(browser.evaluate(ends)) <= browser.evaluate(
+        "document.getElementById('means').getBoundingClientRect().right"
+    )
+    names = "[...document.querySelectorAll('#means-table tbody th')].map(each => each.clientWidth)"
+    assert min(browser.evaluate(names)) >= 100, "a name of usual length is broken"
+
+
 HOSTILE = "<img src=x onerror=alert(1)>\"'</script>"
 
 

@@ -20,6 +20,7 @@ with warnings.catch_warnings():
 
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 from robot_runner.replication.about import About
+from robot_runner.replication.contents import media_type_of
 from robot_runner.replication.crate import crate_text
 from robot_runner.replication.crate_actions import ExecutedRun
 from robot_runner.replication.packing import pack
@@ -111,6 +112,18 @@ def test_each_run_is_an_action_that_executed_the_config_with_its_treatments(unpa
         assert {"@id": f"runs/{row['run_id']}/"} in action["result"]
         assert action["startTime"] < action["endTime"]
     assert {"@id": "#run-r_1"} in entities["./"]["mentions"]
+
+
+@pytest.mark.parametrize(
+    ("name", "media_type"),
+    [
+        ("report/tables/means.tex", "application/x-tex"),
+        ("export/spreadsheets/run_table.xlsx", "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet"),
+        ("runs/r_1/LabCamera/still-1.jpg", "image/jpeg"),
+    ],
+)
+def test_what_experiments_reports_and_exports_hold_is_not_called_binary_data(name, media_type):
+    assert media_type_of(name).name == media_type
 
 
 @pytest.mark.long

@@ -1,7 +1,7 @@
 """An experiment's results for other tools: Parquet files, and a data package that describes them.
 
-The data package follows https://specs.frictionlessdata.io/data-package/; the run table in it is the CSV file with its
-Table Schema, which every tool can read and validate, and the rest are Parquet files.
+The data package follows https://specs.frictionlessdata.io/data-package/. Its run table is the CSV file with its Table
+Schema, which every tool can read and validate; the other resources are Parquet files.
 """
 
 from __future__ import annotations
@@ -10,12 +10,16 @@ import csv
 import hashlib
 import io
 import json
+import math
 import os
 import re
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+import zipfile
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from itertools import chain, repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.sax.saxutils import escape
 
 import pandas as pd
 import pyarrow as pa
@@ -32,7 +36,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.raw_data import RawData
     from robot_runner.analysis.run_frame import ExperimentFacts
 
-_RUNS_AT_ONCE = 50  # so that an export takes no more memory than the samples of so many runs
+_RUNS_AT_ONCE = 50  # limits the memory to the samples of so many runs
 _UNIT = b"unit"
 
 
@@ -44,18 +48,18 @@ def export_results(
     *,
     for_spreadsheets: bool = False,
 ) -> tuple[Path, ...]:
-    """Write everything into `folder` (None: `export/` in the experiment's folder), replacing an earlier export.
+    """Export everything into `folder` (None: `export/` in the experiment's folder), replacing an earlier export.
 
     Args:
         results: the experiment.
-        tables: of all its runs, by the names of their files.
+        tables: tables of all its runs, by file name.
         raw: its raw samples.
-        folder: where to.
+        folder: the folder to write into.
         for_spreadsheets: whether the run table, and the report's tables where there is one, are written into
-            `spreadsheets/`, too, without cells that a spreadsheet would execute.
+            `spreadsheets/`, too, as workbooks.
 
     Returns:
-        The files: the run table as CSV with its schema and as Parquet, phases and events, a file for each kind of raw
+        The files: the run table as CSV with its schema and as Parquet, phases and events, one file for each kind of raw
         samples, and `datapackage.json`.
 
     Raises:
@@ -75,11 +79,11 @@ def export_results(
         path = target / "samples" / f"{kind.plugin}.{kind.name.removesuffix('.csv')}.parquet"
         try:
             _write_parquet(path, _sample_tables(results, raw, kind))
-        except (pa.ArrowInvalid, pa.ArrowNotImplementedError):  # a column is of one type in some runs, and not in all
+        except (pa.ArrowInvalid, pa.ArrowNotImplementedError):  # a column's type differs between runs
             types = _types_of_all(_sample_tables(results, raw, kind))
             _write_parquet(path, (_with_types(table, types) for table in _sample_tables(results, raw, kind)))
         written.append(path)
-    copies = tuple(_copies_for_spreadsheets(results.folder, target)) if for_spreadsheets else ()
+    copies = tuple(_copies_for_spreadsheets(results, target)) if for_spreadsheets else ()
     package = target / "datapackage.json"
     listed = [_resource(target, path) for path in written if path.name != "run_table.schema.json"]
     replace(package, json.dumps(data_package(results.name, listed), indent=2, ensure_ascii=False) + "\n")
@@ -87,12 +91,12 @@ def export_results(
 
 
 def arrow_table(frame: pd.DataFrame, units: Mapping[str, str]) -> pa.Table:
-    """Return a data frame as an Arrow table; treatments that are text as ordered dictionaries (factors, in R)."""
+    """Return a data frame as an Arrow table; text treatments become ordered dictionaries (factors in R)."""
     plain = frame.copy(deep=False)
     for name in plain.columns:
         if isinstance(plain[name].dtype, pd.CategoricalDtype):
             categories = plain[name].cat.categories
-            if not all(isinstance(each, str) for each in categories):  # numbers are more use as numbers
+            if not all(isinstance(each, str) for each in categories):  # numbers stay numbers
                 plain[name] = plain[name].astype(categories.dtype if plain[name].notna().all() else "object")
         elif plain[name].dtype == object:
             plain[name] = plain[name].map(lambda value: None if value is None else str(value))
@@ -103,7 +107,7 @@ def arrow_table(frame: pd.DataFrame, units: Mapping[str, str]) -> pa.Table:
 
 def _field(field: pa.Field, unit: str) -> pa.Field:
     kind = field.type
-    if pa.types.is_dictionary(kind):  # of one width, so that tables of several runs fit together
+    if pa.types.is_dictionary(kind):  # one width, so that tables of several runs can be joined
         kind = pa.dictionary(pa.int32(), pa.string(), kind.ordered)
     described = field.with_type(kind)
     return described.with_metadata({_UNIT: unit.encode()}) if unit else described
@@ -118,13 +122,16 @@ def _copied_table(results: ExperimentFacts, target: Path) -> Iterator[Path]:
             yield target / name
 
 
-def _copies_for_spreadsheets(folder: Path, target: Path) -> Iterator[Path]:
+def _copies_for_spreadsheets(results: ExperimentFacts, target: Path) -> Iterator[Path]:
     into = target / "spreadsheets"
     with storage_errors(into, "made"):
         into.mkdir(exist_ok=True)
-    for source in (folder / "run_table.csv", *sorted((folder / "report" / "tables").glob("*.csv"))):
-        write_for_spreadsheets(source, into / source.name, folder)
-        yield into / source.name
+    numeric = {name for name, column in results.columns.items() if column.type in {"number", "integer"}}
+    for source in (results.folder / "run_table.csv", *sorted((results.folder / "report" / "tables").glob("*.csv"))):
+        rows = csv.reader(io.StringIO(read_text(source, results.folder), newline=""))
+        written = into / f"{source.stem}.xlsx"
+        write_workbook(rows, written, numeric if source.name == "run_table.csv" else ())
+        yield written
 
 
 def _units(results: ExperimentFacts, frame: pd.DataFrame) -> dict[str, str]:
@@ -187,30 +194,62 @@ def _resource(target: Path, path: Path) -> dict[str, Any]:
 
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
-#: What makes a formula where a cell begins: also the wide forms that some spreadsheets take for the plain ones, and
-#: what is skipped in front of them. Where a spreadsheet splits at another sign than the comma, a cell begins there.
-_BEGINS_FORMULA = re.compile(r"(^|[;,|\t\r\n])(?=[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20])")
+#: What XML cannot hold, and what would be read as one of these, is written by its number.
+_NO_XML = re.compile(r"[\x00-\x08\x0b-\x1f\ufffe\uffff]|_(?=x[0-9A-Fa-f]{4}_)")
+_OFFICE = "http://schemas.openxmlformats.org"
+#: The parts of a workbook of one sheet (ECMA-376), but for the sheet.
+_WORKBOOK = {
+    "[Content_Types].xml": f'<Types xmlns="{_OFFICE}/package/2006/content-types">'
+    '<Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
+    '<Override PartName="/xl/workbook.xml" '
+    'ContentType="application/vnd.openxmlformats-officedocument.spreadsheetml.sheet.main+xml"/>'
+    '<Override PartName="/xl/sheet.xml" '
+    'ContentType="application/vnd.openxmlformats-officedocument.spreadsheetml.worksheet+xml"/></Types>',
+    "_rels/.rels": f'<Relationships xmlns="{_OFFICE}/package/2006/relationships"><Relationship Id="r1" '
+    f'Type="{_OFFICE}/officeDocument/2006/relationships/officeDocument" Target="xl/workbook.xml"/></Relationships>',
+    "xl/workbook.xml": f'<workbook xmlns="{_OFFICE}/spreadsheetml/2006/main" '
+    f'xmlns:r="{_OFFICE}/officeDocument/2006/relationships">'
+    '<sheets><sheet name="Table" sheetId="1" r:id="r1"/></sheets></workbook>',
+    "xl/_rels/workbook.xml.rels": f'<Relationships xmlns="{_OFFICE}/package/2006/relationships"><Relationship Id="r1" '
+    f'Type="{_OFFICE}/officeDocument/2006/relationships/worksheet" Target="sheet.xml"/></Relationships>',
+}
 
 
-def harmless_cell(text: str) -> str:
-    """Return a cell that a spreadsheet shows and does not execute: with `'` in front of what would be a formula.
+def write_workbook(rows: Iterable[Sequence[str]], target: Path, numeric: Collection[str] = ()) -> None:
+    """Write the rows of a CSV file as a workbook, whose cells mean the same in every language of a spreadsheet.
 
-    Example:
-        >>> harmless_cell("=1+1"), harmless_cell("-1.5"), harmless_cell("Video"), harmless_cell("a;@b")
-        ("'=1+1", '-1.5', 'Video', "a;'@b")
-    """
-    return text if _NUMBER.fullmatch(text) else _BEGINS_FORMULA.sub(r"\1'", text)
-
-
-def write_for_spreadsheets(source: Path, target: Path, root: Path) -> None:
-    """Write a copy of a CSV file with harmless cells, with the mark of UTF-8 that spreadsheets ask for.
+    A text is a text, also one that would be a formula in a CSV file. A number is a cell that shows the same digits, and
+    any number below a heading in `numeric`. The library XlsxWriter would round numbers to 16 digits, and openpyxl would
+    write another file each time.
 
     Raises:
-        StorageError: it cannot be read or written.
+        StorageError: it cannot be written.
     """
-    text = read_text(source, root)
-    written = io.StringIO()
-    rows = csv.writer(written, lineterminator="\r\n")
-    rows.writerows([harmless_cell(cell) for cell in row] for row in csv.reader(io.StringIO(text, newline="")))
-    with open_to_write(target) as file:
-        file.write(written.getvalue().encode("utf-8-sig"))
+    table = list(rows)
+    is_numeric = [name in numeric for name in table[0]] if table else []
+    written = "".join(
+        f"<row>{''.join(map(_workbook_cell, row, chain(is_numeric, repeat(object=False))))}</row>"
+        if place
+        else f"<row>{''.join(map(_text, row))}</row>"
+        for place, row in enumerate(table)
+    )
+    sheet = f'<worksheet xmlns="{_OFFICE}/spreadsheetml/2006/main"><sheetData>{written}</sheetData></worksheet>'
+    with open_to_write(target) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, text in {**_WORKBOOK, "xl/sheet.xml": sheet}.items():
+            declared = f'<?xml version="1.0" encoding="UTF-8" standalone="yes"?>\n{text}'
+            archive.writestr(zipfile.ZipInfo(name), declared, zipfile.ZIP_DEFLATED)  # of no day: the same bytes again
+
+
+def _workbook_cell(text: str, is_numeric: bool) -> str:
+    if not _NUMBER.fullmatch(text):
+        return _text(text)
+    number = float(text)
+    is_as_shown = text in {repr(number), f"{number:.0f}"}  # 1.10 may be a version, and 2**53 + 1 would be rounded
+    return f"<c><v>{text}</v></c>" if math.isfinite(number) and (is_numeric or is_as_shown) else _text(text)
+
+
+def _text(text: str) -> str:
+    if not text:
+        return "<c/>"
+    plain = escape(_NO_XML.sub(lambda found: f"_x{ord(found[0]):04X}_", text))
+    return f'<c t="inlineStr"><is><t xml:space="preserve">{plain}</t></is></c>'

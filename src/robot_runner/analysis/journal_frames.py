@@ -19,32 +19,32 @@ EVENTS = tuple(event.value for event in RobotRunnerEvents if event.belongs_to_ru
 #: The event from which times of a run are counted.
 START = RobotRunnerEvents.START_MEASUREMENT.value
 
-#: The callbacks of these are executed in the orchestrating process, whose clock is another than the run's.
+#: Events whose callbacks the orchestrator executes, by another clock than the run's.
 _OF_ANOTHER_CLOCK = frozenset(event.value for event in ORCHESTRATED_EVENTS)
 
 
-#: An attempt: the run's id, and which attempt at it.
+#: An attempt: the run's id, and the number of the attempt.
 Attempt = tuple[str, int]
 
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """The journal, sorted by what its records are about.
+    """The journal's records, sorted by subject.
 
     Attributes:
         attempts: `run_id`, `attempt`, `status` (done, failed, unfinished), `started_at`, `seconds`, `failure`, in the
-            order in which they were begun; `attrs["clock_was_set"]` says whether their times do not tell it, and
-            `attrs["clock_set_by"]` by how many seconds, in all, the clock was set before each began, by its label.
+            order of their beginnings; `attrs["clock_was_set"]` says whether the clock was set, so that times may not
+            tell this order; `attrs["clock_set_by"]` has by how many seconds, in all, before each attempt, by its label.
         events: `run_id`, `event`, `at`, `clock_s`, `since_start_s`; of the last attempt at each run.
         published: `run_id`, `measure`, `value`, `owner`, `origin`; of the last attempt at each run.
-        doubts: what makes values doubtful or missing: reasons by measure, by run, of the last attempt at each run that
-            ended; measures without any are left out.
+        doubts: reasons why values are doubtful or missing, by measure, by run; of the last ended attempt at each run.
+            Measures without any are left out.
         odd: `run_id`, `attempt`, `owner`, `problem`, `fix`.
-        windows: when each run's measured window (its mission) began and ended, s on the run's clock.
-        starts: when that began; where it is not known, when the run's measurement did.
-        uncertainties: how far the times of a plugin's samples may be wrong because another computer stamped them, s; by
+        windows: beginning and end of each run's measured window (its mission), s on the run's clock.
+        starts: the beginning of that window or, where it is not known, of the run's measurement.
+        uncertainties: how far the times of a plugin's samples may be off because another computer stamped them, s; by
             plugin, by run, of the last attempt at each.
-        readers: who read the treatment of each factor in runs that were done; None where that was not recorded.
+        readers: the plugins that read each factor's treatment in runs that were done; None where it was not recorded.
     """
 
     attempts: pd.DataFrame
@@ -58,7 +58,7 @@ class History:
     readers: Mapping[str, tuple[str, ...]] | None = None
 
     def without(self, runs: Collection[str]) -> History:
-        """Return the history without what it has of these runs."""
+        """Return the history without these runs."""
         if not runs:
             return self
         frames = {
@@ -70,30 +70,30 @@ class History:
 
 
 def read_history(journal: Path) -> History:
-    """Read the journal of an experiment; one that does not exist tells nothing.
+    """Read the journal of an experiment; the history is empty where there is none.
 
     Raises:
-        StorageError: it cannot be read.
+        StorageError: the journal cannot be read.
     """
-    told = _Told()
-    readers: dict[str, Callable[[Mapping[str, Any]], None]] = {
-        "attempt_started": told.take_start,
-        "attempt_finished": told.take_end,
-        "clock": told.take_clock,
-        "clock_set": told.take_clock_set,
-        "event": told.take_event,
-        "finding": told.odd.append,
-        "window": told.take_window,
+    reader = _JournalReader()
+    takers: dict[str, Callable[[Mapping[str, Any]], None]] = {
+        "attempt_started": reader.take_start,
+        "attempt_finished": reader.take_end,
+        "clock": reader.take_clock,
+        "clock_set": reader.take_clock_set,
+        "event": reader.take_event,
+        "finding": reader.odd.append,
+        "window": reader.take_window,
     }
-    for record in read_journal(journal, kinds=readers):
-        readers[record["kind"]](record)
-    return told.history()
+    for record in read_journal(journal, kinds=takers):
+        takers[record["kind"]](record)
+    return reader.history()
 
 
-def told_phases(journal: Path) -> dict[str, list[tuple[str, float, float]]]:
+def journal_phases(journal: Path) -> dict[str, list[tuple[str, float, float]]]:
     """Return the phases of the last attempt at each run: name, beginning and end, s on the run's clock.
 
-    They are read by themselves, as a long journal has many of them and few readers ask.
+    They are read separately: a long journal has many of them, and few callers need them.
 
     Raises:
         StorageError: the journal cannot be read.
@@ -108,16 +108,16 @@ def told_phases(journal: Path) -> dict[str, list[tuple[str, float, float]]]:
     return phases
 
 
-#: A clock that is set by less, s, as by an NTP daemon that steps it, leaves the times between runs what they are.
+#: Smaller steps of the clock, s, such as an NTP daemon's, hardly change the times between runs.
 _STEP = 1.0
 _CENTURY = 100 * 365.25 * 86_400.0  # s
 
 
-class _Told:
-    """What the journal has told so far: no more than is needed of each record, or a long journal fills the memory."""
+class _JournalReader:
+    """The records read so far; only the needed parts of each, or a long journal would fill the memory."""
 
     def __init__(self) -> None:
-        # Where the table was edited, attempts may be counted anew: the later record of a number counts.
+        # After the table was edited, attempts may be numbered from 1 again: the later record of a number counts.
         self.begun: dict[Attempt, str] = {}
         self.ends: dict[Attempt, tuple[str, float | None, str | None]] = {}
         self.measures: dict[Attempt, list[tuple[str, Any, str, str]]] = {}
@@ -134,12 +134,12 @@ class _Told:
         self._latest = ""
         self._known: dict[Any, Any] = {}
 
-    def _once(self, text: Any) -> Any:
-        """Return the first text that was equal to this: names come in every record, and are held once."""
+    def _interned(self, text: Any) -> Any:
+        """Return the first equal text, so that names, which are in every record, are in memory once."""
         return self._known.setdefault(text, text)
 
     def _attempt(self, record: Mapping[str, Any]) -> Attempt:
-        return self._once(record["run"]), record["attempt"]
+        return self._interned(record["run"]), record["attempt"]
 
     def take_start(self, record: Mapping[str, Any]) -> None:
         attempt = self._attempt(record)
@@ -150,26 +150,26 @@ class _Told:
 
     def take_end(self, record: Mapping[str, Any]) -> None:
         attempt, measures = self._attempt(record), record["measures"]
-        self.ends[attempt] = self._once(record["status"]), record["seconds"], record["failure"]
+        self.ends[attempt] = self._interned(record["status"]), record["seconds"], record["failure"]
         self._look_at_clock(record["at"])
-        # Of an attempt that has two ends, what was published after the run is in the later one.
+        # Where an attempt has two ends, the later one has what was published after the run.
         self.measures[attempt] = [
-            (self._once(name), each["value"], self._once(each["owner"]), self._once(each["origin"]))
+            (self._interned(name), each["value"], self._interned(each["owner"]), self._interned(each["origin"]))
             for name, each in measures.items()
         ]
         self.doubts[attempt] = {
-            self._once(name): tuple(doubts) for name, each in measures.items() if (doubts := each.get("doubts"))
+            self._interned(name): tuple(doubts) for name, each in measures.items() if (doubts := each.get("doubts"))
         }
         if record["status"] == "done":
             self._take_readers(record.get("readers"))
 
     def _look_at_clock(self, at: str) -> None:
-        """Take note of what the orchestrator's own stamp says: of one form and length, texts are ordered as times."""
+        """Note whether the orchestrator's stamps go backwards; they have one format, so texts compare like times."""
         self.was_set |= at < self._latest
         self._latest = at
 
     def take_clock_set(self, record: Mapping[str, Any]) -> None:
-        if abs(record["seconds"]) < _CENTURY:  # more is a damaged record, and no time that pandas can hold
+        if abs(record["seconds"]) < _CENTURY:  # more is a damaged record, and beyond what pandas can hold
             self.set_by += record["seconds"]
         self.was_set |= abs(record["seconds"]) > _STEP
 
@@ -183,16 +183,16 @@ class _Told:
 
     def take_event(self, record: Mapping[str, Any]) -> None:
         if "run" in record:
-            # These take place in the orchestrating process, whose clock is another than the run's.
+            # The orchestrator stamps these by another clock than the run's.
             clock = None if record["event"] in _OF_ANOTHER_CLOCK else record.get("clock")
-            self.events[self._attempt(record)].append((self._once(record["event"]), record["at"], clock))
+            self.events[self._attempt(record)].append((self._interned(record["event"]), record["at"], clock))
 
     def take_window(self, record: Mapping[str, Any]) -> None:
         self.windows[self._attempt(record)] = float(record["start"]), float(record["end"])
 
     def take_clock(self, record: Mapping[str, Any]) -> None:
         if isinstance(record.get("uncertainty"), int | float):
-            self.uncertainties[self._attempt(record)][self._once(record["owner"])] = float(record["uncertainty"])
+            self.uncertainties[self._attempt(record)][self._interned(record["owner"])] = float(record["uncertainty"])
 
     def history(self) -> History:
         last = {run: (run, attempt) for run, attempt in self.begun}
@@ -225,7 +225,7 @@ class _Told:
         rows = []
         for (run, attempt), at in self.begun.items():
             status, seconds, failure = self.ends.get((run, attempt), ("unfinished", None, None))
-            # Of runs that were imported without any times, only the record has one.
+            # Runs that were imported without times have no beginning: the stamp is only the record's.
             is_timed = status == "unfinished" or seconds is not None
             rows.append((run, attempt, status, at if is_timed else None, seconds, failure))
         columns = ["run_id", "attempt", "status", "started_at", "seconds", "failure"]

@@ -1,4 +1,4 @@
-"""The raw samples of an experiment: which there are, of which runs, and how they are placed in the mission."""
+"""The raw samples of an experiment: their files, their runs, and their times relative to the mission."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from robot_runner.analysis.alignment import (
     median_period,
 )
 from robot_runner.analysis.arrays import Floats
-from robot_runner.analysis.journal_frames import History, told_phases
+from robot_runner.analysis.journal_frames import History, journal_phases
 from robot_runner.analysis.lazy_samples import LazySamples
 from robot_runner.analysis.run_frame import require_choice, several
 from robot_runner.analysis.sample_files import (
@@ -31,10 +31,10 @@ from robot_runner.analysis.sample_files import (
     choose_file,
     find_sample_files,
     noted,
+    noted_windows,
     phase_spans,
     read_phases,
     split_unit,
-    told_windows,
 )
 from robot_runner.analysis.samples import SampleRequest, labels_of, read_samples
 from robot_runner.core.design.columns import RUN_ID, STATUS
@@ -44,14 +44,14 @@ from robot_runner.core.storage.cells import RunStatus
 
 @dataclass(frozen=True)
 class RawData:
-    """What lies below the runs' folders.
+    """The files in the runs' folders.
 
     Attributes:
         files: the CSV files, as `run_files` returns them.
         runs: the run table.
-        factors: the columns that say which combination a run is of.
-        history: what the journal tells.
-        journal: the journal itself.
+        factors: the columns that tell the combination of a run.
+        history: the records of the journal.
+        journal: the journal's file.
     """
 
     files: Mapping[tuple[str, str], Mapping[str, Path]]
@@ -69,7 +69,7 @@ class RawData:
     def phases(self) -> pd.DataFrame:
         """The phases of missions, on the runs' clocks."""
         files = {plugin: paths for (plugin, name), paths in self.files.items() if name == PHASES}
-        return read_phases(files, told_phases(self.journal))
+        return read_phases(files, journal_phases(self.journal))
 
     @cached_property
     def phase_spans(self) -> dict[str, PhaseSpans]:
@@ -108,11 +108,11 @@ class RawData:
         with_phases: bool = True,
         with_window: bool = True,
     ) -> SampleRequest:
-        """Return what is to be read of those of these runs that have such a file; see `Results.samples`."""
+        """Return the request for those of these runs that have such a file; see `Results.samples`."""
         run_ids = [run_id for run_id in runs if run_id in kind.paths]
         table = self.runs.set_index(RUN_ID).loc[run_ids]
         is_done = table[STATUS] == RunStatus.DONE.value
-        windows = {**self.history.windows, **told_windows(kind, run_ids)}
+        windows = {**self.history.windows, **noted_windows(kind, run_ids)}
         return SampleRequest(
             kind,
             run_ids,
@@ -128,7 +128,7 @@ class RawData:
         return {name: table[name].array for name in self.factors}
 
     def with_treatments(self, run_ids: Iterable[str], treatments: Mapping[str, object]) -> list[str]:
-        """Return those of the runs that have these treatments.
+        """Return the runs with these treatments.
 
         Raises:
             AnalysisError: there is no such factor or treatment.
@@ -149,7 +149,7 @@ class RawData:
         return list(table.index)
 
     def lazy(self, request: SampleRequest, *, within_window: bool, phases: str | Sequence[str] | None) -> LazySamples:
-        """Return samples that are read when they are used.
+        """Return samples that are read only when they are used.
 
         Raises:
             AnalysisError: there is no such phase.
@@ -160,13 +160,13 @@ class RawData:
         for name in chosen:
             if name not in known:
                 raise AnalysisError(f"there is no phase {name!r}", where="samples", fix=did_you_mean(name, known))
-        # By themselves: a phase goes on while another does, and each of its samples is one of both.
+        # Only the chosen phases: while two phases overlap, a sample belongs to both.
         return LazySamples(request, within_window, phase_spans(self.phases[self.phases["phase"].isin(chosen)]))
 
     def aligned(
         self, columns: Mapping[str, str | Sequence[str]], run_ids: Sequence[str], period: float, how: Resampling
     ) -> AlignedSamples:
-        """Return samples of several profilers on one grid of times, run by run; see `Results.aligned_samples`."""
+        """Return samples of several profilers on one time grid, run by run; see `Results.aligned_samples`."""
         if not (math.isfinite(period) and period > 0):
             fix = "Give seconds, as in 0.1."
             raise AnalysisError(f"{period!r} is no period of a grid", where="aligned samples", fix=fix)
@@ -191,7 +191,7 @@ class RawData:
     def _aligned_run(
         self, run_id: str, sources: Sequence[_Source], period: float, how: Resampling, columns: int
     ) -> pd.DataFrame | None:
-        """Return the columns of one run, of so many of all; None where a source has no samples of it."""
+        """Return the columns of one of the runs; None where a source has no samples of it."""
         read = [self._numbers(source, run_id) for source in sources]
         if any(not len(times) for times, _ in read):
             return None
@@ -214,7 +214,7 @@ class RawData:
         """Return the times of a run's samples, ascending, and the values of each column.
 
         Raises:
-            AnalysisError: a column holds no numbers.
+            AnalysisError: a column is not numeric.
         """
         request = self.request(source.kind, [run_id], source.names, with_factors=False, with_phases=False)
         samples = read_samples(request).dropna(subset=["time_s"]).sort_values("time_s", kind="stable")
@@ -227,7 +227,7 @@ class RawData:
 
 
 class _Source:
-    """One profiler's columns in aligned samples, and what is counted of them while runs are aligned."""
+    """One profiler's columns in aligned samples, with the counts that grow while runs are aligned."""
 
     def __init__(self, kind: SampleFile, names: tuple[str, ...]) -> None:
         self.kind, self.names = kind, names
@@ -237,7 +237,7 @@ class _Source:
 
     @classmethod
     def of(cls, kinds: Sequence[SampleFile], label: str, names: Sequence[str]) -> _Source:
-        """Return a source by its plugin, or by plugin and file as in `Meter/packets.csv`."""
+        """Return the source of a plugin, or of plugin and file as in `Meter/packets.csv`."""
         plugin, _, file = label.partition("/")
         return cls(choose_file(kinds, plugin, file or None), tuple(names))
 
@@ -266,7 +266,7 @@ class _Source:
 
 
 def _noted_uncertainty(path: Path) -> float | None:
-    """Return how far the times of a meter with a clock of its own may be wrong, s, as its plugin noted it."""
+    """Return how far the times of a meter with its own clock may be off, s, as its plugin noted it."""
     try:
         found = noted(path)["samples"]["clock_uncertainty"]
     except (KeyError, TypeError):

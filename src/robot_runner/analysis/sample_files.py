@@ -1,4 +1,4 @@
-"""The CSV files below the runs' folders: which hold raw samples, and the phases of missions."""
+"""The CSV files in the runs' folders: raw samples, and the phases of missions."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ if TYPE_CHECKING:
 
     from robot_runner.core.storage.layout import ExperimentFolder
 
-# Which raw samples there are: `runs/<run id>/<plugin>/<file>.csv` with a column of times on the run's clock.
+# Raw samples: `runs/<run id>/<plugin>/<file>.csv` with a column of times on the run's clock.
 
-#: The name under which systems write the phases of their mission.
+#: The name of the file in which systems write the phases of their mission.
 PHASES = "phases.csv"
 
 
 _MEND = "Mend it, or move it away."
 
-#: Headings of the column of times, s on the run's clock; the first one that a file has counts.
+#: Headings of the column of times, s on the run's clock; the first one in this order counts.
 _TIME_HEADINGS = ("time_s", "t_s", "timestamp_s", "time", "t")
 
 
-#: Units as they stand at the end of a sample column's heading, and their symbols.
+#: Units at the end of a sample column's heading, and their symbols.
 _SYMBOLS = ("W", "mW", "kW", "A", "mA", "V", "mV", "J", "s", "ms", "m", "mm", "Hz", "kHz", "MHz", "K", "Pa", "N", "rad")
 _UNITS = {
     **{symbol: symbol for symbol in (*_SYMBOLS, "B", "MB", "MiB")},
@@ -46,7 +46,7 @@ _UNITS = {
 
 
 def split_unit(heading: str) -> tuple[str, str]:
-    """Return the name and the unit of a column of samples, by its heading; without a unit, the heading and nothing.
+    """Split the heading of a column of samples into name and unit; the unit is empty where there is none.
 
     Example:
         >>> split_unit("power_W"), split_unit("speed_m_s"), split_unit("count")
@@ -59,13 +59,13 @@ def split_unit(heading: str) -> tuple[str, str]:
 
 @dataclass(frozen=True, slots=True)
 class SampleFile:
-    """One kind of raw-sample file: the same plugin writes it in each run.
+    """One kind of raw-sample file, which a plugin writes in each run.
 
     Attributes:
-        plugin: the plugin's name, which names its folder.
+        plugin: the plugin's name, which is also that of its folder.
         name: the file's name.
         time: the heading of its times.
-        columns: the headings of its values, of all runs together.
+        columns: the headings of its values in any of the runs.
         paths: the file of each run, by the run's id, in the order of the run table.
 
     Example:
@@ -81,7 +81,7 @@ class SampleFile:
 
     @property
     def label(self) -> str:
-        """The plugin and the file, as below a run's folder."""
+        """The plugin and the file, as a path in a run's folder."""
         return f"{self.plugin}/{self.name}"
 
     @property
@@ -91,16 +91,16 @@ class SampleFile:
 
 
 def run_files(folder: ExperimentFolder, run_ids: Iterable[str]) -> dict[tuple[str, str], dict[str, Path]]:
-    """Return the CSV files below the folders of runs: by plugin and file name, then by run.
+    """Return the CSV files in the folders of runs: by plugin and file name, then by run.
 
     Raises:
-        StorageError: a folder cannot be read, or a file is none: a link, a named pipe.
+        StorageError: a folder cannot be read, or an entry is not a regular file: a link, a named pipe.
     """
     found: dict[tuple[str, str], dict[str, Path]] = {}
     for run_id in run_ids:
         with storage_errors(folder.run(run_id), "read"):
             run = folder.run(run_id)
-            # A config writes into the run's own folder, as those of the earlier tools do.
+            # Configs write into the run's folder itself, as those of the earlier tools do.
             for path in sorted(path for path in run.glob("*.csv") if not path.is_dir()):
                 require_file(path, folder.root)
                 found.setdefault((CONFIG_OWNER, path.name), {})[run_id] = path
@@ -111,7 +111,7 @@ def run_files(folder: ExperimentFolder, run_ids: Iterable[str]) -> dict[tuple[st
 
 
 def find_sample_files(files: Mapping[tuple[str, str], Mapping[str, Path]]) -> tuple[SampleFile, ...]:
-    """Return the kinds of raw-sample files among the CSV files below runs, as `run_files` returns them.
+    """Return the kinds of raw-sample files among the CSV files that `run_files` returns.
 
     Raises:
         StorageError: a file cannot be read.
@@ -131,10 +131,10 @@ def find_sample_files(files: Mapping[tuple[str, str], Mapping[str, Path]]) -> tu
 
 
 def choose_file(files: Sequence[SampleFile], plugin: str | None, name: str | None) -> SampleFile:
-    """Return the kind of file that is meant.
+    """Return the only kind of file that fits.
 
     Raises:
-        AnalysisError: none or several fit; names those that there are.
+        AnalysisError: none or several fit; the error names the existing ones.
     """
     if not files:
         raise AnalysisError("there are no raw samples", where="samples", fix="Look at the runs' folders.")
@@ -153,17 +153,17 @@ def choose_file(files: Sequence[SampleFile], plugin: str | None, name: str | Non
 
 
 def noted(path: Path, root: Path | None = None) -> Any:
-    """Return what a plugin noted as JSON; None where there is no such file, or it is none that can be trusted."""
+    """Return a plugin's notes from a JSON file; None where there is no file, or it cannot be trusted."""
     try:
         return read_json(path, root)
     except StorageError:
         return None
 
 
-def told_windows(file: SampleFile, run_ids: Iterable[str]) -> dict[str, tuple[float, float]]:
-    """Return when the measured window of runs began and ended, s on the clock of these samples.
+def noted_windows(file: SampleFile, run_ids: Iterable[str]) -> dict[str, tuple[float, float]]:
+    """Return the measured windows of runs, beginning and end, s on the clock of these samples.
 
-    A plugin notes it in `quality.json` beside its samples; runs of which it is not told are left out.
+    A plugin notes its window in `quality.json` beside its samples; runs without a note are left out.
     """
     told = {}
     for run_id in run_ids:
@@ -181,7 +181,7 @@ def headings_of(path: Path) -> tuple[str, ...]:
     """Return the headings of a CSV file; none where it is empty.
 
     Raises:
-        StorageError: it cannot be read.
+        StorageError: the file cannot be read.
     """
     with open_to_read(path) as file:
         line = file.readline(LINE_LIMIT).decode("utf-8-sig", "replace")
@@ -196,7 +196,7 @@ def _time_of(headings: Sequence[str]) -> str | None:
     return next((folded[name] for name in _TIME_HEADINGS if name in folded), None)
 
 
-# The phases of missions, as systems wrote them (`runs/<run id>/<plugin>/phases.csv`) or as the journal has them.
+# The phases of missions, from files of systems (`runs/<run id>/<plugin>/phases.csv`) or from the journal.
 
 _NEEDED = ("phase", "start_s", "end_s")
 _NUMBERS = frozenset({"number", "start_s", "end_s"})
@@ -204,12 +204,12 @@ _NUMBERS = frozenset({"number", "start_s", "end_s"})
 
 @dataclass(frozen=True, slots=True)
 class PhaseSpans:
-    """The phases of one run, in order; where several go on at once, the one that began last.
+    """The phases of one run, in order; where several overlap, the one that began last.
 
     Attributes:
         starts, ends: s on the run's clock.
         numbers: the number of each phase.
-        names: its name.
+        names: the name of each phase.
     """
 
     starts: Floats
@@ -221,19 +221,19 @@ class PhaseSpans:
 def read_phases(
     files: Mapping[str, Mapping[str, Path]], told: Mapping[str, Sequence[tuple[str, float, float]]]
 ) -> pd.DataFrame:
-    """Read the phases' files of each plugin, by plugin, then by run; times stay on the runs' clocks.
+    """Read the files of phases; times stay on the runs' clocks.
 
     Args:
-        files: those of each run, by plugin.
-        told: the phases of each run as the journal has them: name, beginning and end. Those that a file has, too, are
-            left out; `plugin` is missing for the others, and their numbers go on from those of the files.
+        files: the file of each run, by plugin.
+        told: the phases of each run in the journal: name, beginning and end. Phases that a file also has are left out;
+            `plugin` is missing for the others, and their numbers continue those of the files.
 
     Returns:
-        One row a phase: `run_id`, `plugin`, `number`, `phase`, `start_s`, `end_s` (s on the run's clock), and whatever
-        else the systems wrote.
+        One row a phase: `run_id`, `plugin`, `number`, `phase`, `start_s`, `end_s` (s on the run's clock), and the other
+        columns of the files.
 
     Raises:
-        AnalysisError: a file does not say what a phase is and when.
+        AnalysisError: a file lacks a column of names or times.
     """
     columns = ["run_id", "plugin", "number", *_NEEDED]
     rows: list[dict[str, Any]] = []
@@ -259,7 +259,7 @@ def read_phases(
 
 
 def _typed(values: pd.Series, *, must_be_number: bool) -> pd.Series:
-    """Return numbers where all are; an empty cell is a missing value."""
+    """Return numbers where all cells are numbers; an empty cell is a missing value."""
     filled = values.replace("", None)
     numbers = pd.to_numeric(filled, errors="coerce")
     if must_be_number or (numbers.notna() == filled.notna()).all():
@@ -268,7 +268,7 @@ def _typed(values: pd.Series, *, must_be_number: bool) -> pd.Series:
 
 
 def phase_spans(phases: pd.DataFrame) -> dict[str, PhaseSpans]:
-    """Return the phases of each run for looking up times."""
+    """Return the phases of each run, for looking up times."""
     spans = {}
     for run_id, of_run in phases.groupby("run_id", sort=False):
         # Of those that begin together, the one that ends first is within the others.
@@ -283,7 +283,7 @@ def phase_spans(phases: pd.DataFrame) -> dict[str, PhaseSpans]:
 
 
 def _pieces(starts: Floats, ends: Floats) -> tuple[Floats, Floats, Numbers]:
-    """Return where the pieces of spans that overlap begin and end, and the last span that each piece lies in."""
+    """Cut overlapping spans into pieces; return their beginnings, their ends, and the last span of each piece."""
     edges = np.unique([starts, ends])
     within = [np.flatnonzero((starts <= edge) & (edge < ends)) for edge in edges[:-1]]
     filled = np.array([len(each) > 0 for each in within])
@@ -292,7 +292,7 @@ def _pieces(starts: Floats, ends: Floats) -> tuple[Floats, Floats, Numbers]:
 
 
 def _rows(path: Path) -> list[dict[str, str]]:
-    """Return the rows of one file as text; a small file is read faster so than by pandas."""
+    """Return the rows of one file as text; for a small file this is faster than pandas."""
     try:
         with open_text(path) as file:
             rows = csv.DictReader(file)

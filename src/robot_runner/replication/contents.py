@@ -36,8 +36,7 @@ WHEELS = "environment/wheels"
 MANIFEST, TABLE, SCHEMA = "manifest.json", "run_table.csv", "run_table.schema.json"
 REGISTRATION = "registration.json"
 
-#: What packing makes anew; files of these names in an experiment's folder are left out.
-#: A licence's text that somebody put there is.
+#: Generated files; files of these names in an experiment's folder are left out. A licence's text there is packed.
 GENERATED = frozenset(
     {CRATE, DESCRIPTION, SUMS, README, CONTAINERFILE, DATA_PACKAGE, ENVIRONMENT, REQUIREMENTS, CITATION, ZENODO, BADGES}
 )
@@ -49,7 +48,7 @@ _FORBIDDEN = re.compile(
     r"|\.(netrc|pypirc|npmrc|pgpass|htpasswd|git-credentials|my\.cnf|vault_pass.*)"
 )
 
-#: What the files of a package hold, in the order in which a reader meets them.
+#: Descriptions of the files of a package, in the reader's order.
 DESCRIBED = {
     TABLE: "all runs in their order: status, time stamps of the events, treatments, measures",
     SCHEMA: "type, unit, meaning and owner of each column of the run table (Table Schema)",
@@ -130,6 +129,7 @@ _BY_SUFFIX = {
     ".csv": MediaType("text/csv", "Comma separated values", f"{_PRONOM}x-fmt/18"),
     ".html": MediaType("text/html", "HTML 5", f"{_PRONOM}fmt/471"),
     ".ipynb": MediaType("application/x-ipynb+json", "Jupyter notebook", "https://nbformat.readthedocs.io"),
+    ".jpg": MediaType("image/jpeg", "JPEG", "https://www.w3.org/Graphics/JPEG/"),
     ".json": MediaType("application/json", "JSON", f"{_PRONOM}fmt/817"),
     ".jsonl": MediaType("application/jsonl", "JSON lines", "https://jsonlines.org"),
     ".log": _TEXT,
@@ -141,8 +141,14 @@ _BY_SUFFIX = {
     ".py": MediaType("text/x-python", "Python", f"{_PRONOM}fmt/938"),
     ".r": MediaType("text/x-r", "R", "https://www.r-project.org"),
     ".svg": MediaType("image/svg+xml", "SVG", f"{_PRONOM}fmt/92"),
+    ".tex": MediaType("application/x-tex", "LaTeX", "https://www.latex-project.org"),
     ".txt": _TEXT,
     ".whl": MediaType("application/zip", "Python wheel", "https://peps.python.org/pep-0427/"),
+    ".xlsx": MediaType(
+        "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet",
+        "Office Open XML workbook",
+        f"{_PRONOM}fmt/214",
+    ),
     ".yaml": _YAML,
     ".yml": _YAML,
 }
@@ -161,7 +167,7 @@ def media_type_of(name: str) -> MediaType:
 
 
 def folder_of(name: str, run_folders: Container[str]) -> str:
-    """Return the folder in which a file is described: that of its run, or the one at the top; it ends with `/`.
+    """Return the described folder of a file: its run's folder, or else its top-level folder; it ends with `/`.
 
     Example:
         >>> folder_of("runs/r_1/PsUtil/samples.csv", {"runs/r_1/"}), folder_of("runs/note.txt", set())
@@ -173,7 +179,7 @@ def folder_of(name: str, run_folders: Container[str]) -> str:
 
 
 def folders_of(names: Iterable[str], run_folders: Container[str]) -> set[str]:
-    """Return the folders that a package describes: those at its top, and those of runs; they end with `/`."""
+    """Return the folders that a package describes: top-level folders and run folders; they end with `/`."""
     inside = [name for name in names if "/" in name]
     return {f"{name.partition('/')[0]}/" for name in inside} | {folder_of(name, run_folders) for name in inside}
 
@@ -182,15 +188,15 @@ ALL, NONE = "all", "none"
 
 
 _RUN_FILES = frozenset({"log.txt", "refused.jsonl"})
-#: Of an execution: what is there while it lasts, and what is half written. Other people's files have other names.
+#: Transient files of an execution: locks, requests, partly written files. The patterns do not match other files.
 _TRANSIENT = re.compile(
     r"\.(?:lock|control|pause|stop|outliving|(?:alive|standing_by|to_make_safe)(?:_\d+)?|probe(?:-[0-9a-f]{16}){1,2})"
     r"|current_log(?:_\d+)?\.txt|\..*\.tmp"
 )
-#: What file managers leave in folders that somebody has looked at.
+#: Files that file managers leave in folders.
 DESKTOP_FILES = frozenset({".DS_Store", "Thumbs.db"})
 _BYTE_CODE = "__pycache__"
-#: The copy of a repository that was being made when the execution was killed, and what was executed beside its runs.
+#: Partial copies of repositories from a killed execution, and files of executions beside the experiment's runs.
 _HALF_MADE = re.compile(r"\..*\.git\.tmp|\.aside-[a-z0-9_]{8}")
 _WORKING_FOLDERS = frozenset({".git", ".ipynb_checkpoints", ".venv"})
 
@@ -201,7 +207,7 @@ class PackedFile:
 
     Attributes:
         name: in the package: its path below the folder, with `/`.
-        size: in bytes, as it lies in the folder.
+        size: of the original file, bytes.
     """
 
     name: str
@@ -211,7 +217,7 @@ class PackedFile:
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """Something that does not go into the package, and why; both can be printed."""
+    """A file or folder that is left out of the package, and why; both are printable."""
 
     name: str
     why: str
@@ -219,7 +225,7 @@ class LeftOut:
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What goes into a package, sorted by name, and what does not."""
+    """The files of a package, sorted by name, and those that are left out."""
 
     files: tuple[PackedFile, ...]
     left_out: tuple[LeftOut, ...]
@@ -231,10 +237,10 @@ def choose_contents(folder: ExperimentFolder, run_ids: Sequence[str], raw: Seque
     Args:
         folder: the experiment's folder.
         run_ids: its runs.
-        raw: whose raw data to take: `all`, `none`, or names of plugins.
+        raw: the plugins whose raw data is packed: `all`, `none`, or their names.
 
     Raises:
-        PackageError: a plugin that is named left no raw data.
+        PackageError: a named plugin has no raw data.
         StorageError: the folder cannot be read.
     """
     files: list[PackedFile] = []
@@ -265,7 +271,7 @@ def choose_contents(folder: ExperimentFolder, run_ids: Sequence[str], raw: Seque
 
 
 def _run_owner(folder: ExperimentFolder, runs: set[str], name: str) -> str | None:
-    """Return whose raw data a file is, by its name below the experiment's folder; None where it is none."""
+    """Return the plugin whose raw data a file is, by its path in the experiment's folder; None for other files."""
     parts = name.split("/")
     if parts[0] == folder.earlier_attempts.name and len(parts) > 3:  # noqa: PLR2004 - run, attempt, file
         parts = parts[2:]
@@ -279,7 +285,7 @@ def _run_owner(folder: ExperimentFolder, runs: set[str], name: str) -> str | Non
 
 
 def _walk(root: Path) -> Iterator[tuple[str, Path, os.stat_result]]:
-    """Yield the name below `root`, the path and the status of each file, link, and folder that is not entered."""
+    """Yield the relative name, the path and the status of each file, link, and skipped folder."""
 
     def fail(error: OSError) -> None:
         raise storage_error(root, "read", error) from error

@@ -160,7 +160,10 @@ class TestMetaAnalysis:
     @pytest.mark.parametrize(
         ("words", "told"),
         [
-            (["lab_b", "lab_c", "--bound", "5%", "--paired"], ["--bound: it is not for", "--paired", "2 errors"]),
+            (
+                ["lab_b", "lab_c", "--bound", "5%", "--paired"],
+                ["--bound: this option is not for", "--paired", "2 errors"],
+            ),
             (["lab_d", "lab_e"], ["lab_d: there is no such file", "lab_e: there is no such file"]),
             (["lab_b", "lab_a"], ["this is", "same folder", "count twice"]),
             (["lab_b", "lab_c", "--measure", "Enery"], ["'Enery'", "'Energy'"]),

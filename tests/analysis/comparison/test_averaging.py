@@ -124,7 +124,7 @@ def test_everything_that_refuses_a_meta_analysis_is_told_at_once(lab, tmp_path):
         meta_analyse(one, other, copy_of_one, measures=["Energy", "Enrgy"], same=["Video=Vidoe", "Task"])
     told = " ".join(map(str, caught.value.findings))
     assert "copied: this is" in told
-    assert "executed at the same moments" in told
+    assert "executed at the same times" in told
     assert "cannot be converted to J" in told
     assert "no experiment has a measure 'Enrgy' → Did you mean 'Energy'?" in told
     assert "'Vidoe' → Did you mean 'Video'?" in told
@@ -181,8 +181,8 @@ def test_an_effect_that_only_one_experiment_tells_of_is_named(lab):
     energy = found.measure("Energy")
     assert [each.label for each in energy.effects] == ["Video less Network"]
     assert {each.what: each.why for each in energy.not_computed} == {
-        "average of Video less Idle": "only one tells of it: two are needed.",
-        "average of Network less Idle": "only one tells of it: two are needed.",
+        "average of Video less Idle": "only one estimates it: two are needed.",
+        "average of Network less Idle": "only one estimates it: two are needed.",
     }
     assert any(each.where == "other" and "'Idle'" in each.problem for each in found.findings)
 
@@ -224,6 +224,24 @@ def test_factors_beside_it_are_averaged_over(make_folder):
     assert [each.label for each in found.measure("E").effects] == ["a less b"]
     assert found.measure("E").effects[0].difference.random.estimate == pytest.approx(-10, abs=1.5)
     assert any(each.where == "other" and "no factor 'Speed'" in each.problem for each in found.findings)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [1, 8, 32])
+def test_a_g_whose_parts_are_known_equally_well_up_to_the_last_digit_is_averaged(make_folder, seed):
+    # Of two treatments beside another factor, error and standard deviation have the same degrees of freedom; the last
+    # digit of these is chance.
+    random = np.random.default_rng(seed)
+    factors = {"Task": ["a", "b"], "Speed": ["slow", "fast"]}
+    labs = []
+    for day in ("2026-01-31", "2026-03-01"):
+        cells = itertools.product("ab", factors["Speed"], range(5))
+        rows = [(task, speed, 10.0 * (task == "b") + random.normal()) for task, speed, _ in cells]
+        labs.append(make_folder(factors=factors, rows=rows, measures={"E": "J"}, name=f"lab_{len(labs)}", day=day).root)
+    effects = meta_analyse(*labs).measure("E").effects
+    assert [each.label for each in effects] == ["a less b", "slow less fast"]
+    assert all(each.g_freedom > 1e12 for effect in effects for each in effect.experiments)
+    assert all(math.isfinite(effect.standardised.random.estimate) for effect in effects)
 
 
 PLAN = {
@@ -294,7 +312,7 @@ def test_an_experiment_is_analysed_as_its_own_plan_has_it(make_folder):
         assert (each.estimate, each.p_value) == pytest.approx((pair.difference, pair.p_value))
     assert told[0].estimate == pytest.approx(-10, abs=1)
     assert told[1].estimate > told[0].estimate + 3
-    assert [str(each) for each in found.findings] == ["one: its analysis leaves out Energy of r_4"]
+    assert [str(each) for each in found.findings] == ["one: the plan of this experiment leaves out Energy of r_4"]
 
 
 def test_without_a_choice_primary_measures_are_combined(make_folder):
@@ -336,7 +354,7 @@ def test_text_is_not_combined(make_folder):
     with pytest.raises(AnalysisError, match="no measure of one name"):
         meta_analyse(*folders)
     found = meta_analyse(*folders, measures=["State"]).measure("State")
-    assert "no numbers" in found.not_computed[0].why
+    assert "the values are not numbers" in found.not_computed[0].why
 
 
 def test_hedges_g_is_that_of_metafor():

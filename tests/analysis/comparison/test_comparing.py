@@ -537,7 +537,7 @@ def test_a_copy_of_an_experiment_is_told_to_be_one(two_tasks):
     original = two_tasks().root
     comparison = compare(original, copied(original), bound="1%")
     told = comparison.again
-    assert "two_tasks_1_copied is two_tasks_1 again: its runs were executed at the same moments" in told
+    assert "two_tasks_1_copied is two_tasks_1 again: the runs were executed at the same times" in told
     assert told.endswith("That values agree proves nothing.")
     assert told in repr(comparison_document(comparison, made=""))
 
@@ -588,7 +588,7 @@ def test_an_experiment_of_which_some_runs_were_repeated_is_told_to_be_the_other_
 def test_a_measure_compared_with_itself_is_told(two_tasks):
     root = two_tasks().root
     told = compare(root, root, bound="1%").again
-    assert "it is the same folder" in told
+    assert "both are the same folder" in told
 
 
 def test_measures_of_one_experiment_are_compared_without_such_a_word(make_folder):

@@ -36,7 +36,7 @@ from robot_runner.analysis.figures.effects import (
 )
 from robot_runner.analysis.figures.missions import (
     AttemptSpan,
-    Way,
+    Trajectory,
     draw_mean_courses,
     draw_single_courses,
     draw_timeline,
@@ -109,10 +109,10 @@ DRAWINGS = {
     ),
     "quantiles": lambda: draw_quantiles([-1, 0, 1], [-2, 0, 2], slope=2, intercept=0, value_label=LABEL),
     "trajectory": lambda: draw_trajectories(
-        [Way("a", np.arange(9.0), np.zeros(9)), Way("b", np.zeros(9), np.zeros(9))], order=("a", "b")
+        [Trajectory("a", np.arange(9.0), np.zeros(9)), Trajectory("b", np.zeros(9), np.zeros(9))], order=("a", "b")
     ),
-    "standing": lambda: draw_trajectories([Way("a", np.zeros(3), np.zeros(3))], order=("a",)),
-    "nowhere": lambda: draw_trajectories([Way("a", np.array([np.nan]), np.array([np.nan]))], order=("a",)),
+    "standing": lambda: draw_trajectories([Trajectory("a", np.zeros(3), np.zeros(3))], order=("a",)),
+    "nowhere": lambda: draw_trajectories([Trajectory("a", np.array([np.nan]), np.array([np.nan]))], order=("a",)),
     "timeline": lambda: draw_timeline(
         [AttemptSpan("r_1", "a", 0, 9, (1, 8), is_done=True), AttemptSpan("r_2", "b", 9, 12, None, is_done=False)],
         order=("a", "b"),

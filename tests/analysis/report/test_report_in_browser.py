@@ -207,6 +207,27 @@ def test_names_without_a_blank_and_great_numbers_fit_on_a_phone(browser, make_fo
     assert browser.complaints == []
 
 
+#: The tables that reach beyond the paper: what they would have there is printed nowhere.
+CUT_OFF = """
+[...document.querySelectorAll("table")]
+  .filter(each => each.getBoundingClientRect().right > document.documentElement.clientWidth + 1)
+  .map(each => each.parentElement.getAttribute("aria-label"))
+"""
+
+
+@pytest.mark.long
+def test_no_column_of_a_table_is_cut_off_on_paper_where_treatments_are_long_words(browser, make_folder):
+    treatments = [f"{'0123456789abcdef' * 4}/params_{number}.yaml" for number in range(3)]
+    rows = [(each, 900.0 + 40 * place + 7 * run**2) for place, each in enumerate(treatments) for run in range(4)]
+    folder = make_folder(factors={"Revision": treatments}, rows=rows, measures={"Energy": "J"})
+    browser.open(write_report(folder.root, figures=()).document, width=680)  # A4 without its margins
+    browser.evaluate("document.querySelectorAll('details').forEach(each => { each.open = true; })")
+    browser.call("Emulation.setEmulatedMedia", media="print")
+    cut_off = browser.evaluate(CUT_OFF)
+    browser.call("Emulation.setEmulatedMedia", media="")
+    assert cut_off == []
+
+
 def test_paper_shows_figures_that_a_screen_folds_away(browser, sampled_page):
     browser.open(sampled_page)
     assert browser.evaluate("document.querySelectorAll('details[open]').length") == 0

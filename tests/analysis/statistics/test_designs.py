@@ -163,6 +163,21 @@ def test_combinations_without_spread_are_compared_all_the_same():
     assert test.effects[0].p_value is not None
 
 
+@pytest.mark.parametrize(("runs", "is_told"), [(5, True), (12, False), (16, False)])
+def test_a_smaller_group_whose_runs_are_all_alike_is_told(runs, is_told):
+    rows = [("a", 0.0)] * runs + [("b", float(value)) for value in (0, 0, 1, 0, 2, 0, 0, 3, 0, 1, 0, 0)]
+    notes = analyse(designed(rows, ["Planner"], {})).measure("y").test.notes
+    told = "All runs of a have the same value, and others, with more runs, vary: its variance counts as 0."
+    assert any(note.startswith(told) for note in notes) is is_told
+
+
+@pytest.mark.parametrize(("values", "is_told"), [((0, 1, 0, 1), True), ((0, 2, 1, 0), False), ((1, 2, 1, 2), False)])
+def test_numbers_that_are_zero_and_one_may_be_no_and_yes(values, is_told):
+    rows = [(planner, float(value)) for planner in "ab" for value in values]
+    notes = analyse(designed(rows, ["Planner"], {})).measure("y").test.notes
+    assert any(note.startswith("All values are 0 or 1.") for note in notes) is is_told
+
+
 def test_names_of_treatments_and_blocks_may_hold_what_formulas_are_made_of():
     def compared(names, blocks):
         rows = [

@@ -98,6 +98,54 @@ def test_a_value_that_many_runs_share_at_the_end_of_the_range_may_be_a_timeout(t
     assert [each for each in statistics.warnings if each.startswith("Duration may have a limit")]
 
 
+def test_measured_durations_that_hardly_differ_at_the_end_of_the_range_may_be_a_timeout(tmp_path: Path) -> None:
+    late = {place: TIMEOUT + place / 1000 for place, (_, seconds) in enumerate(PLACES) if seconds > TIMEOUT}
+    rows = [(planner, late.get(place, seconds + place / 10)) for place, (planner, seconds) in enumerate(PLACES)]
+    root = Folder(tmp_path / "limit", {"Planner": list(DURATIONS)}, rows, {"Duration": "s"}).write()
+    statistics, told = threats(root)
+    assert told["Duration may have a limit"].startswith(
+        "5 of 12 runs have nearly the largest value, 60.01 s. By Planner: B 4 of 6 runs, A 1 of 6 runs. Where that is a"
+    )
+    assert [each for each in statistics.warnings if each.startswith("Duration may have a limit")]
+
+
+@pytest.mark.parametrize(
+    ("unit", "values"),
+    [
+        ("s", [30 + place % 7 / 100 for place in range(6)] + [60 + place % 5 / 100 for place in range(6)]),
+        ("m", [5.0, 15.5, 21.0, 33.0, 39.5, 44.0, 51.0, 60.001, 60.002, 60.003]),
+        ("s", [5.0, 15.5, 21.0, 33.0, 39.5, 44.0, 51.0, 58.0, 60.002, 60.003]),
+    ],
+    ids=["as close elsewhere", "no time", "two runs"],
+)
+def test_values_that_hardly_differ_are_no_limit_otherwise(tmp_path: Path, unit: str, values: list[float]) -> None:
+    rows = [("AB"[place % 2], value) for place, value in enumerate(values)]
+    root = Folder(tmp_path / "none", {"Planner": ["A", "B"]}, rows, {"Duration": unit}).write()
+    assert not [title for title in threats(root)[1] if "limit" in title]
+
+
+@pytest.mark.parametrize("name", ["Success", "Reach.Success"])
+def test_missions_that_did_not_succeed_are_counted_by_treatment(tmp_path: Path, name: str) -> None:
+    rows = [(planner, min(seconds, TIMEOUT), str(seconds <= TIMEOUT)) for planner, seconds in PLACES]
+    measures, factors = {"Duration": "s", name: ""}, {"Planner": list(DURATIONS)}
+    root = Folder(tmp_path / "success", factors, rows, measures, types={name: "boolean"}).write()
+    statistics, told = threats(root)
+    assert told["Missions did not succeed"].startswith(
+        f"{name} is no in 5 of 12 runs. By Planner: B 4 of 6 runs, A 1 of 6 runs. Their durations, energies and"
+    )
+    assert [each for each in statistics.warnings if each.startswith("Missions did not succeed: ")]
+
+
+@pytest.mark.parametrize("measures", [{"Duration": "s", "Success": ""}, {"Success": ""}], ids=["all", "nothing else"])
+def test_missions_that_all_succeeded_or_of_which_nothing_else_is_known_are_no_threat(
+    tmp_path: Path, measures: dict[str, str]
+) -> None:
+    rows = [(planner, *[seconds][: len(measures) - 1], str(len(measures) == 2)) for planner, seconds in PLACES]
+    factors = {"Planner": list(DURATIONS)}
+    root = Folder(tmp_path / "success", factors, rows, measures, types={"Success": "boolean"}).write()
+    assert "Missions did not succeed" not in threats(root)[1]
+
+
 @pytest.mark.parametrize("values", [[1, 2, 3, 3, 2, 3] * 2, [0.0] * 5 + [1.5, 2.5, 3.5], [1.5, 2.5, 3.5, 4.5]])
 def test_counts_zeros_and_values_of_their_own_have_no_limit(tmp_path: Path, values: list[float]) -> None:
     rows = [("AB"[place % 2], value) for place, value in enumerate(values)]

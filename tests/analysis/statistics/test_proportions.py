@@ -187,6 +187,17 @@ def test_runs_are_compared_within_their_block(tmp_path: Path) -> None:
     assert "of one block" in found.test.reason
 
 
+@pytest.mark.parametrize("runs", [1, 3])
+def test_that_blocks_respond_alike_is_taken_for_granted_and_said_where_they_have_several_runs(
+    tmp_path: Path, runs: int
+) -> None:
+    answers = {(planner, room): said(planner == "DWB" or room == "lab", runs) for planner, room in IN_ROOMS}
+    found = analysed(tmp_path, [PLANNER, ROOM], answers, blocks="Room").measure("Success")
+    assert found.test is not None
+    notes = [note for note in found.test.notes if note.startswith("Runs of one Room count as independent")]
+    assert bool(notes) is (runs > 1)
+
+
 def test_a_treatment_that_always_succeeds_is_no_obstacle(tmp_path: Path) -> None:
     found = analysed(tmp_path, [PLANNER], {("DWB",): said(8, 8), ("TEB",): said(0, 8)}).measure("Success")
     assert found.test is not None

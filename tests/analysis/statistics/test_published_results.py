@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import integrate, stats
+from scipy import integrate, optimize, special, stats
 from tests.analysis.statistics import reference_data as data
 
 from robot_runner.analysis.statistics.assumptions import equal_variances, normality
@@ -120,15 +120,11 @@ def test_cliffs_delta_of_thousands_of_runs_holds_no_table_of_all_pairs():
     assert peak < 5e6  # the table would take 128 MB
     dominance = np.sign(one[:, None] - other[None, :])
     assert effect.value == pytest.approx(dominance.mean(), rel=1e-12)
-    rows, columns = (dominance.mean(axis=axis) - effect.value for axis in (1, 0))
-    n = m = 4_000
-    cells = np.sum((dominance - effect.value) ** 2)
-    variance = (m**2 * np.sum(rows**2) + n**2 * np.sum(columns**2) - cells) / (n * m * (n - 1) * (m - 1))
-    t = stats.t.ppf(0.975, n + m - 2)
-    half = t * np.sqrt(variance) * np.sqrt((1 - effect.value**2) ** 2 + t**2 * variance)
-    middle, scale = effect.value - effect.value**3, 1 - effect.value**2 + t**2 * variance
-    assert (effect.interval.low, effect.interval.high) == pytest.approx(
-        ((middle - half) / scale, (middle + half) / scale)
+    parts = [np.var(dominance.mean(axis=axis), ddof=1) / 4_000 for axis in (1, 0)]
+    freedom = sum(parts) ** 2 / sum(part**2 / 3_999 for part in parts)
+    reach = stats.t.ppf(0.975, freedom) * np.sqrt(sum(parts)) / (1 - effect.value**2)
+    assert np.arctanh([effect.interval.low, effect.interval.high]) == pytest.approx(
+        [np.arctanh(effect.value) - reach, np.arctanh(effect.value) + reach]
     )
 
 
@@ -141,14 +137,48 @@ def test_cliffs_delta_is_zero_where_as_many_pairs_are_won_as_lost_and_one_where_
 
 
 def test_cliffs_delta_of_the_package_effsize():
-    # effsize: cliff.delta(treatment, control): -0.25 (small), [-0.7265846, 0.3890062]
+    # effsize: cliff.delta(treatment, control): -0.25 (small)
     treatment = np.array([10, 10, 20, 20, 20, 30, 30, 30, 40, 50], dtype=float)
     control = np.array([10, 20, 30, 40, 40, 50], dtype=float)
     effect = cliffs_delta([(treatment, control)])
     assert effect.value == -0.25
-    assert (effect.interval.low, effect.interval.high) == pytest.approx((-0.7265846, 0.3890062), abs=5e-8)
     assert effect.magnitude is Magnitude.SMALL
     assert vargha_delaney(effect).value == 0.375
+    found = stats.brunnermunzel(treatment, control)
+    freedom = optimize.brentq(lambda each: 2 * stats.t.sf(found.statistic, each) - found.pvalue, 5, 14)
+    error = (0.5 - 0.375) / found.statistic  # of A12, whose logit is given limits
+    logit, reach = np.log(0.375 / 0.625), stats.t.ppf(0.975, freedom) * error / (0.375 * 0.625)
+    ends = vargha_delaney(effect).interval
+    assert (ends.low, ends.high) == pytest.approx((special.expit(logit - reach), special.expit(logit + reach)))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("spread", "sizes", "delta"),
+    [
+        (3, [(5, 30)], 0.6),
+        (3, [(10, 30)], 0.85),
+        (3, [(30, 30)], 0.95),
+        (1, [(3, 10)], 0.3),
+        (1, [(20, 20)], 0),
+        (1, [(2, 8), (8, 2)], 0),
+        (1, [(5, 5), (20, 20)], 0.6),
+    ],
+)
+def test_the_interval_of_cliffs_delta_holds_as_often_as_it_says(spread, sizes, delta):
+    shift = np.hypot(spread, 1) * stats.norm.ppf((1 + delta) / 2)
+    random = np.random.default_rng(3)
+    drawn = [[(random.normal(shift, spread, n), random.normal(size=m)) for n, m in sizes] for _ in range(2_000)]
+    ends = [cliffs_delta(pairs).interval for pairs in drawn]
+    assert 0.92 <= np.mean([each.low <= delta <= each.high for each in ends]) <= 0.99
+
+
+@pytest.mark.long
+def test_a_batch_of_two_runs_does_not_make_cliffs_delta_seem_certain():
+    random = np.random.default_rng(3)
+    drawn = [[(random.normal(size=n), random.normal(size=n)) for n in (2, 30)] for _ in range(1_000)]
+    ends = [cliffs_delta(pairs).interval for pairs in drawn]
+    assert np.mean([each.low <= 0 <= each.high for each in ends]) >= 0.95
 
 
 def test_assumptions_of_plant_growth():

@@ -1,8 +1,8 @@
 """Compare what can be learnt from different designs within a budget of time, and recommend one with reasons.
 
-The factors, exclusions and measures are those of the config. Compared are the full factorial (also in blocks),
-fractions, a covering array, one factor at a time, D-optimal combinations and, with --hard, a split plot. Runs take as
-long as plugins say, as those of the experiment or of --pilot took, or as --run-time says. Power is simulated as by
+The factors, exclusions and measures are those of the config. The command compares the full factorial (also in blocks),
+fractions, a covering array, one factor at a time, D-optimal combinations and, with --hard, a split plot. The duration
+of a run comes from plugins, from runs of the experiment or of --pilot, or from --run-time. Power is simulated as by
 `robot-runner power`.
 """
 
@@ -37,23 +37,23 @@ _WHERE = "robot-runner design"
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     add_config(parser)
     add_set(parser)
-    parser.add_argument("--budget", metavar="TIME", required=True, help="time that there is, as in 90min, 8h or 2d")
-    parser.add_argument("--run-time", metavar="TIME", help="how long a run takes, where nothing else says so")
-    parser.add_argument("--pilot", metavar="FOLDER", help="an experiment whose durations, means and spreads are taken")
+    parser.add_argument("--budget", metavar="TIME", required=True, help="the available time, as in 90min, 8h or 2d")
+    parser.add_argument("--run-time", metavar="TIME", help="how long a run takes, if nothing else tells it")
+    parser.add_argument("--pilot", metavar="FOLDER", help="an experiment to take durations, means and spreads from")
     for name, metavar, text in (
         ("--hard", "FACTOR=TIME", "a factor that is hard to change, and how long a change takes"),
-        ("--measure", "NAME", "simulate this measure; those of the plan where none is named"),
-        ("--effect", "CLAIM", "what is to be found: a hypothesis, Task or 'Task x Speed'"),
+        ("--measure", "NAME", "simulate this measure; without the option, those of the plan"),
+        ("--effect", "CLAIM", "the effect to find: a hypothesis, Task or 'Task x Speed'"),
         ("--sd", "[MEASURE=]SD", "standard deviation of runs of one combination"),
         ("--difference", "[MEASURE:]FACTOR=SIZE", "what the last treatment adds to the first"),
         ("--block-sd", "[MEASURE=]SD", "standard deviation of what a block, or a whole plot, adds to all of its runs"),
     ):
         parser.add_argument(name, metavar=metavar, action="append", default=[], help=f"{text}; may be repeated")
-    parser.add_argument("--power", metavar="SHARE", type=float, default=0.8, help="what is asked for (%(default)s)")
-    parser.add_argument("--seed", metavar="NUMBER", type=int, default=1, help="what is drawn from (%(default)s)")
+    parser.add_argument("--power", metavar="SHARE", type=float, default=0.8, help="the power to reach (%(default)s)")
+    parser.add_argument("--seed", metavar="NUMBER", type=int, default=1, help="seed of the simulation (%(default)s)")
     add_json(parser)
 
 
@@ -118,10 +118,10 @@ def _comparison(arguments: Namespace) -> DesignComparison:
 def _times(
     arguments: Namespace, durations: Durations | None, model: RunTableModel, hard: Mapping[str, float]
 ) -> RunTimes:
-    """Return how long runs take, of what is known.
+    """Return how long runs take, from options, plugins or earlier runs.
 
     Raises:
-        AnalysisError: nothing is.
+        AnalysisError: nothing tells it.
     """
     from robot_runner.analysis.planning.candidate_designs import RunTimes  # noqa: PLC0415 - slow, and an extra
 

@@ -1,12 +1,12 @@
 """Compare two experiments and say whether they are equivalent, or combine three and more.
 
-They may be real and simulated, measured and estimated, original and replication: each an experiment's folder, or the
-config file that it comes from. Of two, FIRST is what is compared with, SECOND the other one, and runs are matched by
-the factors that both have. With a bound - the difference that would not matter - each measure gets a verdict:
-identical, equivalent, different, or undecided.
+They may be real and simulated, measured and estimated, original and replication: each is an experiment's folder, or its
+config file. Of two, FIRST is the reference and SECOND the other one, and runs are matched by the factors of both. With
+a bound - the largest difference that does not matter - each measure gets a verdict: identical, equivalent, different,
+or undecided.
 
-Three and more (or two, with --meta) are replications of each other, of which a meta-analysis is made: the difference
-of each pair of treatments, on average over all experiments, how far these differ, and what a further one may find.
+Three and more (or two, with --meta) are combined in a meta-analysis of replications: the average difference of each
+pair of treatments over all experiments, how much experiments differ, and what a further one may find.
 
     robot-runner compare original replication --bound 5%
     robot-runner compare real simulated --rope "5 J" --measure Energy
@@ -52,28 +52,29 @@ _STYLES = {"identical": "green", "equivalent": "green", "different": "red", "und
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
-    parser.add_argument("first", metavar="FIRST", help="the experiment that is compared with")
+    """Add the command's arguments."""
+    parser.add_argument("first", metavar="FIRST", help="the reference experiment")
     parser.add_argument("second", metavar="SECOND", help="the other one")
     parser.add_argument("more", metavar="MORE", nargs="*", default=[], help="further replications, for a meta-analysis")
     parser.add_argument(
         "--measure",
         metavar="NAME",
         action="append",
-        help="compare this measure, or NAME=OTHER where another calls it otherwise; may be given several times",
+        help="compare this measure, or NAME=OTHER if its name differs; may be given several times",
     )
     parser.add_argument("--meta", action="store_true", help="make a meta-analysis of two experiments, too")
     parser.add_argument(
         "--same",
         metavar="NAME=OTHER",
         action="append",
-        help="of a meta-analysis: a factor or treatment that experiments call otherwise; may be given several times",
+        help="in a meta-analysis: a factor or treatment whose name differs; may be given several times",
     )
     parser.add_argument(
         "--bound",
         metavar="BOUND",
         action="append",
-        help="what would not matter: 5%%, 10 (in the measure's unit), or NAME=BOUND; may be given several times",
+        help="the largest difference that does not matter: 5%%, 10 (in the measure's unit), or NAME=BOUND; may be "
+        "given several times",
     )
     parser.add_argument(
         "--rope",
@@ -123,7 +124,7 @@ def execute(arguments: Namespace) -> int:
 
 
 class _Found(NamedTuple):
-    """What was found, for each kind of output."""
+    """The findings, for each kind of output."""
 
     document: Document
     json: str
@@ -134,13 +135,15 @@ def _check_options(arguments: Namespace, *, is_meta: bool) -> None:
     """Refuse options that would have no effect.
 
     Raises:
-        UsageError: there are such; all are told.
+        UsageError: there are some; `findings` lists all of them.
     """
     given = ("--bound", "--rope", "--paired") if is_meta else ("--same",)
     where = "a meta-analysis" if is_meta else "a comparison of two experiments"
     fix = "Leave it out, or compare two experiments at a time." if is_meta else "Add --meta, or leave it out."
     UsageError.refuse(
-        Finding.error(name, f"it is not for {where}", fix) for name in given if getattr(arguments, name.lstrip("-"))
+        Finding.error(name, f"this option is not for {where}", fix)
+        for name in given
+        if getattr(arguments, name.lstrip("-"))
     )
 
 
@@ -148,7 +151,7 @@ def _folders(targets: Sequence[str]) -> list[Path]:
     """Return the folders of all experiments.
 
     Raises:
-        StorageError: there is none in some of them; all are told.
+        StorageError: some of the targets hold none; `findings` lists all of them.
     """
     folders: list[Path] = []
     findings: list[Finding] = []

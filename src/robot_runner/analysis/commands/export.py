@@ -15,21 +15,21 @@ from robot_runner.cli.target import target_or_only
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     add_target(parser, is_the_only_one=True)
     add_set(parser)
     parser.add_argument("--to", metavar="FOLDER", help="where to; export/ in the experiment's folder if left out")
     parser.add_argument(
         "--spreadsheets",
         action="store_true",
-        help="write the run table and the report's tables into spreadsheets/, too, as CSV without cells that a "
-        "spreadsheet would execute",
+        help="write the run table and the report's tables into spreadsheets/, too, as workbooks (.xlsx) without "
+        "formulas, whose numbers are read alike in every language",
     )
     add_json(parser)
 
 
 def execute(arguments: Namespace) -> int:
-    """Write the files, and name them."""
+    """Write the files, and print where they are."""
     require_libraries()
     from robot_runner.analysis.results import load_results  # noqa: PLC0415 - takes a second to import
 

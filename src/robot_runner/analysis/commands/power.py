@@ -49,14 +49,14 @@ if TYPE_CHECKING:
 
 _RANGE = re.compile(r"(\d+)(?:\.\.(\d+))?")
 _BAR = 30
-#: The means of more combinations than this are in `--json` alone.
+#: Above so many combinations, means are only in `--json`.
 _MOST_MEANS = 12
-#: Where nothing is said. With one repetition nothing is tested, but in blocks and other designs of their own.
+#: The default range. With one repetition nothing can be tested, except in blocks and other special designs.
 _FIRST, _LAST = 2, 50
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     add_config(parser)
     add_set(parser)
     add_assumptions(parser)
@@ -65,8 +65,8 @@ def add_arguments(parser: Parser) -> None:
 
 
 def add_assumptions(parser: Parser) -> None:
-    """Add what is assumed of the values, and what is looked for."""
-    parser.add_argument("--pilot", metavar="FOLDER", help="an experiment whose means, spreads and blocks are taken")
+    """Add the options of the assumed values and of the effects to find."""
+    parser.add_argument("--pilot", metavar="FOLDER", help="an experiment to take means, spreads and blocks from")
     parser.add_argument("--means", metavar="FILE", help="a CSV file with the mean of each combination")
     for name, metavar, text in (
         ("--sd", "[MEASURE=]SD", "standard deviation of runs of one combination, in the measure's unit"),
@@ -76,29 +76,29 @@ def add_assumptions(parser: Parser) -> None:
             "what the last treatment adds to the first (beside a pilot: the smallest of interest; 'A x B' interact)",
         ),
         ("--block-sd", "[MEASURE=]SD", "standard deviation of what a block adds to all of its runs"),
-        ("--response-sd", "[MEASURE=]SD", "the same of what a block adds to one combination"),
-        ("--measure", "NAME", "simulate this measure; those of the plan where none is named"),
-        ("--effect", "CLAIM", "what is to be found: a hypothesis, Task or 'Task x Speed'"),
+        ("--response-sd", "[MEASURE=]SD", "standard deviation of what a block adds to one combination"),
+        ("--measure", "NAME", "simulate this measure; without the option, those of the plan"),
+        ("--effect", "CLAIM", "the effect to find: a hypothesis, Task or 'Task x Speed'"),
     ):
         parser.add_argument(
             name, metavar=metavar, action="append", default=[], help=f"{text}; may be given several times"
         )
-    parser.add_argument("--power", metavar="SHARE", type=float, default=0.8, help="what is asked for (%(default)s)")
+    parser.add_argument("--power", metavar="SHARE", type=float, default=0.8, help="the power to reach (%(default)s)")
     parser.add_argument(
         "--repetitions",
         metavar="FROM..TO",
-        help="among how many to look (2..50, and from 1 on of a design of its own)",
+        help="the numbers of repetitions to try (2..50; from 1 on for special designs)",
     )
     parser.add_argument(
         "--first-batch",
         metavar="REPETITIONS",
         type=int,
-        help="so many were executed already: others are a second batch, as `extend` adds",
+        help="the number of repetitions executed already; further ones are a second batch, as after `extend`",
     )
     parser.add_argument(
-        "--simulations", metavar="NUMBER", type=int, help="experiments of each number of repetitions, at most (10,000)"
+        "--simulations", metavar="NUMBER", type=int, help="most experiments for each number of repetitions (10,000)"
     )
-    parser.add_argument("--seed", metavar="NUMBER", type=int, default=1, help="what is drawn from (%(default)s)")
+    parser.add_argument("--seed", metavar="NUMBER", type=int, default=1, help="seed of the simulation (%(default)s)")
 
 
 def execute(arguments: Namespace) -> int:
@@ -120,11 +120,11 @@ def execute(arguments: Namespace) -> int:
 
 
 def computed_power(arguments: Namespace) -> PowerAnalysis:
-    """Return the power of the study that a config plans, as the options say.
+    """Return the power of the study that a config plans, under the assumptions of the options.
 
     Raises:
         ConfigError: the config is refused.
-        UsageError: an option cannot be.
+        UsageError: an option is invalid.
         AnalysisError: the assumptions do not suffice.
     """
     require_libraries()
@@ -153,7 +153,7 @@ def computed_power(arguments: Namespace) -> PowerAnalysis:
 
 
 def planned_experiment(arguments: Namespace) -> tuple[Experiment, RunTableModel, dict[str, str]]:
-    """Return the experiment of a config, its run-table model without what was added later, and its measures' units.
+    """Return the experiment of a config, its run-table model without later batches, and its measures' units.
 
     The order of the runs is drawn from `--seed` where the config gives none.
 
@@ -168,7 +168,7 @@ def planned_experiment(arguments: Namespace) -> tuple[Experiment, RunTableModel,
     show_findings([each for each in preparation.findings if each.where.startswith("analysis")])
     model = experiment.model.as_configured if isinstance(experiment.model, GrownRunTableModel) else experiment.model
     if not (model.seed_is_given or model.seed_is_registered):
-        model.take_seed(arguments.seed)  # else figures would differ from call to call, as the order that is drawn does
+        model.take_seed(arguments.seed)  # otherwise a new order, and so other figures, in each call
     units = {column.name: column.measure.unit for column in experiment.columns.in_table if not column.tells_of}
     return experiment, model, units
 
@@ -206,7 +206,7 @@ def _search(arguments: Namespace) -> Search:
 
 
 def show_progress(text: str = "") -> None:
-    """Show how far something is in the place of what was shown before; on a terminal alone."""
+    """Show progress in the place of the previous one; only on a terminal."""
     if is_live_terminal(sys.stderr):
         complaints().erase_line()
         complaints().print(text, end="")
@@ -249,13 +249,13 @@ def _assumed_in_words(measure: AssumedMeasure) -> str:
 
 
 def _bar(point: PowerPoint, target: float) -> str:
-    """Return the power as a bar, with a mark where the target is."""
+    """Return the power as a bar, with a mark at the target."""
     filled, mark = round(_BAR * point.least.share), min(_BAR - 1, round(_BAR * target))
     return "".join("|" if place == mark else "█" if place < filled else " " for place in range(_BAR)).rstrip()
 
 
 def _print_claims(console: UserConsole, analysis: PowerAnalysis, scenario: ScenarioPower) -> None:
-    """Print how often each claim is found with the number of repetitions that is the answer."""
+    """Print how often each claim is found with the recommended number of repetitions."""
     from robot_runner.analysis.planning.power_analysis import share_in_words  # noqa: PLC0415 - slow, and an extra
 
     repetitions = analysis.search.last if scenario.needed is None else scenario.needed.repetitions

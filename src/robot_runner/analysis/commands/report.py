@@ -35,7 +35,7 @@ _MOST_LETTERS = 8  # in a message
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     add_target(parser, is_the_only_one=True)
     add_set(parser)
     parser.add_argument("--format", metavar="FORMAT", default="html", help="html, md or json (%(default)s)")
@@ -95,12 +95,12 @@ def execute(arguments: Namespace) -> int:
     kinds = [Recomputation.NOTEBOOK] * arguments.notebook + [Recomputation.R] * arguments.r
     _print(written, write_recomputations(results, kinds, **chosen) if kinds else ())
     if kind != ReportFormat.JSON.value:  # pages and Markdown have all figures, whatever files are asked for
-        print_findings(complaints(), list(_boxes(results)))
+        print_findings(complaints(), list(_font_warnings(results)))
     return 0
 
 
-def _boxes(results: Results) -> Iterator[Finding]:
-    """Say which letters of the names nobody will be able to read in the figures."""
+def _font_warnings(results: Results) -> Iterator[Finding]:
+    """Yield a warning if letters of the names have no font, and would be boxes in the figures."""
     from robot_runner.analysis.figures.style import letters_without_font  # noqa: PLC0415 - slow, and an extra
 
     treatments = (str(each) for factor in results.factors for each in results.all_runs[factor].unique())

@@ -1,4 +1,4 @@
-"""Combines the effects of treatments over several experiments, measure by measure: a meta-analysis."""
+"""Meta-analysis: combine the effects of treatments over several experiments, measure by measure."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 _ALPHA = 0.05
 _FEWEST = 2
-#: More pairs can neither be read nor tested with any power left.
+#: More pairs could not be read, and correction would leave no power to test them.
 _MOST_PAIRS = 105
 
 
@@ -61,26 +61,26 @@ def meta_analyse(
     alpha: float = _ALPHA,
     same: str | Sequence[str] = (),
 ) -> MetaAnalysis:
-    """Combine the effects of treatments over several experiments, each of which replicates the others.
+    """Combine the effects of treatments over several experiments, which are replications of each other.
 
-    In each experiment treatments are compared as its report does, by the difference of means; the differences are
+    Within each experiment, treatments are compared by the difference of means, as in its report; the differences are
     then averaged over experiments.
 
     Args:
-        experiments: two and more, or their folders.
-        measures: names, or `one=other` where experiments call it otherwise; None for the primary measures of the
-            experiments' plans, or else all numbers that two and more experiments have.
+        experiments: at least two experiments, or their folders.
+        measures: names, or `one=other` where names differ between experiments; None for the primary measures of the
+            experiments' plans or, without any, all numeric measures of at least two experiments.
         alpha: the level of significance.
-        same: factors and treatments that experiments call otherwise, each as `name=other`.
+        same: factors and treatments whose names differ between experiments, each as `name=other`.
 
     Example:
         >>> found = meta_analyse("original", "replication", "third_lab", measures=["Energy"])  # doctest: +SKIP
         >>> found.measure("Energy").effects[0].difference.random.interval  # doctest: +SKIP
 
     Raises:
-        StorageError: there is no experiment in a folder, or it cannot be read.
-        AnalysisError: they cannot be combined: an experiment is given twice, or is a copy of another; there is no such
-            measure, or units cannot be converted; `findings` lists everything that was found.
+        StorageError: a folder holds no experiment, or cannot be read.
+        AnalysisError: the experiments cannot be combined: one is given twice, or is a copy of another; there is no such
+            measure, or units cannot be converted; `findings` lists all problems.
     """
     if not 0 < alpha < 1:
         raise AnalysisError(f"alpha is {alpha!r}", where="meta_analyse", fix="Give a number between 0 and 1.")
@@ -108,7 +108,7 @@ def meta_analyse(
 
 
 class _Estimated(NamedTuple):
-    """What one experiment says of one measure."""
+    """One experiment's model of one measure."""
 
     experiment: str
     data: MeasureData
@@ -116,7 +116,7 @@ class _Estimated(NamedTuple):
 
 
 class _Question(NamedTuple):
-    """A difference or contrast that experiments are asked for."""
+    """A difference or contrast to estimate in each experiment."""
 
     factor: str
     weights: Mapping[str, float]
@@ -136,7 +136,7 @@ def _combined(choice: MeasureChoice, experiments: Sequence[Experiment], alpha: f
     for question in _questions(choice, experiments, telling, missing):
         answers = _answers(question, telling, alpha)
         if len(answers) < _FEWEST:
-            known = f"only {answers[0].experiment} tells of it" if answers else "no experiment tells of it"
+            known = f"only {answers[0].experiment} estimates it" if answers else "no experiment estimates it"
             what = f"average of {label_of_effect(question.weights, question.statement)}"
             missing.append(NotComputed(what, f"{known}: two are needed."))
             continue
@@ -150,17 +150,17 @@ def _combined(choice: MeasureChoice, experiments: Sequence[Experiment], alpha: f
 
 
 def _estimated(experiment: Experiment, choice: MeasureChoice) -> _Estimated | NotComputed:
-    """Estimate the means of an experiment's combinations, as its report does."""
+    """Estimate the means of an experiment's combinations, as in its report."""
     what, column, plan = f"{choice.name} in {experiment.name}", choice.columns[experiment.name], experiment.results.plan
     if experiment.results.confirming.is_exploratory:
         return NotComputed(what, SEARCHED)
     if plan is not None and plan.doubtful is Doubtful.REFUSE and column in experiment.doubtful:
-        return NotComputed(what, "its plan draws no conclusion on a measure with doubtful values.")
+        return NotComputed(what, "the experiment's plan draws no conclusion on a measure with doubtful values.")
     data = experiment.data(column, choice.unit)
     if data is None or not len(data.frame):
-        return NotComputed(what, "its values are no numbers." if data is None else "no run that is done has a value.")
+        return NotComputed(what, "the values are not numbers." if data is None else "no run that is done has a value.")
     if odd := out_of_range(data.values):
-        return NotComputed(what, f"it {odd}")
+        return NotComputed(what, f"the measure {odd}")
     compared, _, apart = comparable(data)
     if not compared.factors:
         return NotComputed(what, apart[0].why if apart else "all runs that have a value have the same treatments.")
@@ -173,7 +173,7 @@ def _estimated(experiment: Experiment, choice: MeasureChoice) -> _Estimated | No
 def _questions(
     choice: MeasureChoice, experiments: Sequence[Experiment], telling: Sequence[_Estimated], missing: list[NotComputed]
 ) -> Iterator[_Question]:
-    """Yield all pairs of treatments of factors that two experiments vary, then what hypotheses of plans name."""
+    """Yield all pairs of treatments of factors that at least two experiments vary, then the contrasts of plans."""
     factors = [name for each in telling for name in each.data.factors]
     shared = [name for name in dict.fromkeys(factors) if factors.count(name) >= _FEWEST]
     for factor in shared:
@@ -194,7 +194,7 @@ def _questions(
 
 
 def _planned(experiment: Experiment, choice: MeasureChoice) -> Iterator[_Question]:
-    """Yield the contrasts of several treatments that hypotheses of an experiment's plan name."""
+    """Yield the contrasts in the hypotheses of an experiment's plan."""
     names = experiment.new_names
     for hypothesis in experiment.results.plan.hypotheses if experiment.results.plan else ():
         weights = {names.get(name, name): weight for name, weight in (hypothesis.contrast or {}).items()}
@@ -205,12 +205,13 @@ def _planned(experiment: Experiment, choice: MeasureChoice) -> Iterator[_Questio
 
 
 def _answers(question: _Question, telling: Sequence[_Estimated], alpha: float) -> list[EffectIn]:
-    """Return what experiments say of a difference, with the variances of g at its average, weighted by numbers of runs.
+    """Return each experiment's estimate of a difference, with the variance of g at the average g, weighted by runs.
 
-    At its own, a g that is larger by chance would count less, and the average of large effects in few runs be too small
-    (Hedges, Estimation of effect size from a series of independent experiments, Psychological Bulletin 92, 1982; in R
-    `metafor::escalc(vtype = "AV")`). That is so of runs of their own; within blocks, where errors and standard
-    deviations are small together, both hang on g in opposite ways, and the average is right with its own.
+    With the variance at an experiment's own g, a g that is larger by chance would get less weight, so that the average
+    of large effects in few runs would be too small (Hedges, Estimation of effect size from a series of independent
+    experiments, Psychological Bulletin 92, 1982; in R `metafor::escalc(vtype = "AV")`). This holds for independent
+    runs. Within blocks, errors and standard deviations are small together, their influences on the weight are opposite,
+    and the average is right with the variance at the own g.
     """
     first = [answer for each in telling if (answer := _answer(question, each, alpha)) is not None]
     known = [each.g for each in first if each.g is not None]
@@ -221,7 +222,7 @@ def _answers(question: _Question, telling: Sequence[_Estimated], alpha: float) -
 
 
 def _answer(question: _Question, of: _Estimated, alpha: float, average: float | None = None) -> EffectIn | None:
-    """Return what an experiment says of a difference; None where it lacks a treatment, or nothing varies there."""
+    """Return an experiment's estimate of a difference; None where it lacks a treatment, or its values do not vary."""
     factor, weights = question.factor, question.weights
     if factor not in of.data.factors or not set(weights) <= set(of.data.levels(factor)):
         return None
@@ -244,8 +245,8 @@ def _answer(question: _Question, of: _Estimated, alpha: float, average: float | 
         float(found.p_value),
         g,
         g_error,
-        # What error and standard deviation have in common cancels out of the error of g (Satterthwaite 1946).
-        1 / (1 / freedom - 1 / own) if own > freedom else math.inf,
+        # The common part of error and standard deviation cancels out of the error of g (Satterthwaite 1946).
+        freedom * own / (own - freedom) if own > freedom else math.inf,
     )
 
 
@@ -254,19 +255,19 @@ def hedges_g(
 ) -> tuple[float, float] | tuple[None, None]:
     """Return Hedges' g of a difference, and its standard error.
 
-    The difference is divided by the standard deviation that the report divides it by, and freed of its bias; the
-    variance is free of bias, too (Hedges, Distribution theory for Glass's estimator of effect size and related
-    estimators, Journal of Educational Statistics 6, 1981).
+    The difference is divided by the same standard deviation as in the report, and corrected for bias; the variance is
+    unbiased, too (Hedges, Distribution theory for Glass's estimator of effect size and related estimators, Journal of
+    Educational Statistics 6, 1981).
 
     Args:
         difference: of means.
         error: its standard error.
         freedom: the degrees of freedom of the standard deviation.
         spread: the standard deviation.
-        average: the g that the variance is that of; None for its own.
+        average: the g at which the variance is computed; None for the own g.
 
     Returns:
-        Nothing with a single degree of freedom, of which g has no mean.
+        Both; None and None for a single degree of freedom, where g has no mean.
     """
     if freedom <= 1:
         return None, None

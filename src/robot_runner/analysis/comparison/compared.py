@@ -1,4 +1,4 @@
-"""The result of comparing two experiments, and the bounds that were asked for: plain data."""
+"""The result of comparing two experiments, and the bounds of equivalence: plain data."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Bound:
         """Read a bound, such as `10` or `5%`.
 
         Raises:
-            AnalysisError: the text is not a number, or one that cannot be a bound.
+            AnalysisError: the text is not a number, or not a valid bound.
         """
         is_relative = text.strip().endswith("%")
         try:
@@ -63,18 +63,18 @@ class Bound:
         return cls(value, is_relative)
 
     def in_units(self, mean: float) -> float:
-        """Return the bound in the unit of the measure, where the first experiment has this mean."""
+        """Return the bound in the unit of the measure, given the first experiment's mean."""
         return abs(mean) * self.value / _PERCENT if self.is_relative else self.value
 
     def __str__(self) -> str:
         return f"{self.value:g} %" if self.is_relative else f"{self.value:g}"
 
 
-def why_vain(bound: Bound | None, unit: str, *, are_answers: bool) -> str:
-    """Return why a bound says nothing of a measure in this unit, or one that is yes or no; empty where it does.
+def why_meaningless(bound: Bound | None, unit: str, *, are_answers: bool) -> str:
+    """Return why a bound is meaningless for this unit, or for a measure of yes and no; empty where it is not.
 
     Example:
-        >>> why_vain(Bound.parse("5%"), "degC", are_answers=False)
+        >>> why_meaningless(Bound.parse("5%"), "degC", are_answers=False)
         'a percentage says nothing of values in degC, whose 0 is agreed upon: give it in degC.'
     """
     if bound is None:
@@ -93,8 +93,8 @@ class Bounds:
     """Bounds of several measures.
 
     Attributes:
-        general: for every measure that has none of its own; None where those have no bound.
-        own: by measure.
+        general: the bound of measures without their own; None where those have no bound.
+        own: the bounds of single measures, by name.
 
     Example:
         >>> str(Bounds.parse(["5%", "Energy=10"]).of("Energy"))
@@ -106,15 +106,15 @@ class Bounds:
 
     @classmethod
     def parse(cls, texts: Iterable[str]) -> Bounds:
-        """Read bounds, each as `5%` or `10`, or of one measure as `Energy=10`.
+        """Read bounds, each as `5%` or `10`, or for one measure as `Energy=10`.
 
         Raises:
-            AnalysisError: one cannot be read, or a measure has two.
+            AnalysisError: a text is not a bound, or a measure has two.
         """
         general: Bound | None = None
         own: dict[str, Bound] = {}
         for text in texts:
-            # The bound is a number, so what stands before the last = is the name, whatever it holds.
+            # The bound is a number, so the name is everything before the last =.
             name, equals, value = text.rpartition("=")
             if name in own or (not equals and general is not None):
                 raise AnalysisError(f"{text!r} is a second bound", where="bound", fix="Leave one of them out.")
@@ -130,7 +130,7 @@ class Bounds:
 
 
 class Verdict(Enum):
-    """What the data say of a difference: no value differs, it is within the bound, it is not by chance, or neither."""
+    """The conclusion on a difference: no value differs, within the bound, significant, or neither of these."""
 
     IDENTICAL = "identical"
     EQUIVALENT = "equivalent"
@@ -139,7 +139,7 @@ class Verdict(Enum):
 
     @classmethod
     def of_all(cls, verdicts: Sequence[Verdict]) -> Verdict:
-        """Return the weakest that can be said of several together: different if one is, identical if all are.
+        """Return the verdict of several together: different if one is, identical only if all are.
 
         Example:
             >>> Verdict.of_all([Verdict.EQUIVALENT, Verdict.IDENTICAL])
@@ -154,9 +154,9 @@ class Side:
     """One of the two experiments.
 
     Attributes:
-        name: what it is called here; the two have different ones.
+        name: its name in the comparison, where the two differ.
         experiment: its own name.
-        runs: how many runs are done.
+        runs: the number of runs that are done.
     """
 
     name: str
@@ -167,13 +167,13 @@ class Side:
 
 @dataclass(frozen=True, slots=True)
 class PracticalEquivalence:
-    """How probable it is that a difference is too small to matter, after the runs were seen.
+    """The posterior probability that a difference is too small to matter.
 
     The prior of each mean and standard deviation is the reference prior, 1 / standard deviation.
 
     Attributes:
-        region: the half-width of the region about no difference, in the unit of the measure.
-        below, within, above: probabilities that the second mean lies there, summing up to 1.
+        region: the half-width of the region around no difference, in the unit of the measure.
+        below, within, above: the probabilities that the second mean lies there, summing up to 1.
         interval: the credible interval of the difference at 1 - alpha.
     """
 
@@ -186,25 +186,25 @@ class PracticalEquivalence:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One measure of the runs of one combination, second experiment less first.
+    """The difference of one measure in one combination: second experiment minus first.
 
     Attributes:
-        treatments: which combination, by factor; empty for all runs together.
-        first_n, second_n: how many runs have a value; of pairs, how many pairs.
+        treatments: the combination, by factor; empty for all runs together.
+        first_n, second_n: the number of runs with a value; for pairs, the number of pairs.
         difference: of the means, in the unit of the measure.
         interval: confidence interval of the difference at 1 - alpha.
-        narrow_interval: at 1 - 2 alpha: it lies within the bound exactly where the two are equivalent, if the bound is
-            in the unit of the measure.
-        relative: the difference in percent of the first mean; None of units whose 0 is agreed upon, such as degC.
-        p_value: of a t-test that there is none (Welch's, or of pairs); `adjusted_p_value` after Holm, for the number of
-            combinations.
-        bound: what would not matter, in the unit of the measure; None where no bound was stated, or one that every
-            difference of proportions is within.
-        equivalence_p_value: the larger one of the two one-sided tests.
+        narrow_interval: at 1 - 2 alpha; if the bound is in the unit of the measure, the two are equivalent exactly
+            where this interval lies within the bound.
+        relative: the difference in percent of the first mean; None for units with an arbitrary zero, such as degC.
+        p_value: of a t-test for no difference (Welch's, or of pairs); `adjusted_p_value` is adjusted by Holm for the
+            number of combinations.
+        bound: the largest difference that does not matter, in the unit of the measure; None where no bound was stated,
+            or where it exceeds any difference of proportions.
+        equivalence_p_value: the larger p-value of the two one-sided tests.
         not_computed: why nothing was tested; empty where something was, or where nothing differs.
         practical: the probabilities of a region of practical equivalence, where one was stated.
-        unit: what several runs have in common, so that they count together: a block, whole plot, subject or robot.
-        first_units, second_units: how many of these there are; None where runs stand by themselves.
+        unit: the name of the units (blocks, whole plots, subjects, robots) whose runs count together.
+        first_units, second_units: the number of these units; None where runs are independent.
         first_error, second_error: the standard errors of the means, where runs count together.
     """
 
@@ -240,17 +240,17 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """How far apart a run of the second experiment may lie from one of the first (Bland and Altman, 1986).
+    """How far a run of the second experiment may lie from one of the first (Bland and Altman, 1986).
 
     Attributes:
-        pairs: by combination: the values of the first and the second.
+        pairs: the values of the first and of the second experiment, by combination.
         are_natural: whether the pairs belong together (the same run, or paired by the user); otherwise runs of one
-            combination were put beside each other in the order of their repetitions.
-        bias: mean difference.
-        lower, upper: limits of agreement: bias less and plus 1.96 standard deviations of the differences; None of
-            measures that are yes or no.
+            combination were paired in the order of their repetitions.
+        bias: the mean difference.
+        lower, upper: limits of agreement: bias minus and plus 1.96 standard deviations of the differences; None for
+            measures of yes and no.
         error: mean absolute percentage error in percent: of pairs if they are natural, else of the combinations' means;
-            None where a value of the first is 0, and of units whose 0 is agreed upon.
+            None where a value of the first is 0, and for units with an arbitrary zero.
     """
 
     pairs: Mapping[str, Sequence[tuple[float, float]]]
@@ -266,15 +266,15 @@ class MeasureComparison:
     """One measure of two experiments.
 
     Attributes:
-        first_name, second_name: its name in each.
-        unit: in the first.
+        first_name, second_name: its name in each experiment.
+        unit: its unit in the first experiment.
         first_origin, second_origin: where the values come from.
         bound: as stated.
         region: of practical equivalence, as stated, in the unit of the measure.
-        differences: one a combination.
+        differences: one for each combination.
         verdict: of all combinations together.
-        not_computed: what could not be compared and why.
-        are_answers: whether it is yes or no in both, so that its means are proportions.
+        not_computed: what could not be compared, with the reason.
+        are_answers: whether its values are yes or no in both experiments, so that its means are proportions.
         procedure: the test of the difference, in words.
         largest: the largest difference, in words; empty where none is known.
     """
@@ -297,7 +297,7 @@ class MeasureComparison:
 
     @property
     def name(self) -> str:
-        """What the measure is called here: both names where they differ."""
+        """The name of the measure; both names where they differ."""
         return self.first_name if self.first_name == self.second_name else f"{self.first_name} and {self.second_name}"
 
     @property
@@ -312,12 +312,12 @@ class Comparison:
 
     Attributes:
         alpha: the level of significance.
-        factors: those that both have, by which runs are matched.
-        measures: one each.
-        differing: circumstances that differ: what, in the first, in the second.
-        notes: what a reader has to know, such as combinations that only one of them has.
-        together: what runs have in common, such as a day, where runs that have it count together.
-        again: why the second holds the runs of the first again, so that it proves nothing if they agree; else empty.
+        factors: the factors of both, by which runs are matched.
+        measures: the comparison of each measure.
+        differing: circumstances that differ: the circumstance, its value in the first and in the second.
+        notes: notes for readers, such as combinations that only one experiment has.
+        together: the units, such as days, whose runs count together.
+        again: why the second experiment has the same runs as the first, so that agreement proves nothing; else empty.
     """
 
     first: Side
@@ -337,9 +337,9 @@ class Comparison:
         return Verdict.of_all([measure.verdict for measure in self.measures])
 
     def measure(self, name: str) -> MeasureComparison:
-        """Return what was found of one measure, by its name in the first experiment.
+        """Return the comparison of one measure, by its name in the first experiment.
 
         Raises:
-            KeyError: it was not compared.
+            KeyError: the measure was not compared.
         """
         return {each.first_name: each for each in self.measures}[name]

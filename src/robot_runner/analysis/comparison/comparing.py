@@ -1,4 +1,4 @@
-"""Compares two experiments, measure by measure and combination by combination."""
+"""Compare two experiments, measure by measure and combination by combination."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from robot_runner.analysis.comparison.compared import (
     MeasureComparison,
     Side,
     Verdict,
-    why_vain,
+    why_meaningless,
 )
 from robot_runner.analysis.comparison.comparison_document import conclusion_of, largest_in_words, procedure_of
 from robot_runner.analysis.comparison.equivalence import (
@@ -71,17 +71,18 @@ def compare(
     is_paired: bool | None = None,
     rope: str | Iterable[str] = (),
 ) -> Comparison:
-    """Compare the runs that are done of two experiments; runs are matched by the factors that both have.
+    """Compare the runs of two experiments that are done, matched by the factors of both.
 
     Args:
-        first: the experiment that is compared with, or its folder: the original, the real robot, what was measured.
-        second: the other one: the replication, the simulated robot, what a model estimated.
-        measures: names, or `one=other` where they differ; None for all that both have, but for texts.
-        bound: what difference would not matter, as in `10`, `"5%"` or `["5%", "Energy=10"]`; None claims nothing.
+        first: the reference experiment, or its folder: the original, the real robot, the measurement.
+        second: the other experiment: the replication, the simulated robot, the model's estimate.
+        measures: names, or `one=other` where they differ; None for all measures of both, except texts.
+        bound: the largest difference that does not matter, as in `10`, `"5%"` or `["5%", "Energy=10"]`; None for no
+            claim of equivalence.
         alpha: the level of significance, below 0.5.
-        is_paired: whether the runs of a combination belong together one by one; None means within one experiment only.
-        rope: regions of practical equivalence, as in `"2%"` or `["5 J", "CPU=2"]`: how probable is it that a difference
-            lies within? Verdicts do not depend on it.
+        is_paired: whether the runs of a combination are pairs; None for pairs only within one experiment.
+        rope: regions of practical equivalence, as in `"2%"` or `["5 J", "CPU=2"]`, to compute the probability that a
+            difference lies within. Verdicts do not depend on them.
 
     Example:
         >>> comparison = compare("original", "replication", bound="5%")  # doctest: +SKIP
@@ -89,8 +90,8 @@ def compare(
         <Verdict.EQUIVALENT: 'equivalent'>
 
     Raises:
-        StorageError: there is no experiment in a folder, or it cannot be read.
-        AnalysisError: there is no such measure, or a bound, a region or alpha cannot be.
+        StorageError: a folder holds no experiment, or cannot be read.
+        AnalysisError: there is no such measure, or a bound, a region or alpha is invalid.
     """
     if not 0 < alpha < 0.5:  # noqa: PLR2004 - 1 - 2 alpha is a level of confidence
         raise AnalysisError(f"alpha is {alpha!r}", where="compare", fix="Give a number between 0 and 0.5.")
@@ -139,7 +140,7 @@ def compare(
 
 
 def _again(called: tuple[str, ...], experiments: tuple[Results, ...], chosen: Sequence[tuple[str, str]]) -> str:
-    """Return what is to be said of an experiment that is compared with itself, but for two measures of one table."""
+    """Return a warning where an experiment is compared with itself, unless these are two measures of one table."""
     is_of_one_name = any(one == other for one, other in chosen)
     why = sameness(*experiments)
     same, of = (0, 0) if why else same_runs(*experiments)
@@ -157,7 +158,7 @@ def _again(called: tuple[str, ...], experiments: tuple[Results, ...], chosen: Se
     if not why or (not is_of_one_name and experiments[0].folder == experiments[1].folder):
         return ""
     advice = "" if is_of_one_name else " Compare measures of one experiment within one folder, where runs are pairs."
-    # Of a simulation, it tells that it was computed again; a copy tells nothing.
+    # An equal simulation may have been computed again, which tells something; a copy tells nothing.
     tells = "tells nothing of runs that differ by chance" if why == SAME_VALUES else "proves nothing"
     return f"{called[1]} is {called[0]} again: {why}. That values agree {tells}.{advice}"
 
@@ -170,7 +171,7 @@ def _notes_on_searches(called: tuple[str, ...], experiments: tuple[Results, ...]
 
 
 def _note_on_chance(compared: Sequence[MeasureComparison], alpha: float) -> Iterator[str]:
-    """Yield what several measures do to the verdict of all of them together, where one of them differs."""
+    """Yield a note on the error rate of the common verdict where several measures are tested and one differs."""
     tested = sum(any(each.p_value is not None for each in measure.differences) for measure in compared)
     if tested > 1 and Verdict.DIFFERENT in {measure.verdict for measure in compared}:
         any_of_them, level = shown_number(_PERCENT * (1 - (1 - alpha) ** tested), 3), shown_level(alpha)
@@ -216,7 +217,7 @@ def _check_bounds(what: str, own: Iterable[str], names: Sequence[str], first: Re
 
 
 def _regions(regions: Regions, names: Sequence[str], first: Results) -> dict[str, Bound | None]:
-    """Return the region of each measure, in its unit."""
+    """Return the region of each measure, in the measure's unit."""
     _check_bounds("region", regions.own, names, first)
     found = {name: regions.of(name, first.unit(name)) for name in names}
     if (regions.general or regions.own) and not any(found.values()):
@@ -227,7 +228,7 @@ def _regions(regions: Regions, names: Sequence[str], first: Results) -> dict[str
 
 
 class _Asked(NamedTuple):
-    """What is asked of a measure, and what of its values matters for that: also why it cannot be compared, if so."""
+    """The settings of one measure's comparison, and the properties of its values, such as why it cannot be compared."""
 
     bound: Bound | None
     region: Bound | None
@@ -240,20 +241,20 @@ class _Asked(NamedTuple):
 
     @property
     def are_proportions(self) -> bool:
-        """Whether proportions are compared: answers that are no pairs."""
+        """Whether proportions are compared: answers that are not pairs."""
         return self.are_answers and not self.is_paired
 
-    def why_vain(self, bound: Bound | None) -> str:
-        """Return why a bound, or a region, says nothing of the measure; empty where it does."""
-        return why_vain(bound, self.unit, are_answers=self.are_answers)
+    def why_meaningless(self, bound: Bound | None) -> str:
+        """Return why a bound, or a region, is meaningless for the measure; empty where it is not."""
+        return why_meaningless(bound, self.unit, are_answers=self.are_answers)
 
     def telling(self, bound: Bound | None) -> Bound | None:
-        """Return a bound, or a region, that says something of the measure; None where there is none."""
-        return None if self.why_vain(bound) else bound
+        """Return the bound, or region, if it is meaningful for the measure; None otherwise."""
+        return None if self.why_meaningless(bound) else bound
 
 
 def _compare_measure(matching: Matching, names: tuple[str, str], asked: _Asked) -> MeasureComparison:
-    """Compare a measure in all combinations; p-values are adjusted after Holm for their number."""
+    """Compare a measure in all combinations; p-values are adjusted by Holm for their number."""
     units = matching.first.unit(names[0]), matching.second.unit(names[1])
     obstacle = ""
     if matching.first.is_exploratory or matching.second.is_exploratory:
@@ -342,7 +343,7 @@ def _tested(treatments: Mapping[str, str], values: MatchedValues, asked: _Asked)
 
 
 def _untested(difference: Difference, why: str, first: Floats, second: Floats, asked: _Asked) -> Difference:
-    """Judge what cannot be tested: values that are all the same, or that were simulated without any chance."""
+    """Judge a difference without a test: all values are equal, or were simulated without chance."""
     is_same = np.array_equal(first, second) if asked.is_paired else len({*first, *second}) == 1
     if is_same and len(first) and len(second):
         return replace(difference, verdict=Verdict.IDENTICAL)
@@ -354,7 +355,7 @@ def _untested(difference: Difference, why: str, first: Floats, second: Floats, a
 
 
 def _facts_of(units: Units, first: Floats, second: Floats) -> dict[str, Any]:
-    """Return what there is to tell of runs that count together; nothing where none do."""
+    """Return the facts of units whose runs count together; none where runs are independent."""
     if not units.are_shared:
         return {}
     found: dict[str, Any] = {"unit": units.name}
@@ -382,7 +383,7 @@ def _judged(difference: Difference, alpha: float) -> Difference:
 
 def _missed(differences: Sequence[Difference], asked: _Asked, one: str, other: str) -> Iterator[NotComputed]:
     for what, bound in (("equivalence", asked.bound), ("probabilities", asked.region)):
-        if why := asked.why_vain(bound):
+        if why := asked.why_meaningless(bound):
             yield NotComputed(what, sentence(why))
     for each in differences:
         if each.not_computed:

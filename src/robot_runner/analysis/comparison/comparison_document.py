@@ -1,4 +1,4 @@
-"""The comparison of two experiments in sentences, as a document, and as JSON."""
+"""The comparison of two experiments in sentences, as a document and as JSON."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from robot_runner.analysis.comparison.compared import (
     Difference,
     MeasureComparison,
     Verdict,
-    why_vain,
+    why_meaningless,
 )
 from robot_runner.analysis.figures.effects import Estimate, draw_agreement, draw_differences
 from robot_runner.analysis.report.blocks import (
@@ -56,7 +56,7 @@ _TONES = {
 
 
 def write_comparison(comparison: Comparison, path: Path) -> None:
-    """Write a comparison as one HTML file that needs nothing beside it.
+    """Write a comparison as one self-contained HTML file.
 
     Raises:
         StorageError: the file cannot be written.
@@ -65,7 +65,7 @@ def write_comparison(comparison: Comparison, path: Path) -> None:
 
 
 def json_of_comparison(comparison: Comparison) -> str:
-    """Return a comparison as JSON; what is missing or could not be computed is null."""
+    """Return a comparison as JSON; missing and not computed values are null."""
     facts = {"format": _FORMAT, "verdict": comparison.verdict, **plain(comparison)}
     return json.dumps(plain(facts), indent=2, ensure_ascii=False, allow_nan=False)
 
@@ -90,7 +90,7 @@ def conclusion_of(measure: MeasureComparison) -> str:
 
 
 def _practical(measure: MeasureComparison) -> str:
-    """Return how probable it is that a difference does not matter, for the combination where it is least so."""
+    """Return the probability that a difference does not matter, for the combination where it is smallest."""
     known = [each for each in measure.differences if each.practical is not None]
     if measure.region is None or not known:
         return ""
@@ -102,7 +102,7 @@ def _practical(measure: MeasureComparison) -> str:
 
 
 def shown_probability(value: float | None) -> str:
-    """Return a probability as papers print it; what was not seen is not impossible.
+    """Return a probability as papers print it, never as 0 or 1.
 
     Example:
         >>> [shown_probability(each) for each in (0.98765, 0.0, 0.9999)]
@@ -131,7 +131,7 @@ def _why_undecided(measure: MeasureComparison) -> str:
         return f"nothing could be tested{where}. {untested[0].not_computed}"
     if measure.bound is None:
         return "no difference was found, and without a bound nothing can be called equivalent."
-    if why := why_vain(measure.bound, measure.unit, are_answers=measure.are_answers):
+    if why := why_meaningless(measure.bound, measure.unit, are_answers=measure.are_answers):
         return why
     if without := [each.label for each in undecided if each.bound == 0]:
         return f"the bound is a percentage of the first mean, which is 0 for {listed(without)}: give it in its unit."
@@ -143,7 +143,7 @@ def _why_undecided(measure: MeasureComparison) -> str:
 
 
 def _fewest_runs(differences: Sequence[Difference]) -> str:
-    """Return how many runs the smallest combinations have, of each experiment where these differ."""
+    """Return the number of runs of the smallest combinations, of each experiment where these differ."""
     first, second = (min(getattr(each, name) for each in differences) for name in ("first_n", "second_n"))
     runs = counted(first, "run") if first == second else f"{first} and {counted(second, 'run')}"
     of_units = [each for each in differences if each.unit]
@@ -154,7 +154,7 @@ def _fewest_runs(differences: Sequence[Difference]) -> str:
 
 
 def largest_in_words(measure: MeasureComparison) -> str:
-    """Return the largest difference of a combination, as in `1.131 J, +0.129 % (Video)`; empty where none is."""
+    """Return the largest difference of a combination, as in `1.131 J, +0.129 % (Video)`; empty without any."""
     known = [each for each in measure.differences if each.difference is not None]
     if not known:
         return ""
@@ -195,7 +195,7 @@ def _verdict(verdict: Verdict) -> Badge:
 
 
 def difference_table(comparison: Comparison, measure: MeasureComparison) -> Table:
-    """Return the differences of one measure, one row a combination."""
+    """Return a table of the differences of one measure, one row a combination."""
 
     def size(each: Difference) -> Cell:
         return Cell.of_text(", ".join(map(str, dict.fromkeys((each.first_n, each.second_n)))))
@@ -234,9 +234,9 @@ def procedure_of(*, are_proportions: bool, is_paired: bool, together: Sequence[s
     """Return the test of a difference in words.
 
     Args:
-        are_proportions: whether the measure is yes or no.
-        is_paired: whether runs belong together one by one.
-        together: what runs have in common that therefore count together.
+        are_proportions: whether the values of the measure are yes or no.
+        is_paired: whether runs are pairs.
+        together: the units whose runs count together.
     """
     of_means = "t-test of pairs" if is_paired else "Welch's t-test"
     test = "Newcombe's score intervals" if are_proportions else of_means
@@ -295,7 +295,7 @@ def _circumstances(comparison: Comparison) -> Iterator[Block]:
 
 
 def circumstances_table(names: Sequence[str], differing: Sequence[Sequence[str]]) -> Table:
-    """Return what differs between experiments, one row a circumstance and one column an experiment."""
+    """Return a table of differing circumstances, one row a circumstance and one column an experiment."""
     fields = [text(name, itemgetter(place)) for place, name in enumerate(("What differs", *names))]
     return build_table("circumstances", "Circumstances that differ.", differing, fields)
 
@@ -315,7 +315,7 @@ def _differences(comparison: Comparison) -> Iterator[Part]:
 
 
 def not_computed(several: Sequence[NotComputed]) -> Iterator[Remarks]:
-    """Yield what could not be computed, where anything was."""
+    """Yield remarks on what could not be computed, if there is anything."""
     if several:
         yield Remarks(tuple(Remark(each.what, each.why, Tone.WARNING, "Note") for each in several))
 
@@ -361,7 +361,7 @@ def _agreements(comparison: Comparison) -> Iterator[Block]:
     figures = tuple(
         _agreement_figure(comparison, each, each.agreement)
         for each in measures
-        if each.agreement is not None and not each.are_answers  # of yes and no it would be three points
+        if each.agreement is not None and not each.are_answers  # for yes and no, only three points
     )
     if figures:
         yield Gallery(figures)

@@ -1,4 +1,4 @@
-"""Brings several experiments to the same names and units, and refuses those that are no replications of each other."""
+"""Convert several experiments to the same names and units, and refuse those that are copies of each other."""
 
 from __future__ import annotations
 
@@ -22,23 +22,22 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.results import Results
 
-#: What two experiments share of attempts or runs, as a part of the smaller one: a copy that went on, or lost runs, is a
-#: copy.
+#: Experiments that share this part of the smaller one's attempts or runs are copies, even if one went on or lost runs.
 COPIED = 0.5
 _PAIR = 2
-#: Why an experiment is another one again whose runs were executed at other moments.
+#: Why an experiment counts as a copy although its runs were executed at other times.
 SAME_VALUES = "every value is the same to the last digit, as of a copy, or a simulation with the same seed"
 
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """One of several experiments, with the names that factors and treatments have in all of them.
+    """One of several experiments, with the common names of factors and treatments.
 
     Attributes:
-        name: what it is called among them.
-        design: of its runs that are done, renamed; with the blocks and covariates of its own plan.
+        name: its name among the experiments.
+        design: the renamed design of its runs that are done, with the blocks and covariates of its own plan.
         doubtful: the runs whose value is doubtful, by measure.
-        new_names: what factors and treatments are called among all, by their own names where they differ.
+        new_names: the common names of factors and treatments, by their own names, where they differ.
     """
 
     name: str
@@ -49,24 +48,24 @@ class Experiment:
 
     @classmethod
     def of_results(cls, name: str, results: Results) -> Experiment:
-        """Take an experiment as its own plan has it."""
+        """Return an experiment with the choices of its own plan."""
         plan = results.plan
         design = design_of(results, blocks=plan.blocks if plan else None)
         return cls(name, results, replace(design, covariates=plan.covariates if plan else ()), doubtful_runs(results))
 
     @property
     def factors(self) -> tuple[str, ...]:
-        """All factors, those with a single treatment among them."""
+        """All factors, including those with a single treatment."""
         return (*self.design.factors, *self.design.constant)
 
     def treatments(self, factor: str) -> tuple[str, ...]:
-        """Return the treatments of a factor that runs which are done have had, in their order."""
+        """Return a factor's treatments among the runs that are done, in their order."""
         if factor not in self.factors:
             return ()
         return tuple(map(str, self.design.frame[factor].cat.categories))
 
     def with_name(self, old: str, new: str) -> Experiment:
-        """Return the experiment with a factor or treatment of another name."""
+        """Return the experiment with a factor or treatment renamed."""
         design = self.design
         frame = design.frame.rename(columns={old: new} if old in self.factors else {})
         factors, constant = (
@@ -78,12 +77,12 @@ class Experiment:
         return replace(self, design=design, new_names={**self.new_names, old: new})
 
     def left_out(self, column: str) -> tuple[str, ...]:
-        """Return the runs whose value of a measure the experiment's own plan leaves out."""
+        """Return the runs whose value of a measure is left out by the experiment's own plan."""
         left_out = left_out_of(self.design, column, self.results.plan, self.doubtful.get(column, ()))
         return tuple(each.run_id for each in left_out)
 
     def data(self, column: str, unit: str) -> MeasureData | None:
-        """Return the values of a measure in this unit, as the plan has them; None where they are no numbers."""
+        """Return the values of a measure that the plan keeps, in this unit; None where they are not numbers."""
         design = replace(self.design, without=frozenset(self.left_out(column)))
         found, own = design.data(column), self.results.unit(column)
         if found is None or own == unit:
@@ -95,11 +94,11 @@ class Experiment:
         return replace(found, frame=converted(found.frame), every=converted(found.every))
 
 
-# Whether they are replications of each other.
+# Experiments that are given twice, or are copies.
 
 
 def repeated(experiments: Sequence[Experiment]) -> Iterator[Finding]:
-    """Yield an error for each experiment that was given before, or whose runs are those of another."""
+    """Yield an error for each experiment that is given twice, or is a copy of another."""
     for one, other in combinations(experiments, _PAIR):
         if why := sameness(one.results, other.results):
             fix = "Leave one of them out: it would count twice, and is no replication."
@@ -107,21 +106,21 @@ def repeated(experiments: Sequence[Experiment]) -> Iterator[Finding]:
 
 
 def sameness(one: Results, other: Results) -> str:
-    """Return why the second experiment is the first again; empty where it is not."""
+    """Return why the second experiment is the same as the first; empty where it is not."""
     if one.folder == other.folder:
-        return "it is the same folder"
+        return "both are the same folder"
     stamps = ["run_id", "attempt", "started_at"]
     attempts = [set(each.attempts[stamps].dropna().itertuples(index=False, name=None)) for each in (one, other)]
     smaller = min(map(len, attempts))
     if smaller and len(attempts[0] & attempts[1]) >= COPIED * smaller:
-        return "its runs were executed at the same moments, so that one is a copy of the other"
+        return "the runs were executed at the same times, so that one is a copy of the other"
     return SAME_VALUES if _has_same_values(one, other) else ""
 
 
 def same_runs(one: Results, other: Results) -> tuple[int, int]:
-    """Return in how many runs of two experiments all measures are the same to the last digit, and of how many.
+    """Return the number of runs whose measures are all equal in two experiments, to the last digit, and of how many.
 
-    Values that runs of one experiment share with each other, as rounded ones do, tell nothing: none count then.
+    Where runs of one experiment have equal values, as by rounding, equality proves nothing: the number is 0.
     """
     values = _shared_values(one, other)
     if values is None:
@@ -133,7 +132,7 @@ def same_runs(one: Results, other: Results) -> tuple[int, int]:
 
 
 def same_measures(one: Results, other: Results) -> tuple[str, ...]:
-    """Return the measures that are the same in each run to the last digit; not those that runs share by rounding."""
+    """Return the measures that are equal in each run to the last digit, except where runs are equal by rounding."""
     values = _shared_values(one, other)
     if values is None or not values[0].index.equals(values[1].index):
         return ()
@@ -145,7 +144,7 @@ def same_measures(one: Results, other: Results) -> tuple[str, ...]:
 
 
 def _has_same_values(one: Results, other: Results) -> bool:
-    """Return whether all measures are the same in each run; whole numbers may be by chance."""
+    """Return whether all measures are equal in each run; whole numbers alone may be equal by chance."""
     values = _shared_values(one, other)
     if values is None or not values[0].index.equals(values[1].index):
         return False
@@ -154,7 +153,7 @@ def _has_same_values(one: Results, other: Results) -> bool:
 
 
 def _shared_values(one: Results, other: Results) -> tuple[pd.DataFrame, pd.DataFrame] | None:
-    """Return the decimal numbers that both have measured, by run id; None where there are none."""
+    """Return the decimal measures of both, by run id; None where there are none."""
     first, second = (each.done.set_index(RUN_ID).sort_index() for each in (one, other))
     shared = [
         name for name in one.measures if name in other.measures and first[name].dtype == "float64" == second[name].dtype
@@ -168,7 +167,7 @@ def _shared_values(one: Results, other: Results) -> tuple[pd.DataFrame, pd.DataF
 def renamed(
     experiments: Sequence[Experiment], same: Sequence[str]
 ) -> tuple[tuple[Experiment, ...], tuple[Finding, ...]]:
-    """Return the experiments with the names that a user gave, each as `NAME=OTHER`, and what is wrong with these."""
+    """Return the experiments with the user's names, each given as `NAME=OTHER`, and findings on these names."""
     findings: list[Finding] = []
     for text in same:
         known = {each for experiment in experiments for names in _kinds(experiment) for each in names}
@@ -183,7 +182,7 @@ def renamed(
             findings.append(Finding.error("--same", problem, fix))
             continue
         findings += [
-            Finding.error(each.name, f"it has both {name!r} and {other!r}", f"Leave out --same {text}.")
+            Finding.error(each.name, f"the experiment has both {name!r} and {other!r}", f"Leave out --same {text}.")
             for each in experiments
             if any({name, other} <= set(names) for names in _kinds(each))
         ]
@@ -193,13 +192,13 @@ def renamed(
 
 
 def _kinds(experiment: Experiment) -> Iterator[tuple[str, ...]]:
-    """Yield names that must differ from each other: the factors, and the treatments of each."""
+    """Yield groups of names that must be unique: the factors, and the treatments of each."""
     yield experiment.factors
     yield from map(experiment.treatments, experiment.factors)
 
 
 def differing_names(experiments: Sequence[Experiment]) -> Iterator[Finding]:
-    """Yield a warning for each factor, and each treatment, that one experiment lacks and others have."""
+    """Yield a warning for each factor, and each treatment, that one experiment lacks but others have."""
     varied = dict.fromkeys(name for each in experiments for name in each.design.factors)
     for experiment in experiments:
         others = [each for each in experiments if each is not experiment]
@@ -231,11 +230,11 @@ def _same(name: str, candidates: Sequence[str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class MeasureChoice:
-    """A measure that is combined.
+    """A measure to combine.
 
     Attributes:
         columns: its name in each experiment that has it.
-        unit: the one that values are converted to: the first that is known.
+        unit: the unit to which values are converted: the first known one.
         is_primary: whether a plan names it among its primary measures.
     """
 
@@ -248,19 +247,19 @@ class MeasureChoice:
 def chosen_measures_of_all(
     experiments: Sequence[Experiment], wanted: Sequence[str] | None
 ) -> tuple[tuple[MeasureChoice, ...], tuple[Finding, ...]]:
-    """Return the measures to combine, and what is to be said of those that experiments lack.
+    """Return the measures to combine, and findings on those that experiments lack.
 
     Args:
         experiments: all of them.
-        wanted: names, or `one=other` where experiments call it otherwise; None for the primary measures of the plans,
-            or else all numbers that two and more experiments have.
+        wanted: names, or `one=other` where names differ between experiments; None for the primary measures of the plans
+            or, without any, all numeric measures of at least two experiments.
     """
     texts = list(wanted) if wanted is not None else _planned(experiments) or _shared(experiments)
     chosen, findings = [], []
     if not texts:
         fix = "Say which is the same: --measure Energy=E."
         findings.append(
-            Finding.error(enumerated(each.name for each in experiments), "they have no measure of one name", fix)
+            Finding.error(enumerated(each.name for each in experiments), "these have no measure of one name", fix)
         )
     for text in texts:
         names = (text,) if any(text in each.results.measures for each in experiments) else tuple(text.split("="))
@@ -278,7 +277,7 @@ def chosen_measures_of_all(
 
 
 def _lacking(names: Sequence[str], columns: Mapping[str, str], experiments: Sequence[Experiment]) -> Iterator[Finding]:
-    """Yield what is to be said of experiments without a measure: an error where fewer than two have it."""
+    """Yield findings on experiments without a measure: an error where fewer than two have it."""
     if not columns:
         known = dict.fromkeys(name for each in experiments for name in each.results.measures)
         yield Finding.error("--measure", f"no experiment has a measure {names[0]!r}", did_you_mean(names[0], known))
@@ -305,20 +304,20 @@ def _call(names: Sequence[str], results: Results) -> str:
 
 
 def value_findings(choice: MeasureChoice, experiments: Sequence[Experiment]) -> Iterator[Finding]:
-    """Yield what is to be said of values of a measure: those that a plan leaves out, and doubtful ones among others."""
+    """Yield warnings of values of a measure that a plan leaves out, and of doubtful ones that it keeps."""
     for each in experiments:
         column = choice.columns.get(each.name, "")
         left_out = each.left_out(column) if column else ()
         doubtful = [run_id for run_id in each.doubtful.get(column, ()) if run_id not in left_out]
         if left_out:
-            yield Finding.warning(each.name, f"its analysis leaves out {column} of {listed(left_out)}")
+            yield Finding.warning(each.name, f"the plan of this experiment leaves out {column} of {listed(left_out)}")
         if doubtful:
             fix = "Look at its report, which says what stands without them."
             yield Finding.warning(each.name, f"{column} of {listed(doubtful)} is doubtful", fix)
 
 
 def unit_findings(choice: MeasureChoice, experiments: Sequence[Experiment]) -> Iterator[Finding]:
-    """Yield what is to be said of an experiment that gives a measure in another unit, or in none."""
+    """Yield findings on experiments with another unit of a measure, or without one."""
     for each in experiments:
         column = choice.columns.get(each.name)
         unit = choice.unit if column is None else each.results.unit(column)

@@ -1,4 +1,4 @@
-"""Figures over time: sampled measures (the paper's Fig. 4), the robot's way, the timeline of all runs."""
+"""Figures over time: sampled measures (the paper's Fig. 4), the robot's trajectory, the timeline of all runs."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ if TYPE_CHECKING:
 
 
 _PANEL = 1.0  # height of one run's panel, inches
-_HEIGHT = 2.3  # of all means, inches
-_FOOT, _SIDE = 0.42, 0.55  # what labels take, inches
+_HEIGHT = 2.3  # height of the panel of means, inches
+_FOOT, _SIDE = 0.42, 0.55  # room for labels, inches
 _TIME = "Time since the start of the mission (s)"
-#: The least height of a trajectory's frame, as a share of its width: a way straight ahead is a line.
+#: The smallest height of a trajectory's frame, as a share of its width: a straight trajectory is a line.
 _FLATTEST = 0.22
-_MOST_IN_LEGEND = 6  # more would hide the ways
-_MOST_NAMED = 45  # runs along the timeline
+_MOST_IN_LEGEND = 6  # more would hide the trajectories
+_MOST_NAMED = 45  # runs with their names on the timeline
 _BAR = 0.7  # height of a run's bar there, as a share of its row
 _MINUTES, _HOURS, _DAYS = 300.0, 3 * 3600.0, 3 * 86400.0
 _FAILED = "#BB5566"
@@ -54,7 +54,7 @@ _FAILED = "#BB5566"
 
 @figure_style()
 def draw_single_courses(mission: MissionCourses) -> Figure:
-    """Draw the first run of each treatment, one above the other: the mean of each bin, and all samples as a band."""
+    """Draw the first run of each treatment in a panel: the mean of each bin, and a band from smallest to largest."""
     courses = list(mission.firsts.values())
     seconds = _seconds(courses)
     figure, panels = _panels([_PANEL] * len(courses), mission.phases, seconds, foot=_FOOT, hspace=0.02)
@@ -104,7 +104,7 @@ def draw_mean_courses(mission: MissionCourses) -> Figure:
 def _panels(
     heights: list[float], phases: Sequence[PhaseSpan], seconds: float, *, foot: float = 0.0, **spacing: float
 ) -> tuple[Figure, list[Any]]:
-    """Return a figure with axes of these heights above each other, and the names of the phases above all."""
+    """Return a figure with stacked axes of these heights, and the names of the phases on top."""
     strip = [strip_height(phases, seconds, COLUMN - _SIDE)] if phases else []
     figure = new_figure(COLUMN, sum(strip) + sum(heights) + foot)
     ratios = [*strip, *heights]
@@ -133,16 +133,16 @@ def _limits(courses: Sequence[Course]) -> tuple[float, float]:
         return 0.0, 1.0
     low, high = float(there.min()), float(there.max())
     margin = 0.06 * (high - low) or abs(high) * 0.05 or 1.0
-    return low - margin, high + margin + 0.16 * (high - low)  # above: room for the name of the run
+    return low - margin, high + margin + 0.16 * (high - low)  # room for the run's name on top
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
-    """The way of one run.
+class Trajectory:
+    """The trajectory of one run.
 
     Attributes:
         label: the run's treatments.
-        x, y: places in m, in the frame of the odometry.
+        x, y: positions in m, in the frame of the odometry.
     """
 
     label: str
@@ -151,8 +151,8 @@ class Way:
 
 
 @figure_style()
-def draw_trajectories(ways: Sequence[Way], *, order: Sequence[str]) -> Figure:
-    """Draw ways at the same scale along both axes; a circle marks each beginning, a cross each end."""
+def draw_trajectories(ways: Sequence[Trajectory], *, order: Sequence[str]) -> Figure:
+    """Draw trajectories with equal scales on both axes; a circle marks each beginning, a cross each end."""
     left, right, low, high = _frame(ways)
     figure, axes = new_axes(COLUMN, min(4.5, max(1.1, (COLUMN - 0.6) * (high - low) / (right - left) + 0.75)))
     named: dict[str, Any] = {}
@@ -172,7 +172,7 @@ def draw_trajectories(ways: Sequence[Way], *, order: Sequence[str]) -> Figure:
     return figure
 
 
-def _mark_ends(axes: Axes, way: Way) -> None:
+def _mark_ends(axes: Axes, way: Trajectory) -> None:
     there = np.flatnonzero(np.isfinite(way.x) & np.isfinite(way.y))
     if not len(there):
         return
@@ -181,8 +181,8 @@ def _mark_ends(axes: Axes, way: Way) -> None:
     axes.plot(way.x[last], way.y[last], marker="x", markersize=3.5, color=INK, zorder=5)
 
 
-def _frame(ways: Sequence[Way]) -> tuple[float, float, float, float]:
-    """Return left, right, low and high of the frame: around all ways, never flatter than a strip."""
+def _frame(ways: Sequence[Trajectory]) -> tuple[float, float, float, float]:
+    """Return left, right, bottom and top of a frame around all trajectories, with a minimum height."""
     xs = np.concatenate([way.x for way in ways] or [np.empty(0)])
     ys = np.concatenate([way.y for way in ways] or [np.empty(0)])
     there = np.isfinite(xs) & np.isfinite(ys)
@@ -200,11 +200,11 @@ class AttemptSpan:
     """One attempt at a run.
 
     Attributes:
-        run_id: which run.
-        label: its treatments.
+        run_id: the run's id.
+        label: the run's treatments.
         start, end: s since the experiment began.
         measured: start and end of the measurement, where both are known.
-        is_done: whether the run was done by it.
+        is_done: whether the run was done in this attempt.
     """
 
     run_id: str
@@ -217,9 +217,9 @@ class AttemptSpan:
 
 @figure_style()
 def draw_timeline(spans: Sequence[AttemptSpan], *, order: Sequence[str]) -> Figure:
-    """Draw a line for each run, with a bar for each attempt; what was measured is dark, what failed is hatched.
+    """Draw a row for each run, with a bar for each attempt: measurements are dark, failed attempts are hatched.
 
-    The marks at the ends tell the treatments.
+    The markers at the ends show the treatments.
     """
     run_ids = list(dict.fromkeys(span.run_id for span in spans))
     rows = {run_id: place for place, run_id in enumerate(run_ids)}
@@ -229,7 +229,7 @@ def draw_timeline(spans: Sequence[AttemptSpan], *, order: Sequence[str]) -> Figu
     def draw_bars(several: Sequence[AttemptSpan], edges: list[tuple[float, float]], **settings: Any) -> None:
         places = (rows[span.run_id] for span in several)
         bars = [_bar(start / scale, end / scale, place) for place, (start, end) in zip(places, edges, strict=True)]
-        # One artist for all: with one each, thousands of runs take minutes and hundreds of megabytes.
+        # A single artist: with one for each bar, thousands of runs take minutes and hundreds of megabytes.
         axes.add_collection(PolyCollection(bars, **settings))
 
     for name, look in looks_by(order).items():
@@ -238,7 +238,7 @@ def draw_timeline(spans: Sequence[AttemptSpan], *, order: Sequence[str]) -> Figu
             draw_bars(done, [(span.start, span.end) for span in done], facecolor=look.colour, alpha=0.3)
             measured = [span.measured or (span.start, span.end) for span in done]
             draw_bars(done, measured, facecolor=look.colour, alpha=1.0)
-            # Colours alone do not tell more than three apart in grey.
+            # In grey, at most three colours can be distinguished.
             places = [rows[span.run_id] for span in done]
             draw_points(axes, [span.end / scale for span in done], places, look, label=verbatim(name))
     failed = [span for span in spans if not span.is_done]

@@ -1,4 +1,4 @@
-"""How figures look (sizes, colours, markers, lines, fonts), and how they become SVG, PDF and PNG files."""
+"""The style of figures (sizes, colours, markers, lines, fonts), and their output as SVG, PDF and PNG files."""
 
 from __future__ import annotations
 
@@ -24,35 +24,35 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-#: Widths of a column and of a page of IEEE's transactions and conferences, inches.
+#: Width of a column and of a page in IEEE's transactions and conferences, inches.
 COLUMN = 3.5
 PAGE = 7.16
-#: What a page holds, inches.
+#: Height of a page, inches.
 HIGHEST = 8.5
 
-#: Letters of an axis's label that fit beneath a column's figure, and beside one as high as most are.
+#: Letters of an axis label that fit beneath a column's figure, and beside one of the usual height.
 _LINE, UPRIGHT_LINE = 42, 34
-#: Letters of names along the axis that fit beside each other.
+#: Letters of all names along an axis that fit beside each other.
 _LETTERS_BESIDE = 46
 #: Letters of a name that fit beneath a column's figure.
 _LETTERS_IN_LEGEND = 50
-#: Letters of a name before those that tell it from another.
+#: Letters that are kept before the part of a name that differs from another.
 _BEFORE = 3
-#: Letters of a treatment in the name of a combination, at the least.
+#: The smallest number of letters of a treatment in the name of a combination.
 _FEWEST = 8
-#: What a line of a legend takes, and a letter of a slanted name, inches.
+#: The height of a line in a legend, and of a letter in a slanted name, inches.
 _LEGEND_LINE, _SLANTED = 0.13, 0.02
-#: What can still be read in print, points.
+#: The smallest font size that can be read in print, points.
 _SMALLEST = 5.0
 
 INK = "#1f2933"
 GREY = "#8a94a0"
 DASHED = (0, (5, 2))
 
-#: Paul Tol's high-contrast scheme (https://sronpersonalpages.nl/~pault/): three that are told apart in grey, too.
+#: Paul Tol's high-contrast scheme (https://sronpersonalpages.nl/~pault/): three colours that also differ in grey.
 _HIGH_CONTRAST = ("#004488", "#BB5566", "#DDAA33")
-#: Okabe and Ito's palette, "Color Universal Design" (2008), without black and yellow: six that the colour-blind tell
-#: apart; markers and lines tell them apart in grey.
+#: Okabe and Ito's palette, "Color Universal Design" (2008), without black and yellow: six colours for the colour-blind;
+#: in grey, markers and lines differ.
 _UNIVERSAL = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p")
 _LINES: tuple[str | tuple[float, tuple[float, ...]], ...] = (
@@ -64,9 +64,9 @@ _LINES: tuple[str | tuple[float, tuple[float, ...]], ...] = (
     (0, (8, 2)),
 )
 
-#: It comes with matplotlib, so that a figure is the same on each machine.
+#: This font comes with matplotlib, so that figures are the same on each machine.
 _FONT = "DejaVu Sans"
-#: For letters that it lacks, where one of these is installed.
+#: Fonts for letters that it lacks, if one of these is installed.
 _FONTS_OF_OTHER_SCRIPTS = (
     "Noto Sans CJK SC", "Noto Sans CJK JP", "Noto Sans CJK KR", "WenQuanYi Zen Hei", "IPAexGothic", "Hiragino Sans",
     "PingFang SC", "Microsoft YaHei", "Noto Sans Devanagari", "Noto Sans Thai", "Noto Emoji",
@@ -86,7 +86,7 @@ _STYLE: dict[Any, Any] = {
     "axes.unicode_minus": True,
     "axes.formatter.useoffset": False,
     "text.color": INK,
-    "text.parse_math": False,  # a name with two dollar signs is no formula
+    "text.parse_math": False,  # a name with two dollar signs is not a formula
     "xtick.color": INK,
     "ytick.color": INK,
     "xtick.labelsize": 6.5,
@@ -105,16 +105,16 @@ _STYLE: dict[Any, Any] = {
     "figure.constrained_layout.h_pad": 0.03,
     "figure.constrained_layout.w_pad": 0.03,
     "savefig.facecolor": "white",
-    "svg.fonttype": "path",  # looks the same in each browser and each drawing program
-    "svg.hashsalt": "robot-runner",  # the same figure is the same file
-    "pdf.fonttype": 42,  # TrueType, as publishers ask for
+    "svg.fonttype": "path",  # the same in each browser and drawing program
+    "svg.hashsalt": "robot-runner",  # the same figure makes the same file
+    "pdf.fonttype": 42,  # TrueType, which publishers ask for
     "path.simplify_threshold": 0.2,
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """How one treatment is drawn in all figures: its colour as `#rrggbb`, matplotlib's marker and line style."""
+    """The style of one treatment in all figures: its colour as `#rrggbb`, matplotlib's marker and line style."""
 
     colour: str
     marker: str
@@ -122,7 +122,7 @@ class Look:
 
 
 def looks(count: int) -> tuple[Look, ...]:
-    """Return as many looks as there are treatments, told apart by colour, by marker and by line.
+    """Return a look for each treatment; they differ by colour, by marker and by line.
 
     Example:
         >>> [look.marker for look in looks(3)]
@@ -139,7 +139,7 @@ def _colours(count: int) -> tuple[str, ...]:
         return _HIGH_CONTRAST[:count]
     if count <= len(_UNIVERSAL):
         return _UNIVERSAL[:count]
-    # Cividis grows lighter evenly, for the colour-blind as well; its lightest part is lost on white paper.
+    # Cividis becomes lighter evenly, also for the colour-blind; its lightest part is invisible on white paper.
     cividis = colormaps["cividis"]
     return tuple(to_hex(cividis(0.9 * place / (count - 1))) for place in range(count))
 
@@ -151,13 +151,13 @@ def looks_by(order: Iterable[str]) -> dict[str, Look]:
 
 
 def _families() -> list[str]:
-    """Return the families of fonts of all figures, those that are installed."""
+    """Return the installed font families for figures."""
     fonts = {font.name for font in font_manager.fontManager.ttflist}
     return [_FONT, *(name for name in _FONTS_OF_OTHER_SCRIPTS if name in fonts)]
 
 
 def letters_without_font(texts: Iterable[str]) -> str:
-    """Return the letters of texts that no font of the figures has, each once: in figures they are boxes.
+    """Return the letters that no font of the figures has, each once: figures show them as boxes.
 
     Example:
         >>> letters_without_font(["Énergie (µJ·s⁻¹)"])
@@ -170,7 +170,7 @@ def letters_without_font(texts: Iterable[str]) -> str:
 
 @contextmanager
 def figure_style() -> Iterator[None]:
-    """While it is entered, matplotlib draws and saves in the style of this module."""
+    """Have matplotlib draw and save in the style of this module, within the context."""
     style = _STYLE | {"font.family": _families()}
     with mpl.rc_context(style), warnings.catch_warnings():
         # A letter that no font has becomes a box: `letters_without_font` tells which.
@@ -179,24 +179,24 @@ def figure_style() -> Iterator[None]:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure of a size in inches; it belongs to no window and no global list."""
+    """Return an empty figure of this size, inches; it has no window and is in no global list."""
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def new_axes(width: float, height: float) -> tuple[Figure, Axes]:
-    """Return such a figure with one pair of axes in it."""
+    """Return such a figure with one pair of axes."""
     figure = new_figure(width, height)
     return figure, figure.subplots()
 
 
 def draw_points(axes: Axes, x: Any, y: Any, look: Look, *, edge: float = 0.3, **settings: Any) -> None:
-    """Draw values as points with a white edge, by which they are told apart where they lie on each other."""
+    """Draw values as points with a white edge, so that overlapping points can be distinguished."""
     settings |= {"markeredgecolor": "white", "markeredgewidth": edge}
     axes.plot(x, y, linestyle="none", marker=look.marker, color=look.colour, **settings)
 
 
 def name_places(figure: Figure, axes: Axes, names: Sequence[str]) -> None:
-    """Name the places 0, 1, 2, ... along a figure; at a slant, and the figure higher, where names would touch."""
+    """Name the positions 0, 1, 2, ... on the x axis; if names would touch, slant them and make the figure higher."""
     shown = shortened_apart(names)
     longest = max(map(len, shown), default=0)
     is_crowded = sum(map(len, shown)) > _LETTERS_BESIDE or longest * len(shown) > _LETTERS_BESIDE
@@ -207,7 +207,7 @@ def name_places(figure: Figure, axes: Axes, names: Sequence[str]) -> None:
 
 
 def label_axes(axes: Axes, x: str = "", y: str = "", *, grid: Literal["both", "x", "y"]) -> None:
-    """Name the axes of a figure that have a name, and draw a grid."""
+    """Label the axes for which a text is given, and draw a grid."""
     if x:
         axes.set_xlabel(wrapped(x))
     if y:
@@ -216,9 +216,9 @@ def label_axes(axes: Axes, x: str = "", y: str = "", *, grid: Literal["both", "x
 
 
 def add_legend(figure: Figure, count: int, *, most: int | None = None, columns: int = 3, **settings: Any) -> None:
-    """Name the treatments beneath a figure, unless there is one or there are more than `most`.
+    """Draw a legend of the treatments beneath a figure, unless there is only one or more than `most`.
 
-    Names that do not fit beside each other stand in fewer columns than `columns`, and the figure is higher.
+    If names do not fit beside each other, the legend has fewer columns than `columns`, and the figure becomes higher.
     """
     if not 1 < count <= (most or count):
         return
@@ -236,7 +236,7 @@ def add_legend(figure: Figure, count: int, *, most: int | None = None, columns: 
 
 
 def shortened(label: str, longest: int = 28) -> str:
-    """Return a name on one line that fits beside an axis: with its end, by which long names often differ.
+    """Shorten a name to one line beside an axis, and keep its end, by which long names often differ.
 
     Example:
         >>> shortened("planner with recovery, cautious", 24)
@@ -247,7 +247,7 @@ def shortened(label: str, longest: int = 28) -> str:
 
 
 def shortened_apart(labels: Sequence[str], longest: int = 28) -> list[str]:
-    """Return names that fit beside an axis; those that would read the same begin shortly before they differ.
+    """Shorten names to fit beside an axis; names that would become equal begin shortly before they differ.
 
     Example:
         >>> shortened_apart(["config/nav2_dwb_fast_params.yaml", "config/nav2_dwb_slow_params.yaml"], 24)
@@ -268,14 +268,14 @@ def shortened_apart(labels: Sequence[str], longest: int = 28) -> list[str]:
         return shown
     parts = [label.split(" / ") for label in labels]
     if len({len(each) for each in parts}) > 1 or len(parts[0]) == 1:
-        return shortened_apart(labels, 2 * longest)  # it takes more room
-    # Of combinations each factor differs in a place of its own.
+        return shortened_apart(labels, 2 * longest)  # only longer names differ
+    # In combinations, names are shortened factor by factor.
     of_factors = (shortened_apart(each, max(_FEWEST, longest // len(parts[0]))) for each in zip(*parts, strict=True))
     return list(map(" / ".join, zip(*of_factors, strict=True)))
 
 
 def wrapped(text: str, line: int = _LINE) -> str:
-    r"""Return a text for an axis, on as many lines as it takes, each of so many letters at most.
+    r"""Wrap the label of an axis into lines of at most so many letters.
 
     Example:
         >>> wrapped("Difference of Ina219.Energy and PowerModel.Energy (J)")
@@ -285,7 +285,7 @@ def wrapped(text: str, line: int = _LINE) -> str:
 
 
 def verbatim(text: str, kept: str = "") -> str:
-    r"""Return a text on one line, without characters that no font has, such as those that turn the reading direction.
+    r"""Return a text on one line, without invisible characters such as those that change the reading direction.
 
     Example:
         >>> verbatim("two\nlines")
@@ -298,22 +298,22 @@ def verbatim(text: str, kept: str = "") -> str:
 
 _LONGEST = 80  # letters of a file's name
 
-#: Of so many points nobody tells one from the other.
+#: From this number on, single points cannot be distinguished.
 _CROWD = 600
 _NO_MARKERS = (None, "", " ", "none", "None")
 
 
 class FigureFormat(Enum):
-    """The kinds of files."""
+    """The file formats of figures."""
 
     SVG = "svg"
     PDF = "pdf"
     PNG = "png"
 
 
-#: Of a position on a figure, as a share of its size: a tenth of a pixel.
+#: Decimals of a position on a figure, as a share of its size: a tenth of a pixel.
 _DIGITS = 4
-#: What journals ask of line art at least; in SVG, which a page holds dozens of, only crowds are pixels.
+#: The minimum that journals ask for; lower in SVG, as a page has dozens of them, and only crowds become pixels there.
 _DPI = {FigureFormat.SVG: 150, FigureFormat.PDF: 300, FigureFormat.PNG: 300}
 #: No dates, so that the same figure is the same file.
 _METADATA = {FigureFormat.SVG: {"Date": None}, FigureFormat.PDF: {"CreationDate": None}, FigureFormat.PNG: {}}
@@ -324,13 +324,13 @@ def figure_bytes(figure: Figure, kind: FigureFormat) -> bytes:
     into = io.BytesIO()
     with figure_style():
         _settle(figure)
-        _flatten_crowds(figure)
+        _rasterise_crowds(figure)
         figure.savefig(into, format=kind.value, dpi=_DPI[kind], metadata=_METADATA[kind])
     return into.getvalue()
 
 
 def _settle(figure: Figure) -> None:
-    """Lay the figure out once, and round: the last digits of the solver differ from process to process."""
+    """Lay out the figure once, and round positions: the last digits of the solver differ between processes."""
     engine = figure.get_layout_engine()
     if engine is None:
         return
@@ -338,14 +338,14 @@ def _settle(figure: Figure) -> None:
     changed = [_shrink_long_labels(figure), _clear_multipliers(figure)]
     if any(changed):
         engine.execute(figure)
-    figure.set_layout_engine(None)  # and not "none", which keeps a stand-in for which all is drawn once more
+    figure.set_layout_engine(None)  # "none" would keep a placeholder engine, for which everything is drawn once more
     for axes in figure.axes:
         left, bottom, width, height = (round(edge, _DIGITS) for edge in axes.get_position().bounds)
         axes.set_position((left, bottom, width, height))
 
 
 def _shrink_long_labels(figure: Figure) -> bool:
-    """Write labels smaller that would reach beyond the figure's upper or lower edge; return whether there are any."""
+    """Shrink labels that would reach beyond the figure's upper or lower edge; return whether there are any."""
     found = False
     for axes in figure.axes:
         label = axes.yaxis.label
@@ -359,7 +359,7 @@ def _shrink_long_labels(figure: Figure) -> bool:
 
 
 def _clear_multipliers(figure: Figure) -> bool:
-    """Keep labels off the power of ten by which the numbers of an axis are multiplied; return whether there is any."""
+    """Move labels away from the multiplier (a power of ten) of an axis; return whether there is any."""
     found = False
     for axes in figure.axes:
         multiplier = axes.xaxis.get_offset_text()
@@ -369,8 +369,8 @@ def _clear_multipliers(figure: Figure) -> bool:
     return found
 
 
-def _flatten_crowds(figure: Figure) -> None:
-    """Have crowds of points and bars kept as pixels in SVG and PDF too, which would hold some 200 bytes for each."""
+def _rasterise_crowds(figure: Figure) -> None:
+    """Rasterise crowds of points and bars in SVG and PDF, too, where each would take about 200 bytes."""
     for axes in figure.axes:
         points = [line for line in axes.lines if line.get_marker() not in _NO_MARKERS]
         crowds: tuple[Sequence[Artist], ...] = (points, axes.collections)
@@ -384,7 +384,7 @@ def _flatten_crowds(figure: Figure) -> None:
 
 
 def file_name(text: str) -> str:
-    """Return a name of letters, digits, hyphens and underscores that any file system, URL and LaTeX takes.
+    """Return a name of letters, digits, hyphens and underscores, which is valid in file systems, URLs and LaTeX.
 
     Example:
         >>> file_name("Energy (J) of ../Größe")

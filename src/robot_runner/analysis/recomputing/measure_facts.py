@@ -1,4 +1,4 @@
-"""What a recomputation has to know of one measure: what was compared by which procedure, and what the report says."""
+"""The facts of one measure for a recomputation: its comparisons, their procedures, and the reported numbers."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
     Model = CellMeans | FittedModel | StrataModel | LenthModel | SurfaceModel
 
-#: The procedure that carries out each test of the report, by what the report calls it.
+#: The procedure of each test of the report, by the test's name in the report.
 _PROCEDURES = {
     "Welch's t": "welch",
     "t within blocks": "welch",
@@ -67,9 +67,9 @@ _PROCEDURES = {
     "response surface": "model",
     LENTH: "lenth",
 }
-#: The models that scripts know how to fit again; of others they take the p-values from the report.
+#: The models that scripts can fit; for others they take the p-values from the report.
 _KNOWN = (CellMeans, FittedModel, StrataModel, LenthModel, SurfaceModel)
-#: Combinations of the factors of a fraction that scripts go through.
+#: The most combinations of the factors of a fraction that scripts can handle.
 _MOST_CELLS = 5_000
 _OF_BLOCKS, _BOOTSTRAP = " of blocks", ", parametric bootstrap"
 
@@ -85,7 +85,7 @@ def facts_of_measure(
     key_of: Callable[[str], str],
     beside: str = "",
 ) -> MeasureFacts:
-    """Return what a recomputation has to know of one measure, whose left-out runs the design is without already."""
+    """Return the facts of one measure; the design is already without its left-out runs."""
     data = design.data(measure.name) or design.answers(measure.name)
     assert data is not None  # noqa: S101 - it has statistics
     label = f"{measure.name} {beside}".rstrip()
@@ -98,12 +98,12 @@ def facts_of_measure(
     together = measure.drift is not None and bool(measure.drift.within)
     designed = designed_facts(data, design.results, keeps_together=together) if measure.proportions is None else None
     if measure.proportions is None and designed is None and (data.covariates or not data.known.is_plain):
-        # Scripts do not know their residuals.
-        left = [*residuals.values(), *_left(measure)]
+        # Scripts cannot compute their residuals.
+        left = [*residuals.values(), *_not_recomputed(measure)]
         residuals = dict.fromkeys(residuals, Reported())
     elif measure.proportions is None and measure.test is not None:
         compared = _compared(data, measure, choices, hypotheses, effect_keys, contrast_keys, designed)
-        left = [] if compared is not None else _left(measure)
+        left = [] if compared is not None else _not_recomputed(measure)
     if left:
         p_values = {effect_keys[each.factors]: each.p_value for each in effects}
         p_values |= {contrast_keys[each.statement]: each.p_value for each in measure.contrasts}
@@ -132,7 +132,7 @@ def facts_of_measure(
 
 
 def _groups(measure: MeasureStatistics) -> Iterator[tuple[tuple[str, ...], list[Description | Proportion]]]:
-    """Yield the groups that are described, by the factors that they differ in."""
+    """Yield the described groups, by their factors."""
     groups: dict[tuple[str, ...], list[Description | Proportion]] = {}
     described = measure.proportions or measure
     if described.overall is not None:
@@ -145,12 +145,12 @@ def _groups(measure: MeasureStatistics) -> Iterator[tuple[tuple[str, ...], list[
 def _answered(
     data: MeasureData, measure: MeasureStatistics, effect_keys: Mapping[tuple[str, ...], str]
 ) -> Answered | None:
-    """Return what is computed of a measure that is yes or no; None of others."""
+    """Return the facts of a yes-or-no measure; None for others."""
     if measure.proportions is None:
         return None
     effects = measure.test.effects if measure.test is not None else ()
     known = [each for each in effects if each.p_value is not None]
-    # Those of three and more treatments are drawn at random.
+    # P-values for three or more treatments are random.
     drawn = {each.factors: each.p_value for each in known if len(data.levels(each.factors[0])) > _PAIR}
     rows = [
         (
@@ -177,8 +177,8 @@ def _answered(
     )
 
 
-def _left(measure: MeasureStatistics) -> list[Reported]:
-    """Return the tables of tests that are not computed again."""
+def _not_recomputed(measure: MeasureStatistics) -> list[Reported]:
+    """Return the tables of tests that are not recomputed."""
     pairs = (_paired(each, "", "ranks", None).reported for each in measure.post_hoc)
     surface = None if measure.surface is None else surface_facts(measure.surface)
     of_surface = () if surface is None else (surface.reported, surface.whole)
@@ -194,7 +194,7 @@ def _compared(
     contrast_keys: Mapping[str, str],
     designed: Designed | None,
 ) -> Compared | None:
-    """Return what is compared of a measure, and how; None where that is not known here."""
+    """Return the comparisons of a measure and their procedures; None if scripts do not support them."""
     used, _, _ = comparable(data)
     model = model_of(used, choices.estimand, choices.statistic)
     beside = model_of(used, check_estimand(choices.estimand), choices.statistic)
@@ -250,21 +250,21 @@ def _kind(model: FittedModel | StrataModel | LenthModel | SurfaceModel) -> str:
 
 
 def _is_designed(model: Model, measure: MeasureStatistics) -> bool:
-    """Return whether scripts know the model of a design."""
+    """Return whether scripts support the model of a special design."""
     if isinstance(model, CellMeans):
         return prod(map(len, model.layout.factors.values())) <= _MOST_CELLS
     return not (isinstance(model, LenthModel | SurfaceModel) and measure.contrasts)
 
 
 def _is_known(model: object) -> bool:
-    """Return whether scripts know the comparisons of factors that apply to some runs only."""
+    """Return whether scripts support a model with conditional factors."""
     if not isinstance(model, CellMeans):
         return False
     return model.layout.inverse is None and not (model.layout.is_blocked and model.layout.between)
 
 
 def _terms(model: Model) -> tuple[tuple[bool, ...], ...]:
-    """Return the effects of a factorial some of whose combinations have no run; nothing of any other."""
+    """Return the effects of an incomplete factorial; empty for any other."""
     if not isinstance(model, CellMeans):
         return ()
     return tuple(tuple(name in term for name in model.layout.factors) for term in model.layout.terms)
@@ -275,7 +275,7 @@ def _levels(model: Model) -> dict[str, list[str]]:
 
 
 def _effect(effect: Effect, key: str, tested: str, checked: str, data: MeasureData) -> TestedEffect:
-    """Return an effect with the procedures that test it."""
+    """Return an effect with the procedures of its test and its check."""
     has_check = effect.check is not None and effect.check.p_value is not None
     test, check = tested.removesuffix(_BOOTSTRAP), checked.removesuffix(_BOOTSTRAP) if has_check else ""
     return TestedEffect(
@@ -291,14 +291,14 @@ def _effect(effect: Effect, key: str, tested: str, checked: str, data: MeasureDa
 
 
 def _levels_of(effect: Effect, data: MeasureData) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """Return the treatments of an effect's factors where all of them apply; nothing where all apply everywhere."""
+    """Return the treatments of an effect's factors where all of them apply; empty without conditional factors."""
     if not (treatments := data.treatments).conditions:
         return ()
     return tuple(zip(effect.factors, map(tuple, treatments.levels(effect.factors)), strict=True))
 
 
 def _procedures(model: Model | NotComputed) -> dict[tuple[str, ...], str]:
-    """Return what the test of each effect is called, but for blocks."""
+    """Return the name of the test of each effect, without "of blocks"."""
     if isinstance(model, NotComputed):
         return {}
     with quiet():
@@ -306,7 +306,7 @@ def _procedures(model: Model | NotComputed) -> dict[tuple[str, ...], str]:
 
 
 def _is_uniform(model: Model | NotComputed) -> bool:
-    """Return whether all combinations vary, as the functions of R and scipy take for granted."""
+    """Return whether all combinations vary, as the functions of R and scipy assume."""
     return not isinstance(model, CellMeans) or bool(np.all(np.einsum("gcc->gc", model.moments.errors) > 0))
 
 
@@ -324,7 +324,7 @@ def _paired(post_hoc: PostHoc, key: str, of: str, data: MeasureData | None) -> P
 
 
 def _chosen(post_hoc: PostHoc, data: MeasureData | None) -> tuple[int, ...]:
-    """Return which of all pairs of treatments are compared, from 1; nothing where all are."""
+    """Return the numbers, from 1, of the compared pairs among all pairs; empty if all are compared."""
     if data is None or not data.known.is_one_at_a_time:
         return ()
     compared = {(each.first, each.second) for each in post_hoc.comparisons}

@@ -1,4 +1,4 @@
-"""Threats to validity from the computers on which something was measured: what changed there between runs."""
+"""Threats to validity from changes between runs on the computers of an experiment."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import enumerated
 
-#: The profiler whose files are read; its class as the manifest has it.
+#: The profiler whose files are read, by the class name in the manifest.
 _WATCH = ":MachineWatch"
-#: From which difference between runs on something is said: of the mean frequency, in parts of one, and degC.
+#: Smallest reported differences between runs: of the mean frequency, as a share, and of the temperature, degC.
 _FREQUENCY, _TEMPERATURE = 0.1, 10.0
 _GIGA, _DEGREES = 1e9, "\N{DEGREE SIGN}C"
 
 
 def read_machines(material: Material) -> dict[str, dict[str, Mapping[str, Any]]]:
-    """Return what was noted of each computer in each run that is done, by host and by run."""
+    """Return the notes on each computer in each run that is done, by host and by run."""
     watches = [
         str(plugin.get("name"))
         for plugin in material.manifest("plugins", default=[])
@@ -37,7 +37,7 @@ def read_machines(material: Material) -> dict[str, dict[str, Mapping[str, Any]]]
 
 
 def machine_threats(material: Material) -> Iterator[tuple[str, str, Tone]]:
-    """Yield what was not the same on a computer in all runs, and what was left to chance."""
+    """Yield settings of a computer that differed between runs, and settings that were not controlled."""
     for host, runs in read_machines(material).items():
         whose = "this machine" if host == "localhost" else host
         yield from _governor(whose, runs)
@@ -58,8 +58,8 @@ def _governor(whose: str, runs: Mapping[str, Mapping[str, Any]]) -> Iterator[tup
     for governor, turbo in settings:
         if turbo == "on" or governor not in {"", "performance"}:
             text = (
-                f"It was left to {_setting(governor, turbo)} to choose the frequency of its processor: energy and time "
-                f"of one and the same program differ by heat and by what ran before. `Tune` fixes it."
+                f"The frequency of the processor depended on {_setting(governor, turbo)}: energy and time of the same "
+                "program differ by temperature and by what ran before. `Tune` fixes the frequency."
             )
             yield f"The frequency of {whose} was not fixed", text, Tone.NOTE
 
@@ -74,7 +74,7 @@ def _frequency(whose: str, runs: Mapping[str, Mapping[str, Any]]) -> Iterator[tu
     if len(means) > 1 and max(means.values()) > (1 + _FREQUENCY) * min(means.values()):
         slowest, fastest = min(means, key=means.__getitem__), max(means, key=means.__getitem__)
         text = (
-            f"Its cores ran at {means[slowest] / _GIGA:.2f} GHz on average in {slowest}, and at "
+            f"The cores ran at {means[slowest] / _GIGA:.2f} GHz on average in {slowest}, and at "
             f"{means[fastest] / _GIGA:.2f} GHz in {fastest}."
         )
         yield f"The frequency of {whose} differs between runs", text, Tone.WARNING
@@ -85,8 +85,9 @@ def _temperature(whose: str, runs: Mapping[str, Mapping[str, Any]]) -> Iterator[
     if len(means) > 1 and max(means.values()) - min(means.values()) >= _TEMPERATURE:
         coolest, hottest = min(means, key=means.__getitem__), max(means, key=means.__getitem__)
         text = (
-            f"It was at {means[coolest]:.0f} {_DEGREES} in {coolest}, and at {means[hottest]:.0f} {_DEGREES} in "
-            f"{hottest}: a hot processor draws more power for the same work. Let it rest between runs, or warm it up."
+            f"The processor was at {means[coolest]:.0f} {_DEGREES} in {coolest}, and at {means[hottest]:.0f} "
+            f"{_DEGREES} in {hottest}: a hot processor draws more power for the same work. Let it rest between runs, "
+            "or warm it up."
         )
         yield f"The temperature of {whose} differs between runs", text, Tone.NOTE
 

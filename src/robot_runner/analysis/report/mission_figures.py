@@ -1,4 +1,4 @@
-"""Figures of missions: sampled measures over time (the paper's Fig. 4), the ways of robots, what lab cameras saw."""
+"""Figures of missions: sampled measures over time (the paper's Fig. 4), trajectories of robots, stills of cameras."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from matplotlib.image import imread
 
 from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.figures.courses import Course, MissionCourses, PhaseSpan, bin_width, course_of_run
-from robot_runner.analysis.figures.missions import Way, draw_mean_courses, draw_single_courses, draw_trajectories
+from robot_runner.analysis.figures.missions import Trajectory, draw_mean_courses, draw_single_courses, draw_trajectories
 from robot_runner.analysis.figures.style import GREY, HIGHEST, PAGE, new_figure, shortened
 from robot_runner.analysis.report.blocks import Beside, Block, FigureBlock, Gallery, Paragraph, Part, Tone, one_word
 from robot_runner.analysis.report.charts import course_chart
@@ -33,17 +33,17 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.results import Results
 
-    #: By run and its treatments: what each still shows, and its file.
+    #: The caption and the file of each still, by run and its treatments.
     Stills = dict[str, tuple[tuple[str, Path], ...]]
 
 _MOST_MEASURES = 4
-#: More lines than that cannot be told apart in a column.
+#: More lines cannot be distinguished in a column.
 _MOST_GROUPS = 6
-#: More ways than that hide each other.
+#: More trajectories would hide each other.
 _MOST_WAYS = 60
 _MARKED = ("launch_mission", "stop_measurement")
 _ACRONYMS = frozenset({"cpu", "gpu", "ram", "rss"})
-#: What columns are left out because others of the same file say the same in units that people read.
+#: Columns of raw counts, which are left out if the same file has others, in readable units.
 _RAW = ("_raw", "_counts", "_ticks")
 
 
@@ -52,11 +52,11 @@ class SampledMeasure:
     """One column of raw samples.
 
     Attributes:
-        file: where it is.
-        column: its heading there, such as `power_W`.
-        source: the plugin that wrote the file; with the file's name where it wrote several of those that are shown.
-        title: what it is, as in `Power`, and of which source where several sources have it.
-        unit: its unit; empty where the heading does not tell.
+        file: its kind of file.
+        column: its heading, such as `power_W`.
+        source: the plugin that wrote the file, with the file's name where several of its files are shown.
+        title: the name of the quantity, such as `Power`, with the source where several sources have it.
+        unit: its unit; empty where the heading has none.
         origin: `measured`, `simulated`, `estimated`, or None.
     """
 
@@ -69,13 +69,13 @@ class SampledMeasure:
 
     @property
     def label(self) -> str:
-        """A heading for an axis, as in `Power (W)`."""
+        """The label of its axis, as in `Power (W)`."""
         return f"{self.title} ({self.unit})" if self.unit else self.title
 
 
 def sampled_measures(results: Results) -> tuple[SampledMeasure, ...]:
-    """Return the columns of samples that are shown: of each file power if it has any, else its first columns."""
-    files = [file for file in results.sample_files if not is_way(file.columns)]
+    """Return the columns of samples to show: of each file power if it has any, otherwise its first columns."""
+    files = [file for file in results.sample_files if not are_positions(file.columns)]
     found = [
         _measure(results, file, column, source_of(file, files)) for file in files for column in _leading(file.columns)
     ]
@@ -87,12 +87,12 @@ def sampled_measures(results: Results) -> tuple[SampledMeasure, ...]:
 
 
 def source_of(file: SampleFile, among: Iterable[SampleFile]) -> str:
-    """Return the plugin that wrote a file, with the file's name where it wrote several of these."""
+    """Return the plugin that wrote a file, with the file's name if it wrote several of these."""
     return file.plugin if sum(each.plugin == file.plugin for each in among) == 1 else file.label
 
 
-def is_way(columns: Sequence[str]) -> bool:
-    """Whether samples are places on a floor."""
+def are_positions(columns: Sequence[str]) -> bool:
+    """Return whether samples are positions in a plane."""
     return {"x_m", "y_m"} <= set(columns)
 
 
@@ -116,7 +116,7 @@ def _origin(results: Results, plugin: str) -> str | None:
 
 
 def mission_parts(material: Material) -> Iterator[Part]:
-    """Yield a part for each sampled measure that runs which are done have samples of."""
+    """Yield a part for each measure of which runs that are done have samples."""
     if not len(material.done):
         return
     groups = _shown_groups(material)
@@ -129,7 +129,7 @@ def mission_parts(material: Material) -> Iterator[Part]:
 
 
 def mission_courses(material: Material, measure: SampledMeasure, groups: Sequence[str]) -> MissionCourses:
-    """Return a sampled measure over the mission, of all runs of these combinations that are done and have samples."""
+    """Return a measure over the mission, of all runs of these combinations that are done and have samples."""
     samples = _samples(material, measure, groups)
     spans = [(float(time[-1] - time[0]), len(time)) for time, _ in samples.values()]
     longest = max((span for span, _ in spans), default=1.0)
@@ -143,7 +143,7 @@ def mission_courses(material: Material, measure: SampledMeasure, groups: Sequenc
 
 
 def _samples(material: Material, measure: SampledMeasure, groups: Sequence[str]) -> dict[str, tuple[Floats, Floats]]:
-    """Return times, ascending, and values of each run that has two samples of its mission at least."""
+    """Return ascending times and values of each run with at least two samples of its mission."""
     file, labels = measure.file, material.labels
     samples = material.results.samples(
         file.plugin,
@@ -153,7 +153,7 @@ def _samples(material: Material, measure: SampledMeasure, groups: Sequence[str])
         with_factors=False,
         with_phases=False,
     )
-    # A clock that was set back, or a plugin with several threads, writes samples in another order.
+    # Samples are out of order if a clock was set back, or if a plugin has several threads.
     samples = samples[samples["in_window"] & np.isfinite(samples["time_s"])]
     samples = samples.sort_values(["run_id", "time_s"], kind="stable")
     times = samples["time_s"].to_numpy(dtype="float64")
@@ -163,7 +163,7 @@ def _samples(material: Material, measure: SampledMeasure, groups: Sequence[str])
 
 
 def _phases(material: Material, run_ids: list[str]) -> tuple[PhaseSpan, ...]:
-    """Return the phases of the mission, where all runs went through the same ones in turn; their median times."""
+    """Return the phases of the mission at their median times, if all runs have the same phases in the same order."""
     phases = material.results.phases(run_ids) if run_ids else pd.DataFrame()
     if phases.empty:
         return ()
@@ -177,7 +177,7 @@ def _phases(material: Material, run_ids: list[str]) -> tuple[PhaseSpan, ...]:
 
 
 def _events(material: Material, run_ids: list[str]) -> dict[str, float]:
-    """Return when events were, s since the start of the mission; the median of all runs."""
+    """Return the times of events, s since the start of the mission: the median of all runs."""
     events = material.results.events(run_ids) if run_ids else pd.DataFrame()
     if events.empty:
         return {}
@@ -227,9 +227,9 @@ def _figures(measure: SampledMeasure, mission: MissionCourses) -> Iterator[Figur
 
 
 def trajectory_part(material: Material) -> Iterator[Part]:
-    """Yield a part with a figure for each robot whose way was kept."""
+    """Yield a part with a figure for each robot whose trajectory was recorded."""
     figures = []
-    files = [file for file in material.results.sample_files if is_way(file.columns)]
+    files = [file for file in material.results.sample_files if are_positions(file.columns)]
     for file in files:
         runs = [run_id for run_id in material.done[RUN_ID] if run_id in file.paths]
         if runs:
@@ -245,7 +245,9 @@ def _figure(material: Material, file: SampleFile, source: str, runs: list[str]) 
         file.plugin, file=file.name, runs=shown, columns=["x_m", "y_m"], with_factors=False, with_phases=False
     )
     ways = [
-        Way(material.labels[str(run_id)], way["x_m"].to_numpy(dtype="float64"), way["y_m"].to_numpy(dtype="float64"))
+        Trajectory(
+            material.labels[str(run_id)], way["x_m"].to_numpy(dtype="float64"), way["y_m"].to_numpy(dtype="float64")
+        )
         for run_id, way in samples.groupby("run_id", observed=True)
     ]
     whose = "all runs that are done" if len(shown) == len(runs) else f"{len(shown)} of {counted(len(runs), 'run')}"
@@ -257,7 +259,7 @@ def _figure(material: Material, file: SampleFile, source: str, runs: list[str]) 
     )
 
 
-#: What a camera notes beside its stills: `runs/<run id>/<plugin>/stills.json`.
+#: The file of a camera's notes on its stills: `runs/<run id>/<plugin>/stills.json`.
 _STILLS = "stills.json"
 #: More rows would be too small to see anything.
 _MOST_RUNS = 8
@@ -265,7 +267,7 @@ _MOST_STILLS = 8
 
 
 def stills_part(material: Material) -> Iterator[Part]:
-    """Yield a part with a figure for each camera that kept stills of runs which are done."""
+    """Yield a part with a figure for each camera that has stills of runs that are done."""
     folder = ExperimentFolder(material.results.folder)
     cameras: dict[str, Stills] = {}
     for run_id in map(str, material.done[RUN_ID]):
@@ -293,7 +295,7 @@ def _stills_figure(camera: str, runs: Stills) -> FigureBlock:
 
 
 def _stills(path: Path, root: Path) -> tuple[tuple[str, Path], ...]:
-    """Return what each still shows, and its file; what is no such note, or leads elsewhere, is passed over."""
+    """Return the caption and the file of each still; other entries, and paths outside the folder, are ignored."""
     listed = noted(path, root)
     notes = [note for note in listed if isinstance(note, dict)] if isinstance(listed, list) else []
     found = ((str(note.get("label")), path.parent / str(note.get("file"))) for note in notes)
@@ -314,7 +316,7 @@ _LETTERS = 24
 
 
 def draw_stills(runs: Stills) -> Figure:
-    """Draw the stills of runs, a row for each run; a file that cannot be read leaves its place empty."""
+    """Draw the stills of runs, a row for each run; the place of an unreadable file stays empty."""
     columns = max(map(len, runs.values()))
     figure = new_figure(PAGE, min(HIGHEST, len(runs) * (0.68 * PAGE / columns + 0.2)))
     grid = figure.subplots(len(runs), columns, squeeze=False)

@@ -1,9 +1,9 @@
-"""Which effects the combinations of a design can tell apart: those that are tested, and what each is aliased with.
+"""Aliasing: which effects the combinations of a design can estimate separately, and the aliases of each.
 
-Effects are taken in their order, main effects first. One that is orthogonal to all before it is tested; one that these
-explain completely is their alias; one in between is mixed with them in part, and not tested. For regular fractions that
-is the structure of the defining relation (Box and Hunter, The 2^(k-p) fractional factorial designs, Technometrics 3,
-1961); it needs no generators, and holds for factors of any number of treatments.
+Effects are considered in order, main effects first. An effect that is orthogonal to all earlier ones is tested. One
+that these explain completely is their alias. One in between is partially aliased, and not tested. For regular fractions
+this is the structure of the defining relation (Box and Hunter, The 2^(k-p) fractional factorial designs, Technometrics
+3, 1961). It needs no generators, and is valid for factors with any number of treatments.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ import numpy as np
 from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.effect_coding import Factors, Term
 
-#: Interactions of more factors can hardly be interpreted.
+#: The most factors of an interaction: larger ones can hardly be interpreted.
 _MOST_FACTORS = 3
-#: More interactions are not looked at: the list of aliases would not be read.
+#: The most effects that are considered: nobody would read a longer list of aliases.
 _MOST_TERMS = 5_000
-#: Shares below this, or above 1 less this, are what rounding leaves of none and of all.
+#: Shares below this count as 0, and above 1 minus this as 1: the difference is rounding.
 _ROUNDING = 1e-8
 
 
 class Aliasing(NamedTuple):
-    """What the combinations can tell.
+    """The effects that combinations can estimate.
 
     Attributes:
         terms: the effects that are tested.
-        aliases: the effects that are completely explained by each of them.
-        mixed: the tested effects that others are mixed with in part.
+        aliases: for each of them, the effects that it explains completely.
+        mixed: the tested effects that are partially aliased with others.
     """
 
     terms: tuple[Term, ...]
@@ -43,13 +43,13 @@ class Aliasing(NamedTuple):
 def aliasing_of(
     factors: Factors, codes: Mapping[str, Numbers], *, main_only: bool = False, together: int = 1
 ) -> Aliasing:
-    """Return what combinations can tell.
+    """Return the effects that combinations can estimate, and their aliases.
 
     Args:
         factors: the factors, with their treatments.
-        codes: the number of the treatment of each combination, by factor; each combination once.
-        main_only: whether interactions are left out, as of designs that are made for main effects.
-        together: effects of so many factors are estimated together where they are not orthogonal.
+        codes: the index of the treatment of each combination, by factor; each combination once.
+        main_only: whether interactions are left out, as for designs that are made for main effects.
+        together: effects of up to this many factors are kept if they are estimable, even if they are not orthogonal.
 
     Example:
         >>> a, b = np.array([0, 1, 0, 1]), np.array([0, 0, 1, 1])
@@ -69,7 +69,7 @@ def aliasing_of(
         columns = factors.columns(codes, [term])[term]
         told = basis.T @ columns
         share = float(np.sum(told**2) / np.sum(columns**2))
-        if share < _ROUNDING or (len(term) <= together and _leaves_all(basis, columns)):
+        if share < _ROUNDING or (len(term) <= together and _is_estimable(basis, columns)):
             kept[term] = columns
             basis = np.column_stack([basis, _orthonormal(columns - basis @ told)])
             continue
@@ -91,7 +91,7 @@ def _candidates(names: Sequence[str], *, main_only: bool) -> Iterator[Term]:
         yield from combinations(names, size)
 
 
-def _leaves_all(basis: Floats, columns: Floats) -> bool:
+def _is_estimable(basis: Floats, columns: Floats) -> bool:
     rest = columns - basis @ (basis.T @ columns)
     return bool(np.linalg.matrix_rank(rest, tol=_ROUNDING * len(rest)) == columns.shape[1])
 

@@ -1,4 +1,4 @@
-"""The means of combinations compared, each with a variance of its own; of blocks, with a covariance of their own."""
+"""Comparison of the means of combinations with a separate variance each; with blocks, an unrestricted covariance."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ from robot_runner.core.design.analysis_plan import Estimand, Statistic
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.cell_layout import EffectContrast, Layout
 
-#: Errors smaller than this, beside the values, are what rounding leaves behind.
+#: Standard errors smaller than this, relative to the values, are rounding.
 _ROUNDING = 1e-12
 
 _PAIR = 2
 
-#: The fewest degrees of freedom, for each contrast and group, with which Huynh and Feldt's correction holds its level
+#: The fewest degrees of freedom, per contrast and group, with which Huynh and Feldt's correction holds its level
 #: (3.7 to 6.5 % at 5 %; with fewer up to 9 %), by simulation.
 _FREEDOM_A_CONTRAST = 2
 
-#: Of eight blocks the signs make 128 patterns, so that p-values are 0.008 and more; with fewer, hardly anything is
-#: found in a family of tests.
+#: Eight blocks have 128 patterns of signs, so the smallest p-value is 0.008; with fewer blocks, a family of tests has
+#: hardly any power.
 _FEWEST_FLIPPED = 8
 
-#: What each kind of test is called.
+#: The names of the tests.
 WELCH_T, WELCH_ANOVA, WELCH_JAMES = "Welch's t", "Welch's ANOVA", "Welch-James"
 ANOVA_TYPE, BOOTSTRAP = "ANOVA-type", ", parametric bootstrap"
 BLOCK_T, GREENHOUSE_GEISSER, HUYNH_FELDT = "t within blocks", "Greenhouse-Geisser", "Huynh-Feldt"
@@ -57,18 +57,18 @@ SIGN_FLIPS = ", sign flips"
 
 @dataclass(frozen=True)
 class CellMeans:
-    """The estimates of all combinations, and the tests of effects among them.
+    """The estimated means of all combinations, and the tests of effects.
 
-    Everything may have leading axes, one experiment each.
+    All arrays may have leading axes, one entry for each simulated experiment.
 
     Attributes:
         layout: of the experiment.
         moments: of the combinations.
-        estimand: what is estimated of each.
+        estimand: of each combination.
         statistic: which tests several contrasts at once.
         draws: of the bootstrap.
-        units: the means of cells in each block, (..., blocks, cells); None of runs of their own.
-        averaged_out: what of the variance of a run the means of cells in blocks leave out.
+        units: the means of cells in each block, (..., blocks, cells); None for independent runs.
+        averaged_out: the part of the variance of a run that is averaged out in the means of cells in blocks.
     """
 
     layout: Layout
@@ -90,9 +90,9 @@ class CellMeans:
     ) -> CellMeans:
         """Estimate the means of all combinations from the values of all runs.
 
-        Of ranks both statistics together are the ANOVA-type one alone (Brunner, Dette and Munk 1997): the ranks of a
-        small group may hardly vary by chance, and Welch-James then finds differences where there are none, by
-        simulation in 9 % (twelve groups of four runs) to 18 % (sixty) at 5 %.
+        For ranks, the combined statistic is the ANOVA-type one alone (Brunner, Dette and Munk 1997): the ranks of a
+        small group may hardly vary by chance, and Welch-James then has false positives, by simulation 9 % (twelve
+        groups of four runs) to 18 % (sixty groups) at 5 %.
         """
         if estimand is Estimand.RANK and statistic is Statistic.COMBINED:
             statistic = Statistic.ANOVA_TYPE
@@ -105,7 +105,7 @@ class CellMeans:
 
     @property
     def method(self) -> TestMethod:
-        """What a paper calls the tests."""
+        """The name of the tests in a paper."""
         count, several = len(self.layout.factors), self.layout.cells > _PAIR
         if self.layout.is_blocked:
             return TestMethod.BLOCKS if count > 1 or several or self.layout.between else TestMethod.PAIRED_T
@@ -117,23 +117,24 @@ class CellMeans:
 
     @property
     def has_variation(self) -> bool:
-        """Whether chance has a measure, in some combination at least; of blocks, in how they respond to treatments."""
+        """Whether the error variance is above 0 in at least one combination; with blocks, that of their response."""
         return bool(np.all(self._unit_variance > 0))
 
     @property
     def spread(self) -> Floats:
-        """The standard deviation that differences are divided by, the same for all of them: that of a run.
+        """The standard deviation of a run, which standardises all differences.
 
-        Of independent runs the root of the mean variance within combinations; of blocks that of what is left once their
-        means are taken away; and where factors differ between blocks, that of blocks within combinations.
+        For independent runs it is the root of the mean variance within combinations. With blocks it is that of the
+        residuals from block means, or, where factors differ between blocks, that of blocks within combinations.
         """
         return np.asarray(np.sqrt(self._unit_variance + self.averaged_out.variance))
 
     @property
     def spread_parts(self) -> tuple[SpreadPart, ...]:
-        """The parts of the variance that is `spread` squared; none where it is as well known as differences are.
+        """The components of the variance `spread` squared; none where it is known as precisely as differences are.
 
-        That is so of two combinations of runs of their own, and of trimmed means, of which parts are not simulated.
+        This is so for two combinations of independent runs. Trimmed means and ranks have none either: their components
+        are not simulated.
         """
         if not self.layout.is_blocked:
             if len(self.layout.sizes) <= _PAIR or self.estimand is not Estimand.MEAN:
@@ -147,7 +148,7 @@ class CellMeans:
             return self.averaged_out.beside(SpreadPart(whole, freedom))
         if not self.layout.between:
             return self.averaged_out.beside(SpreadPart(whole, (cells - 1) * freedom))
-        # Cells of a block have what it is as a whole in common.
+        # The cells of a block share the block effect.
         sizes = self.layout.variance_per_error(self.estimand)
         of_blocks = float(np.mean(np.einsum("gcd->g", self.moments.errors) * sizes)) / cells**2
         rest = SpreadPart(max(0.0, whole - of_blocks), (cells - 1) * freedom)
@@ -155,7 +156,7 @@ class CellMeans:
 
     @property
     def _unit_variance(self) -> Floats:
-        """The variance of runs of their own, or of the means of cells in blocks."""
+        """The variance of independent runs, or of the means of cells in blocks."""
         sizes = self.layout.variance_per_error(self.estimand)
         covariances = self.moments.errors * sizes[:, None, None]
         count = covariances.shape[-1]
@@ -171,7 +172,7 @@ class CellMeans:
             yield self._test(effect)
 
     def difference(self, weights: Sequence[tuple[Mapping[str, str], float]]) -> Contrast:
-        """Estimate a weighted sum of marginal means, in which each combination counts the same.
+        """Estimate a weighted sum of marginal means, with equal weights for all combinations.
 
         Args:
             weights: treatments by factor, with the weight of their mean.
@@ -196,7 +197,7 @@ class CellMeans:
         return EffectTest(effect.factors, name, "F", statistic, freedom, p_value, variance, told)
 
     def _several(self, effect: EffectContrast) -> tuple[str, dict[str, Tested], Floats]:
-        """Return what several contrasts are tested by, these tests by name, and the p-value."""
+        """Return the name of the joint test of several contrasts, its parts by name, and the p-value."""
         if len(effect.within) > 1:
             name, within_units = self._within_units(effect)
             return name, {name: within_units}, within_units.p_value
@@ -207,12 +208,12 @@ class CellMeans:
             tests = {ANOVA_TYPE: box(moments, effect.between, ALONE)}
         if is_approximate or WELCH_JAMES not in tests:
             is_plain = len(self.layout.factors) == 1 and list(tests) == [WELCH_JAMES]
-            return (WELCH_ANOVA if is_plain else " and ".join(tests)) + of_units, tests, _together(tests)
-        p_value = bootstrapped(lambda drawn: _together(self._tests(drawn, effect.between)), moments, self.draws)
+            return (WELCH_ANOVA if is_plain else " and ".join(tests)) + of_units, tests, _joint_p_value(tests)
+        p_value = bootstrapped(lambda drawn: _joint_p_value(self._tests(drawn, effect.between)), moments, self.draws)
         return " and ".join(tests) + BOOTSTRAP + of_units, tests, p_value
 
     def _tests(self, moments: Moments, between: Floats) -> dict[str, Tested]:
-        """Return the tests of several contrasts of groups; the values have a say only where two groups do not vary."""
+        """Return the tests of several contrasts of groups; they depend on the values only if two groups do not vary."""
         weighed = None if self.statistic is Statistic.ANOVA_TYPE else welch_james(moments, between)
         if weighed is None:
             return {ANOVA_TYPE: box(moments, between, ALONE)}
@@ -221,7 +222,7 @@ class CellMeans:
         return {WELCH_JAMES: weighed, ANOVA_TYPE: box(moments, between, ALONE, is_corrected=True)}
 
     def _within_units(self, effect: EffectContrast) -> tuple[str, Tested]:
-        """Test contrasts of several cells within units, whose covariance is not known."""
+        """Test contrasts of several cells within units, whose covariance is unknown."""
         least = _FREEDOM_A_CONTRAST * len(self.layout.sizes) * len(effect.within)
         is_corrected = bool(self.moments.freedom.min() >= least)
         found = box(self.moments, effect.between, effect.within, is_corrected=is_corrected)
@@ -232,10 +233,10 @@ class CellMeans:
 
     @property
     def _can_be_flipped(self) -> bool:
-        """Whether there is one group of blocks, and its signs tell 5 % apart, and are not too many."""
+        """Whether there is one group of blocks, with enough sign patterns for the 5 % level and not too many."""
         return len(self.layout.sizes) == 1 and _FEWEST_FLIPPED <= int(self.layout.sizes[0]) <= MOST_FLIPPED
 
 
-def _together(tests: Mapping[str, Tested]) -> Floats:
+def _joint_p_value(tests: Mapping[str, Tested]) -> Floats:
     several = [each.p_value for each in tests.values()]
     return several[0] if len(several) == 1 else combined(several)

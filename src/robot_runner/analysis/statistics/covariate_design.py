@@ -1,4 +1,4 @@
-"""The design of an analysis of covariance: the columns that effects, batches and covariates have in its model."""
+"""The design matrix of an analysis of covariance: the columns of effects, batches and covariates."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from robot_runner.core.words import enumerated
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.analysed_design import MeasureData
 
-#: A column of which the others leave less than this share is told by them.
-_TOLD = 1e-9
+#: A column is collinear with the others if they leave less than this share of its sum of squares.
+_COLLINEAR = 1e-9
 
 _PAIR = 2
 
 
 class AdjustmentError(Exception):
-    """Why a measure cannot be adjusted for its covariates."""
+    """A measure cannot be adjusted for its covariates; the text says why."""
 
 
 class Covariate(NamedTuple):
-    """A covariate as the model has it.
+    """A covariate of the model.
 
     Attributes:
-        name: as the plan has it.
-        centre: its mean over the runs, at which means are adjusted.
+        name: its name in the plan.
+        centre: its mean over the runs, to which means are adjusted.
         scale: its standard deviation, by which it is divided.
-        inflation: by how much treatments, blocks and other covariates inflate the variance of its slope.
+        inflation: the variance inflation factor of its slope, due to treatments, blocks and other covariates.
     """
 
     name: str
@@ -52,16 +52,16 @@ class Covariate(NamedTuple):
 class CovariateDesign:
     """The columns of the model.
 
-    Where all factors differ within blocks, the means of blocks are taken away from all columns, and from the values.
+    If all factors differ within blocks, block means are subtracted from all columns, and from the values.
 
     Attributes:
         factors: the factors, with their treatments.
         terms: the factors of each effect, main effects first.
-        note: why interactions are left out; empty where none is.
+        note: why interactions are left out; empty where they are not.
         effects: the columns of the mean of all combinations and of effects, coded to sum up to zero.
-        values: what is explained.
-        raw: the covariates, (runs, covariates); `names` are theirs.
-        batches: the columns of batches, none where there is one.
+        values: the response.
+        raw: the covariates, (runs, covariates), with the names `names`.
+        batches: the dummy columns of batches; none for a single batch.
         cell: the combination of each run.
         units: the block of each run, where there are blocks.
     """
@@ -82,7 +82,7 @@ class CovariateDesign:
         """Return the design of a measure.
 
         Raises:
-            AdjustmentError: there is none.
+            AdjustmentError: a covariate has no numbers, or there are too few runs.
         """
         unknown = [name for name in data.covariates if not np.isfinite(data.covariate(name)).all()]
         if unknown:
@@ -108,7 +108,7 @@ class CovariateDesign:
 
     @cached_property
     def is_within(self) -> bool:
-        """Whether all factors differ within blocks, so that the means of blocks are taken away."""
+        """Whether all factors differ within blocks, so that block means are subtracted."""
         effects = self.effects[:, 1:]
         return self.units is not None and _rank(_swept(effects, self.units)) == effects.shape[1]
 
@@ -118,7 +118,11 @@ class CovariateDesign:
 
     @cached_property
     def base(self) -> Floats:
-        """The columns beside covariates: effects, and what batches add beside blocks."""
+        """The columns besides covariates: effects, and those of batches that are not collinear with the others.
+
+        Raises:
+            AdjustmentError: the factors are collinear.
+        """
         base = _swept(self.effects[:, 1:], self._sweep) if self.is_within else self.effects
         if _rank(base) < base.shape[1]:
             raise AdjustmentError("the factors go together so closely that their effects cannot be told apart.")
@@ -129,16 +133,16 @@ class CovariateDesign:
 
     @cached_property
     def constant(self) -> tuple[str, ...]:
-        """The covariates that are the same in all runs, or within all blocks: there is nothing to adjust for."""
+        """The covariates that are constant over all runs, or within all blocks: they need no adjustment."""
         left = np.sum(_swept(self._standardised, self._sweep) ** 2, axis=0)
-        return tuple(name for name, each in zip(self.names, left, strict=True) if each <= _TOLD * len(self.values))
+        return tuple(name for name, each in zip(self.names, left, strict=True) if each <= _COLLINEAR * len(self.values))
 
     @cached_property
     def covariates(self) -> tuple[Covariate, ...]:
         """The covariates that have a slope.
 
         Raises:
-            AdjustmentError: one cannot be told apart from the treatments, or from the others.
+            AdjustmentError: one is collinear with the treatments or with the others.
         """
         columns = _swept(self.columns, self._sweep)
         found = []
@@ -147,7 +151,7 @@ class CovariateDesign:
             others = np.column_stack([self.base, np.delete(columns, place, axis=1)])
             rest = columns[:, place] - others @ np.linalg.lstsq(others, columns[:, place])[0]
             share = float(np.sum(rest**2) / np.sum(columns[:, place] ** 2))
-            if share < _TOLD:
+            if share < _COLLINEAR:
                 what = "is told by treatments or other covariates completely"
                 raise AdjustmentError(
                     f"the covariate {self.names[which]} {what}, so that effects cannot be told apart."
@@ -164,23 +168,23 @@ class CovariateDesign:
     @property
     def _standardised(self) -> Floats:
         scales = self.raw.std(axis=0, ddof=1)
-        flat = scales <= _TOLD * np.max(np.abs(self.raw), axis=0)
+        flat = scales <= _COLLINEAR * np.max(np.abs(self.raw), axis=0)
         return np.asarray(np.where(flat, 0.0, (self.raw - self.raw.mean(axis=0)) / np.where(flat, 1.0, scales)))
 
     @property
     def _variances(self) -> Numbers | None:
-        """The combination of each run, where each has a variance of its own."""
+        """The combination of each run, if each combination has a separate variance; else None."""
         is_full = self.effects.shape[1] == int(self.cell.max()) + 1
         has_any = self.units is None and is_full and int(np.bincount(self.cell).min()) >= _PAIR
         return self.cell if has_any else None
 
     def fit(self, columns: Floats) -> RobustFit:
-        """Fit the model with these columns beside the base."""
+        """Fit the model with these columns in addition to the base."""
         exog = np.column_stack([self.base, _swept(columns, self._sweep)])
         return fit_robustly(exog, _swept(self.values, self._sweep), self.units, self._variances)
 
     def spread(self, fit: RobustFit) -> float:
-        """Return the root of the mean variance of combinations, or of what the model leaves; NaN of too few runs."""
+        """Return the root of the mean variance of combinations, or of the residuals; NaN for too few runs."""
         freedom = len(fit.residuals) - len(fit.beta) - self._swept_blocks
         if freedom < 1:
             return math.nan
@@ -192,16 +196,16 @@ class CovariateDesign:
         return float(np.sqrt(np.sum(fit.residuals**2) / freedom))
 
     def spread_parts(self, fit: RobustFit) -> tuple[SpreadPart, ...]:
-        """Return the parts of the variance within blocks."""
+        """Return the components of the variance within blocks."""
         if self._unit is None:
             return (SpreadPart(self.spread(fit) ** 2, float(len(fit.residuals) - len(fit.beta) - self._swept_blocks)),)
         own, freedom, beyond = self._of_units(fit, self._unit)
         return beyond.beside(SpreadPart(own, freedom))
 
     def _of_units(self, fit: RobustFit, unit: Numbers) -> tuple[float, float, AveragedOut]:
-        """Return the variance of the means of runs that share their block and combination, its freedom, and the rest.
+        """Return the variance of the means of runs that share block and combination, its freedom, and the rest.
 
-        They are not independent: what the block responds to a treatment is in all of them.
+        Such runs are not independent: they share the response of the block to the treatment.
         """
         residuals = np.empty(len(unit))
         residuals[np.argsort(np.asarray(self.units), kind="stable")] = fit.residuals
@@ -211,12 +215,12 @@ class CovariateDesign:
         columns = np.column_stack([self.effects[first, int(self.is_within) :], *rows[1:]])
         columns, means = _swept(columns, blocks), _swept(rows[0][:, None], blocks)[:, 0]
         left = means - columns @ np.linalg.lstsq(columns, means)[0]
-        freedom = max(1.0, float(len(sizes) - _rank(columns) - self._swept_blocks))  # two blocks, and batches beside
+        freedom = max(1.0, float(len(sizes) - _rank(columns) - self._swept_blocks))  # < 1: two blocks, and batches
         return float(np.sum(left**2) / freedom), freedom, averaged_out(residuals, unit)
 
     @cached_property
     def _unit(self) -> Numbers | None:
-        """The combination within its block of each run; None where each has a single run, or there are no blocks."""
+        """The combination within its block of each run; None if each has a single run, or there are no blocks."""
         if self.units is None:
             return None
         _, unit = np.unique(np.stack([self.units, self.cell]), axis=1, return_inverse=True)
@@ -227,7 +231,7 @@ class CovariateDesign:
         return 0 if self._sweep is None else int(self._sweep.max()) + 1
 
     def crossed(self) -> Floats | None:
-        """Return the products of covariates and main effects, in which slopes differ; None where runs are too few."""
+        """Return the products of covariates and main effects, for unequal slopes; None if runs are too few."""
         main = self.effects[:, 1 : 1 + sum(len(levels) - 1 for levels in self.factors.values())]
         crossed = (self.columns[:, :, None] * main[:, None, :]).reshape(len(self.values), -1)
         exog = np.column_stack([self.base, _swept(np.column_stack([self.columns, crossed]), self._sweep)])
@@ -235,7 +239,7 @@ class CovariateDesign:
 
 
 def _swept(columns: Floats, units: Numbers | None) -> Floats:
-    """Return columns less their mean in each unit."""
+    """Return columns with the mean of each unit subtracted."""
     if units is None or not columns.size:
         return columns
     means = pd.DataFrame(columns).groupby(units).transform("mean").to_numpy(dtype=np.float64)

@@ -1,4 +1,4 @@
-"""What the model of a design leaves of values, beside its effects and blocks: columns as they are, of any rank."""
+"""Residuals of the model of a design, from effects and blocks; its columns may have any rank."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.statistics.analysed_design import MeasureData
 
-#: Of columns of about 1: less is what rounding leaves of those that the groups tell.
+#: Columns, whose size is about 1, are 0 within groups if they are smaller than this.
 _ROUNDING = 1e-9
-#: Of values: what is left of them is rounding if it is no more than this share, some hundred units in the last place.
+#: Residuals are rounding if they are no more than this share of the values, some hundred units in the last place.
 _LEAST_LEFT = 1e-13
 
 
 def numbers_of_levels(levels: Sequence[str]) -> list[float] | None:
-    """Return treatments as numbers; None where one is none.
+    """Return treatments as numbers; None if one is not a number.
 
     Example:
         >>> numbers_of_levels(["0.1", "0.2"]), numbers_of_levels(["slow", "fast"])
@@ -40,12 +40,12 @@ def numbers_of_levels(levels: Sequence[str]) -> list[float] | None:
 
 
 def carried_over(frame: pd.DataFrame, factors: Mapping[str, Sequence[str]], beside: Floats) -> Floats | None:
-    """Return the columns of the treatment before, 0 in the first period; None where others tell a part of them.
+    """Return the columns of carry-over, the previous treatment, 0 in the first period; None if not estimable.
 
     Args:
         frame: the runs.
         factors: the treatments of each factor.
-        beside: the columns of the constant, of blocks and of main effects.
+        beside: the columns of the constant, blocks and main effects.
     """
     parts = []
     for name, levels in factors.items():
@@ -59,23 +59,23 @@ def carried_over(frame: pd.DataFrame, factors: Mapping[str, Sequence[str]], besi
 
 
 def grouped(data: MeasureData) -> dict[str, NDArray[np.str_]]:
-    """Return what the model of a design takes out of values as a whole, by name: blocks, whole plots, batches.
+    """Return the groups whose means the model of a design subtracts, by name: blocks, whole plots, batches.
 
-    What is left lies within each, and so does the order of execution that it is compared with: where a factor differs
-    between blocks, too, as runs of one room, executed one after another, would pass for a drift.
+    Residuals are within groups, and so is the order of execution that they are compared with. Otherwise the runs of one
+    room, executed one after another, would look like a drift, also where a factor differs between blocks.
     """
     batches = {"batches": _texts(data.batches)} if data.is_extended else {}
     if data.known.is_plain:
-        return batches | ({"blocks": data.blocks} if data.is_blocked and _leave_any(data) else {})
+        return batches | ({"blocks": data.blocks} if data.is_blocked and _leave_freedom(data) else {})
     found = {name: _texts(data.frame[role_column(name)]) for name in data.known.blocks}
     found |= {data.known.whole_plot: _texts(data.plots)} if data.known.whole_plot else {}
     return found | batches
 
 
-def _leave_any(data: MeasureData) -> bool:
-    """Return whether anything is left beside combinations and blocks, or all combinations differ within blocks."""
+def _leave_freedom(data: MeasureData) -> bool:
+    """Return whether combinations and blocks leave degrees of freedom, or all combinations differ within blocks."""
     cells, number = _cells(data), len(data.frame)
-    _, freedom = _left_beside([cells, data.blocks], (), np.zeros(number))
+    _, freedom = _residuals_from([cells, data.blocks], (), np.zeros(number))
     return freedom > 0 or number - freedom == len(set(cells)) + len(set(data.blocks)) - 1
 
 
@@ -86,10 +86,12 @@ def _cells(data: MeasureData) -> NDArray[np.str_]:
     return _texts(data.frame.groupby(list(data.factors), observed=True).ngroup())
 
 
-def _left_beside(groups: Iterable[NDArray[np.str_]], columns: Sequence[Floats], values: Floats) -> tuple[Floats, int]:
-    """Return what is left of values, by least squares, beside groups and columns of any rank; and how freely it varies.
+def _residuals_from(
+    groups: Iterable[NDArray[np.str_]], columns: Sequence[Floats], values: Floats
+) -> tuple[Floats, int]:
+    """Return the least-squares residuals of values from groups and columns of any rank, and their degrees of freedom.
 
-    The means of the most groups are taken away, so that no more than the others have columns.
+    For the grouping with the most groups, means are subtracted, so that only the others need columns.
     """
     most, *others = sorted([_texts(np.zeros(len(values))), *groups], key=lambda each: -len(set(each)))
     both = np.column_stack([*map(_dummies, others), *columns, values])
@@ -104,25 +106,25 @@ def _left_beside(groups: Iterable[NDArray[np.str_]], columns: Sequence[Floats], 
 
 
 def residuals_of(data: MeasureData, values: Floats | None = None) -> tuple[Floats, int]:
-    """Return what the model of a measure's design leaves of each run's value (or another number), and how freely.
+    """Return the residuals of a measure's values, or of other numbers, from its model, and their degrees of freedom.
 
-    A factorial has a mean for each combination, a design of its own its effects; blocks, batches and covariates add to
-    either what they add.
+    A factorial has a mean for each combination, a special design its effects; either also has blocks, batches and
+    covariates.
     """
     values = data.values if values is None else values  # noqa: PD011 - no data frame
     beside, groups = _covariates(data), grouped(data)
     if data.known.is_plain:
-        return _left_beside([_cells(data), *groups.values()], beside, values)
+        return _residuals_from([_cells(data), *groups.values()], beside, values)
     return _fitted(data, groups, beside, values)[1]
 
 
 class ModelEffects(NamedTuple):
-    """The effects that the model of a design has.
+    """The effects in the model of a design.
 
     Attributes:
-        powers: of a response surface, the columns of the factors that are multiplied: one, or two.
-        terms: the columns of each other effect, by its factors.
-        before: those of the treatment before; None where it is not in the model.
+        powers: for a response surface, the columns of linear and second-order terms, by their factors.
+        terms: the columns of all other effects, by their factors.
+        before: the columns of carry-over; None if it is not in the model.
     """
 
     powers: Mapping[Term, Floats]
@@ -131,30 +133,30 @@ class ModelEffects(NamedTuple):
 
     @property
     def columns(self) -> list[Floats]:
-        """All of them."""
+        """The columns of all effects."""
         return [*self.powers.values(), *([] if self.before is None else [self.before]), *self.terms.values()]
 
     @property
     def without_interactions(self) -> ModelEffects:
-        """The same without interactions of factors, for which runs may be too few."""
+        """The same without interactions, for which there may be too few runs."""
         return self._replace(terms={term: of for term, of in self.terms.items() if len(term) == 1})
 
 
 def residual_effects(data: MeasureData) -> ModelEffects:
-    """Return the effects that the model has whose residuals `residuals_of` returns, of a design of its own."""
+    """Return the effects in the model of `residuals_of`, for a special design."""
     return _fitted(data, grouped(data), _covariates(data), data.values)[0]
 
 
 def _fitted(
     data: MeasureData, groups: Mapping[str, NDArray[np.str_]], beside: Sequence[Floats], values: Floats
 ) -> tuple[ModelEffects, tuple[Floats, int]]:
-    """Return the effects of a design's model, without interactions where the runs are too few, and what they leave."""
+    """Return the effects of a design's model, without interactions if runs are too few, and the residuals."""
     effects = _effects(data, np.column_stack([np.ones(len(values)), *map(_dummies, groups.values()), *beside]))
-    found = _left_beside(groups.values(), [*beside, *effects.columns], values)
+    found = _residuals_from(groups.values(), [*beside, *effects.columns], values)
     if found[1] > 0:
         return effects, found
     effects = effects.without_interactions
-    return effects, _left_beside(groups.values(), [*beside, *effects.columns], values)
+    return effects, _residuals_from(groups.values(), [*beside, *effects.columns], values)
 
 
 def _covariates(data: MeasureData) -> list[Floats]:
@@ -164,12 +166,12 @@ def _covariates(data: MeasureData) -> list[Floats]:
 
 
 def block_columns(data: MeasureData, name: str) -> Floats:
-    """Return a column of 0 and 1 for each block of a kind, such as each row, or each subject."""
+    """Return a dummy column for each block of a kind, such as each row, or each subject."""
     return _dummies(_texts(data.frame[role_column(name)]))
 
 
 def taken_beside_plots(data: MeasureData) -> Floats:
-    """Return what a model takes out beside whole plots, which are blocks there: replicates and covariates."""
+    """Return the nuisance columns besides whole plots, which serve as blocks: replicates and covariates."""
     of_blocks = [block_columns(data, name)[:, 1:] for name in data.known.blocks]
     return np.column_stack([np.empty((len(data.frame), 0)), *of_blocks, *_covariates(data)])
 
@@ -188,13 +190,13 @@ def _dummies(texts: NDArray[np.str_]) -> Floats:
 
 
 def _effects(data: MeasureData, beside: Floats) -> ModelEffects:
-    """Return all effects that the model has."""
+    """Return all effects of the model."""
     frame, known = data.frame, data.known
     factors = data.treatments
     codes = codes_of(frame, factors)
     numbers = {name: numbers_of_levels(levels) for name, levels in factors.items()}
     powers: dict[Term, Floats] = {}
-    # One that applies to some runs only has no number in the others.
+    # A conditional factor has no number in the runs to which it does not apply.
     everywhere = [name for name, levels in factors.items() if codes[name].max() < len(levels)]
     numeric = {name: np.array(each)[codes[name]] for name in everywhere if (each := numbers[name]) is not None}
     if known.is_surface:

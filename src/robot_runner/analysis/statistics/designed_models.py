@@ -1,6 +1,6 @@
-"""The model of a measure that a design of its own asks for: fractions, squares, crossovers, split plots, surfaces.
+"""The models of special designs: fractions, squares, crossovers, split plots, response surfaces.
 
-The design decides, and the values never do; what is left to a full factorial and complete blocks is in `tests`.
+The design determines the model, never the values. Full factorials and complete blocks are in `tests`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from robot_runner.analysis.wording import p_in_words, shown_test
 from robot_runner.core.design.analysis_plan import Estimand, Statistic
 from robot_runner.core.words import enumerated
 
-#: The models that designs ask for, beside the means of combinations.
+#: The models of special designs, besides the means of combinations.
 DesignedModel = StrataModel | LenthModel | SurfaceModel
 
 _ONE_VARIANCE = "One variance serves all runs."
@@ -37,13 +37,13 @@ _ONE_VARIANCE = "One variance serves all runs."
 def designed_model_of(
     data: MeasureData, estimand: Estimand, statistic: Statistic, values: Floats | None = None
 ) -> CellMeans | DesignedModel | NotComputed | None:
-    """Return the estimates of a measure as its design asks for them; None where it asks for nothing of its own.
+    """Return the model that the design of a measure requires; None for full factorials and complete blocks.
 
     Args:
         data: the measure.
-        estimand: what is estimated.
+        estimand: of the plan.
         statistic: which tests several contrasts at once.
-        values: in the place of the measure's own, (..., runs): of many experiments at once.
+        values: replace those of the measure, (..., runs): for many simulated experiments at once.
     """
     if data.known.is_plain:
         return None
@@ -55,12 +55,12 @@ def designed_model_of(
     unit = _units(data)
     if unit is None:
         return _Fitting(data, values).model(estimand, statistic)
-    model = _Fitting(*_of_units(data, values, unit)).model(estimand, statistic)
+    model = _Fitting(*_averaged(data, values, unit)).model(estimand, statistic)
     return replace(model, averaged_out=averaged_out(values, unit)) if isinstance(model, StrataModel) else model
 
 
 def _units(data: MeasureData) -> Numbers | None:
-    """Return the combination within its blocks of each run; None where each has one run, or there are no blocks."""
+    """Return the combination within its blocks of each run; None if each has one run, or there are no blocks."""
     if not data.known.columns:
         return None
     names = [*data.factors, *map(role_column, data.known.columns), *([BATCH] if data.is_extended else [])]
@@ -68,10 +68,10 @@ def _units(data: MeasureData) -> Numbers | None:
     return None if int(unit.max()) + 1 == len(unit) else np.asarray(unit, dtype=np.intp)
 
 
-def _of_units(data: MeasureData, values: Floats, unit: Numbers) -> tuple[MeasureData, Floats]:
-    """Return one row for each combination within its blocks: runs that repeat it there are reduced to their mean.
+def _averaged(data: MeasureData, values: Floats, unit: Numbers) -> tuple[MeasureData, Floats]:
+    """Return one row for each combination within its blocks: repeated runs are reduced to their mean.
 
-    They are not independent: what the place responds to a treatment is in all of them.
+    Such runs are not independent: they share the response of the block to the treatment.
     """
     belongs = np.eye(int(unit.max()) + 1)[unit]
     belongs /= belongs.sum(axis=0)
@@ -84,7 +84,7 @@ def _of_units(data: MeasureData, values: Floats, unit: Numbers) -> tuple[Measure
 
 @dataclass(frozen=True)
 class _Fitting:
-    """One measure that is fitted, with the parts that its models share."""
+    """The fit of one measure, with the parts that its models share."""
 
     data: MeasureData
     values: Floats
@@ -111,7 +111,7 @@ class _Fitting:
 
     @property
     def _problem(self) -> str:
-        """Why factors cannot be tested in this design; empty where they can."""
+        """Why factors cannot be tested in this design; empty if they can."""
         known = self.data.known
         if self.factors.conditions and (known.is_surface or known.is_one_at_a_time):
             names = enumerated(list(self.factors.conditions))
@@ -122,7 +122,7 @@ class _Fitting:
         mixed = [] if known.is_surface else [name for name in self.factors if told and (name,) not in told]
         if not mixed:
             return ""
-        # A model without them would give what they do to the factors that they change with.
+        # A model without them would attribute their effects to the factors that they are confounded with.
         alike = "cannot be told apart from what other factors do: in part they change together."
         fix = "More combinations would tell, or one factor in place of those that change together."
         return f"what {enumerated(mixed)} does {alike} {fix}"
@@ -137,7 +137,7 @@ class _Fitting:
 
     @property
     def _terms(self) -> tuple[Term, ...]:
-        """The effects that the planned combinations can tell, of factors that still vary."""
+        """The effects that the planned combinations can estimate, of factors that still vary."""
         known = self.data.known
         if known.terms:
             return tuple(term for term in known.terms if set(term) <= set(self.factors))
@@ -151,7 +151,7 @@ class _Fitting:
 
     @cached_property
     def _blocks(self) -> Floats:
-        """The columns that are taken out: those of blocks, of batches, and covariates."""
+        """The nuisance columns: blocks, batches and covariates."""
         parts = [block_columns(self.data, name) for name in self.data.known.blocks]
         if self.data.is_extended:
             parts.append(pd.get_dummies(self.data.batches, dtype=np.float64).to_numpy())
@@ -162,7 +162,7 @@ class _Fitting:
         return np.column_stack(parts) if parts else np.empty((len(self.data.frame), 0))
 
     def _beside_blocks(self) -> StrataModel | NotComputed | None:
-        """Fit the effects that the runs suffice for, beside blocks; interactions are left out where they do not."""
+        """Fit effects and blocks; interactions are left out if runs are too few."""
         known = self.data.known
         rank = int(np.linalg.matrix_rank(np.column_stack([np.ones(len(self.data.frame)), self._blocks])))
         terms, notes = self._terms, []
@@ -208,12 +208,12 @@ class _Fitting:
     # Crossover.
 
     def _carried_over(self, blocks: Floats) -> Floats | None:
-        """Return the columns of the treatment before; None where blocks tell them."""
+        """Return the columns of carry-over; None if it is not estimable."""
         main = [each.columns for each in self._hypotheses(tuple((name,) for name in self.factors)).values()]
         return carried_over(self.data.frame, self.factors, np.column_stack([np.ones(len(blocks)), blocks, *main]))
 
     def _carry_over_in_words(self, before: Floats, blocks: Floats, terms: tuple[Term, ...]) -> str:
-        """Say how large the carry-over is, beside everything else; nothing is chosen by it."""
+        """Return a sentence with the test of the carry-over; nothing is chosen by it."""
         known, values = self.data.known, np.atleast_2d(self.values)[0]
         count = before.shape[1]
         treatments = np.column_stack([each.columns for each in self._hypotheses(terms).values()])
@@ -231,7 +231,7 @@ class _Fitting:
     # Split plot.
 
     def _split_plot(self) -> StrataModel | NotComputed | None:
-        """Fit both strata; None where whole plots are unequal: a mixed model takes their place."""
+        """Fit both strata; None if whole plots are unequal, where a mixed model is fitted instead."""
         plots = self.data.plots
         terms = self._terms
         reason = (

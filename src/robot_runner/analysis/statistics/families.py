@@ -1,7 +1,7 @@
-"""P-values adjusted for the family of tests that they belong to, and what is concluded from them.
+"""P-values adjusted for their family of tests, and the conclusions from them.
 
-Everything that is said of one comparison is said here, from the same numbers: the sentence on an effect, the pairs of
-its treatments, and the hypotheses about it cannot contradict each other.
+All sentences on a comparison are written here, from the same numbers: those on an effect, on pairs of its treatments
+and on hypotheses about it cannot contradict each other.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ from robot_runner.core.words import counted, enumerated
 if TYPE_CHECKING:
     from robot_runner.core.design.hypothesis import Hypothesis
 
-#: What was tested: an effect by its measure and factors, or the contrast of a hypothesis by its statement.
+#: The key of a test: an effect by its measure and factors, or the contrast of a hypothesis by its statement.
 Key = tuple[str, frozenset[str]]
 
-#: How the sentence on an effect ends that the data do not show.
+#: The end of the sentence on an effect that is not significant.
 NO_PROOF = "that is no proof that there is none."
 _PAIR = 2
 
 
 @dataclass(frozen=True, slots=True)
 class _Adjusted:
-    """A p-value after adjustment, and the family that it was adjusted for."""
+    """An adjusted p-value, with the name and size of its family."""
 
     p_value: float
     family: str
@@ -60,10 +60,10 @@ def concluded(
     """Return measures with adjusted p-values and conclusions, and the outcome of each hypothesis.
 
     Args:
-        measures: as they were computed one by one.
-        plan: what was fixed beforehand; None where nothing was, or where it is not kept.
+        measures: without adjusted p-values.
+        plan: the analysis plan; None if there is none, or if it is not followed.
         alpha: the level of significance.
-        correction: how p-values are adjusted.
+        correction: of p-values.
     """
     found = dict(_adjusted(measures, plan, correction))
     done = tuple(_measure(measure, found, alpha) for measure in measures)
@@ -84,11 +84,11 @@ def _adjusted(
 def families_of(
     tested: Mapping[str, Sequence[Key]], plan: AnalysisPlan | None
 ) -> Iterator[tuple[str, tuple[Key, ...]]]:
-    """Yield the families of tests among which errors are controlled: the name of each, and what it holds.
+    """Yield the families of tests, over which the error rate is controlled, with their names.
 
     Args:
-        tested: what is tested of each measure.
-        plan: what was fixed beforehand; None where nothing was.
+        tested: the keys of the tests of each measure.
+        plan: the analysis plan; None if there is none.
     """
     left = dict.fromkeys(key for keys in tested.values() for key in keys)
     for name, keys in (*_planned(tested, plan), *((f"the effects on {each}", keys) for each, keys in tested.items())):
@@ -99,12 +99,12 @@ def families_of(
 
 
 def effect_key(measure: str, factors: Iterable[str]) -> Key:
-    """Return what stands for an effect on a measure."""
+    """Return the key of an effect on a measure."""
     return measure, frozenset(factors)
 
 
 def contrast_key(statement: str) -> Key:
-    """Return what stands for the contrast of a hypothesis."""
+    """Return the key of the contrast of a hypothesis."""
     return f"hypothesis {statement}", frozenset()
 
 
@@ -134,14 +134,14 @@ def _planned(tested: Mapping[str, Sequence[Key]], plan: AnalysisPlan | None) -> 
 
 
 def claim_of(hypothesis: Hypothesis) -> Key:
-    """Return what a hypothesis claims: a contrast of its own, or an effect."""
+    """Return the key of the test of a hypothesis: of its contrast, or of an effect."""
     if hypothesis.is_contrast:
         return contrast_key(hypothesis.statement)
     return effect_key(hypothesis.measure, hypothesis.factors)
 
 
 def contrasts_of(plan: AnalysisPlan | None, measure: str) -> list[Hypothesis]:
-    """Return the hypotheses of a plan that claim a contrast of a measure, or a bound; none where nothing was fixed."""
+    """Return the hypotheses of a plan on a contrast or a bound of a measure; none without a plan."""
     return [] if plan is None else [each for each in plan.hypotheses if each.measure == measure and each.is_contrast]
 
 
@@ -178,7 +178,7 @@ def _effect(measure: MeasureStatistics, effect: Effect, found: _Adjusted | None,
 
 
 def _pairs(post_hoc: PostHoc, effect: Effect, alpha: float) -> PostHoc:
-    """Return pairs with p-values no smaller than that of the effect: none differs where it is not shown."""
+    """Return pairs with p-values no smaller than that of the effect: without it, no pair is significant."""
     least = effect.adjusted_p_value
 
     def adjust(pair: Comparison) -> Comparison:
@@ -194,7 +194,7 @@ def _pairs_of(post_hoc: Sequence[PostHoc], effect: Effect) -> tuple[Comparison, 
     return next((each.comparisons for each in post_hoc if each.factors == effect.factors), ())
 
 
-# What is said of an effect.
+# Sentences on effects.
 
 
 def _worded(measure: MeasureStatistics, test: MeasureTest, effect: Effect, pairs: Sequence[Comparison]) -> Effect:
@@ -205,7 +205,7 @@ def _worded(measure: MeasureStatistics, test: MeasureTest, effect: Effect, pairs
         what = named_within(enumerated(effect.factors), effect.within)
         return replace(effect, conclusion=f"The effect of {what} was not computed: {why}")
     words = _claim(measure, test, effect, pairs)
-    return replace(effect, conclusion=f"{words}{_beside(effect, is_corrected=test.family_size > 1)}")
+    return replace(effect, conclusion=f"{words}{_check_in_words(effect, is_corrected=test.family_size > 1)}")
 
 
 def _claim(measure: MeasureStatistics, test: MeasureTest, effect: Effect, pairs: Sequence[Comparison]) -> str:
@@ -237,9 +237,9 @@ def _figures(effect: Effect) -> str:
 
 
 def _difference(measure: MeasureStatistics, test: MeasureTest, pairs: Sequence[Comparison]) -> str:
-    """Return which treatments differ most and by how much, as the pairs have it.
+    """Return the largest significant difference of two treatments, in words.
 
-    Where spreads differ, a larger difference may be one that is not shown.
+    With unequal variances, a larger difference may not be significant.
     """
     distinct = [pair for pair in pairs if pair.is_significant]
     if not distinct:
@@ -258,14 +258,14 @@ def _more(pair: Comparison) -> str:
     return "higher" if pair.difference > 0 else "lower"
 
 
-def _beside(effect: Effect, *, is_corrected: bool) -> str:
-    """Return a sentence where the check beside the test comes to another verdict; it is not corrected itself."""
+def _check_in_words(effect: Effect, *, is_corrected: bool) -> str:
+    """Return a sentence if the check of the test, which is not corrected, disagrees with it."""
     check = effect.check
     if check is None or check.agrees is not False or check.p_value is None:
         return ""
     p_value = p_in_words(check.p_value)
     if effect.p_value is not None and check.p_value > effect.p_value:
-        if not effect.is_significant:  # after correction neither shows anything
+        if not effect.is_significant:  # after correction neither is significant
             return ""
         return f" The test of {check.of} does not show it ({p_value}): it may hang on how large some values are."
     before = " before correction" if is_corrected else ""
@@ -278,7 +278,7 @@ def _beside(effect: Effect, *, is_corrected: bool) -> str:
 def judge(
     hypothesis: Hypothesis, measures: Sequence[MeasureStatistics], found: Mapping[Key, _Adjusted], alpha: float
 ) -> HypothesisOutcome:
-    """Return the outcome of a hypothesis, from the adjusted p-value of what it claims."""
+    """Return the outcome of a hypothesis, from the adjusted p-value of its test."""
     measure = next((each for each in measures if each.name == hypothesis.measure), None)
     adjusted_p = found.get(claim_of(hypothesis))
     tested = _tested(hypothesis, measure)
@@ -289,7 +289,7 @@ def judge(
     is_supported = adjusted_p.p_value < alpha
     verdict = "The data support it" if is_supported else "The data do not support it, which is no proof of the contrary"
     figures = f"{p_in_words(adjusted_p.p_value)} after correction for {counted(adjusted_p.size, 'test')}"
-    conclusion = f"{verdict} ({figures}). {_told(tested, measure)}"
+    conclusion = f"{verdict} ({figures}). {_result_in_words(tested, measure)}"
     return HypothesisOutcome(hypothesis, tested.p_value, adjusted_p.p_value, is_supported, conclusion)
 
 
@@ -301,7 +301,7 @@ def _tested(hypothesis: Hypothesis, measure: MeasureStatistics | None) -> Effect
     return next((each for each in measure.test.effects if set(each.factors) == set(hypothesis.factors)), None)
 
 
-def _told(tested: Effect | ContrastTest, measure: MeasureStatistics) -> str:
+def _result_in_words(tested: Effect | ContrastTest, measure: MeasureStatistics) -> str:
     if hasattr(tested, "conclusion"):
         return tested.conclusion
     is_of_ranks = measure.test is not None and measure.test.estimand == Estimand.RANK.value

@@ -1,8 +1,8 @@
-"""Effects of a fraction whose combinations were executed once each: Lenth's pseudo standard error.
+"""Effects of an unreplicated fraction, by Lenth's pseudo standard error.
 
-Where nothing was repeated, chance is measured by the effects themselves, of which most are taken to be none. P-values
-come from the distribution that the statistic has where no effect is there, by simulation: that of Student's t with a
-third of the effects as degrees of freedom, which Lenth proposed, finds 2 % at 5 %.
+Without replicates, the error is estimated from the effects themselves, most of which are assumed to be 0. P-values come
+from the simulated distribution of the statistic without effects: Student's t with a third of the effects as degrees of
+freedom, which Lenth proposed, has 2 % false positives at 5 %.
 
 Sources: Lenth, Quick and easy analysis of unreplicated factorials (Technometrics 31, 1989); Ye and Hamada, Critical
 values of the Lenth method for unreplicated factorial designs (Journal of Quality Technology 32, 2000).
@@ -25,21 +25,21 @@ from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.effect_coding import Factors, Term
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
 
-#: What the test is called.
+#: The name of the test.
 LENTH = "Lenth's t"
 
-#: A standard deviation in medians of absolute normal values, and beyond how many such medians an effect is set aside
-#: (Lenth 1989).
+#: The standard deviation in medians of absolute normal values, and the number of preliminary standard errors beyond
+#: which an effect is set aside (Lenth 1989).
 _MEDIAN, _ACTIVE = 1.5, 2.5
-#: Experiments without effects that are simulated: a p-value of 0.05 is known to 0.0007.
+#: The number of simulated experiments without effects: a p-value of 0.05 is then known to 0.0007.
 _DRAWS = 100_000
 _SEED = 20210525
-#: With fewer effects the error is hardly known: four combinations have three.
+#: The fewest effects: with fewer, the error is hardly known; four combinations have three.
 _LEAST = 7
 _TWO = 2
-#: Sizes that are the same but for rounding: that of the median effect is 2/3 in each experiment.
+#: Statistics whose relative difference is less are equal: that of the median effect is 2/3 in every experiment.
 _SAME = 1e-9
-#: Effects that explain one another less than this are orthogonal.
+#: Effects whose correlation is below this are orthogonal.
 _ROUNDING = 1e-9
 
 
@@ -57,8 +57,8 @@ def pseudo_error(effects: Floats) -> Floats:
 
 
 @lru_cache(maxsize=16)
-def _none_there(count: int) -> Floats:
-    """Return the sizes of Lenth's t of one of so many effects where none is there, in ascending order."""
+def _null_statistics(count: int) -> Floats:
+    """Return simulated absolute values of Lenth's t for one of `count` effects that are all 0, in ascending order."""
     random = np.random.default_rng((_SEED, count))
     found = []
     for _ in range(math.ceil(_DRAWS * count / 2_000_000)):  # so many numbers at once
@@ -72,28 +72,28 @@ class LenthContrast(Contrast):
 
     @property
     def p_value(self) -> Floats:
-        """Of both sides, by simulation."""
-        none = _none_there(round(3 * float(np.max(self.freedom))))
+        """The two-sided p-value, by simulation."""
+        none = _null_statistics(round(3 * float(np.max(self.freedom))))
         beyond = len(none) - np.searchsorted(none, np.abs(self.t_value) * (1 - _SAME))
         return np.asarray((1 + beyond) / (1 + len(none)))
 
     def reach(self, alpha: float) -> float:
-        """Return how far an interval of 1 - alpha reaches to either side of the difference."""
-        none = _none_there(round(3 * float(self.freedom)))
+        """Return the half-width of the confidence interval of level 1 - alpha."""
+        none = _null_statistics(round(3 * float(self.freedom)))
         return float(self.error) * float(np.quantile(none, 1 - alpha))
 
 
 @dataclass(frozen=True, eq=False)
 class LenthModel:
-    """The effects of single runs of a fraction of two treatments each.
+    """The effects of an unreplicated two-level fraction.
 
     Attributes:
         factors: the factors, with their treatments.
-        terms: the effects that are tested, main effects first.
-        columns: of all effects, orthogonal, of 1 and -1; those of `terms` are the first.
+        terms: the tested effects, main effects first.
+        columns: the orthogonal columns of all effects, of 1 and -1; those of `terms` come first.
         values: (..., runs).
-        reason: why this test, in a sentence.
-        notes: what a reader has to know besides.
+        reason: a sentence on why this test is used.
+        notes: further notes for readers.
     """
 
     factors: Factors
@@ -105,22 +105,22 @@ class LenthModel:
 
     @property
     def method(self) -> TestMethod:
-        """What a paper calls the tests."""
+        """The name of the tests in a paper."""
         return TestMethod.LENTH
 
     @property
     def spread(self) -> Floats:
-        """Nothing: no run was repeated, so that no standard deviation of runs is known."""
+        """NaN: without replicates the standard deviation of runs is unknown."""
         return np.full(self.values.shape[:-1], math.nan)
 
     @property
     def spread_parts(self) -> tuple[SpreadPart, ...]:
-        """Nothing, as there is no spread."""
+        """Empty, as the spread is unknown."""
         return ()
 
     @property
     def _halves(self) -> Floats:
-        """Half of each effect, (..., effects): how far a treatment's mean is from that of all."""
+        """Half of each effect, (..., effects): the distance of a treatment's mean from the overall mean."""
         return np.asarray(self.values @ self.columns / len(self.columns))
 
     @property
@@ -136,7 +136,7 @@ class LenthModel:
             yield EffectTest(term, LENTH, "t", found.t_value, (found.freedom,), found.p_value, variance)
 
     def difference(self, weights: Sequence[tuple[Mapping[str, str], float]]) -> Contrast:
-        """Estimate a weighted sum of marginal means; of a pair of treatments it has an error."""
+        """Estimate a weighted sum of marginal means; its standard error is NaN unless it is a pair of treatments."""
         rows = [weight * self.factors.row(self.terms, treatments)[1:] for treatments, weight in weights]
         row = np.sum(rows, axis=0)
         found = self._contrast(self._halves[..., : len(row)] @ row)
@@ -151,7 +151,7 @@ class LenthModel:
 def fit_lenth(
     factors: Factors, codes: Mapping[str, Numbers], terms: Sequence[Term], values: Floats
 ) -> LenthModel | NotComputed | None:
-    """Return the effects of a fraction whose combinations have one value each; None where that is not what it is."""
+    """Return the effects of an unreplicated two-level fraction; None for any other design."""
     count = values.shape[-1]
     if (
         factors.conditions
@@ -168,7 +168,7 @@ def fit_lenth(
         if max(told) < _ROUNDING:
             columns.append(column)
         elif len(columns) < len(terms):
-            return None  # the runs that have a value are not orthogonal
+            return None  # the runs with a value are not orthogonal
         if len(columns) == count - 1:
             break
     if len(columns) < count - 1:
@@ -179,7 +179,7 @@ def fit_lenth(
     )
     notes = ("Lenth's method takes most effects to be none. Confirm what it finds in runs that are repeated.",)
     found = LenthModel(factors, tuple(terms), np.stack(columns, axis=1), values, reason, notes)
-    with quiet():  # NaN where most effects are exactly 0
+    with quiet():  # NaN if most effects are exactly 0
         if not np.any(found.error > rounding_of(values)):
             return NotComputed("the test", "most effects are none at all, so that chance has no measure.")
     return found

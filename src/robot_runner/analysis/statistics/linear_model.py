@@ -1,7 +1,7 @@
-"""Models that share what single combinations do not tell: of too few runs, or of blocks that are not complete.
+"""Linear models for combinations with too few runs, and for incomplete blocks.
 
-Runs of their own have one variance (least squares); blocks have a random mean each (linear mixed model, REML), and what
-is modelled is the mean of a combination within a block, so that repeated runs of a block are not taken for independent.
+Independent runs have a common variance (least squares). Blocks have random means (linear mixed model, REML), and the
+response is the mean of a combination within a block, so that repeated runs of a block do not count as independent.
 """
 
 from __future__ import annotations
@@ -29,28 +29,28 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-#: A mean for each of more combinations takes long to fit, and nobody can read them.
+#: The most combinations that get a mean each: more take long to fit, and nobody can read them.
 _MOST_CELLS = 500
 
-#: How many factors cannot be told apart at least.
+#: The fewest factors that can be confounded with each other.
 _PAIR = 2
 _BLOCK = " block"
-#: Of columns: less than this share is what rounding leaves.
+#: Singular values below this share of the largest are rounding.
 _ROUNDING = 1e-9
-#: Columns that are taken out; names of factors never begin with a blank.
+#: The prefix of nuisance columns; names of factors never begin with a space.
 _TAKEN = " taken out "
 
-#: The variance of blocks over that within them, as logarithms among which the best one is looked for.
+#: The search grid for the ratio of the variance of blocks to that within them, as logarithms.
 _RATIOS = np.log(10.0) * np.arange(-10.0, 10.5, 0.5)
-#: Of the logarithm: estimates then agree with R's nlme to six digits.
+#: The tolerance of the logarithm: estimates then agree with R's nlme to six digits.
 _PRECISION = 1e-9
 
 
 class _Fit(NamedTuple):
-    """Generalised least squares at one ratio of the variance of blocks to that within them.
+    """Generalised least squares for a given ratio of the variance of blocks to that within them.
 
     Attributes:
-        deviance: -2 times the restricted log-likelihood, but for a constant.
+        deviance: -2 times the restricted log-likelihood, up to a constant.
         scale: the variance within blocks.
     """
 
@@ -63,17 +63,17 @@ class _Fit(NamedTuple):
 
 @dataclass(frozen=True)
 class FittedModel:
-    """A fitted model, whose effects are of type III: each combination counts the same.
+    """A fitted model with effects of type III: combinations have equal weights.
 
     Attributes:
         factors: the factors, with their treatments.
         terms: the factors of each effect, main effects first.
-        blocks: the block of each value, or nothing where there are none.
-        exog: the design, one row a value.
-        fit: what was estimated.
-        beside: how many columns of the design, the last ones, are of batches, and of what else is taken out.
-        note: why interactions are left out; empty where none is.
-        averaged_out: what of the variance of a run the means of combinations in blocks leave out.
+        blocks: the block of each value; None without blocks.
+        exog: the design matrix, one row for each value.
+        fit: the estimates.
+        beside: how many of the last columns of the design matrix are nuisance columns, such as those of batches.
+        note: why interactions are left out; empty where they are not.
+        averaged_out: the part of the variance of a run that the means of combinations in blocks average out.
     """
 
     factors: Factors
@@ -87,21 +87,21 @@ class FittedModel:
 
     @property
     def method(self) -> TestMethod:
-        """Which model it is."""
+        """The kind of model."""
         return TestMethod.LINEAR_MODEL if self.blocks is None else TestMethod.MIXED_MODEL
 
     @property
     def spread(self) -> float:
-        """The standard deviation of what the model leaves unexplained of a run.
+        """The residual standard deviation of a run.
 
-        Where factors differ between blocks, how these vary is in it: those of one treatment differ by that.
+        If factors differ between blocks, it includes the variance of blocks, by which those of one treatment differ.
         """
         ratio = self.fit.ratio if self._has_between else 0.0
         return math.sqrt(self.fit.scale * (1 + ratio) + float(self.averaged_out.variance))
 
     @property
     def spread_parts(self) -> tuple[SpreadPart, ...]:
-        """The parts of the variance that is `spread` squared; none where no degrees of freedom are left."""
+        """The components of the variance `spread` squared; none without degrees of freedom."""
         every = self.exog if self.blocks is None else self._with_blocks
         within = SpreadPart(self.fit.scale, float(len(self.exog) - np.linalg.matrix_rank(every)))
         if not self._has_between:
@@ -117,7 +117,7 @@ class FittedModel:
         return self.blocks is not None and any(map(self._is_between_blocks, self.terms))
 
     def effects(self) -> Iterator[EffectTest]:
-        """Yield the test of each effect: Wald's statistic as an F, with degrees of freedom by containment."""
+        """Yield the Wald test of each effect as an F test, with degrees of freedom by containment."""
         for factors in self.terms:
             place = self._place(factors)
             beta, covariance = self.fit.beta[place], self.fit.covariance[place, place]
@@ -142,16 +142,16 @@ class FittedModel:
         return Contrast(*map(np.asarray, (row @ self.fit.beta, error, freedom)))
 
     def _place(self, factors: Sequence[str]) -> slice:
-        """Return the columns of an effect in the design; the first is the mean of all combinations."""
+        """Return the columns of an effect in the design matrix, whose first column is the mean of all combinations."""
         before = self.terms[: self.terms.index(tuple(factors))]
         start = 1 + sum(map(self.factors.size, before))
         return slice(start, start + self.factors.size(factors))
 
     def _freedom(self, factors: Sequence[str]) -> float:
-        """Return the degrees of freedom that an effect is tested with.
+        """Return the error degrees of freedom of an effect.
 
-        Those between blocks where differences within blocks do not tell all of the effect, else those within
-        (containment, as R's nlme: Pinheiro and Bates, Mixed-Effects Models in S and S-PLUS, 2000, section 2.4.2).
+        They are those between blocks if the effect cannot be estimated fully within blocks, else those within
+        (containment, as in R's nlme: Pinheiro and Bates, Mixed-Effects Models in S and S-PLUS, 2000, section 2.4.2).
         """
         if self.blocks is None:
             return float(len(self.exog) - self.exog.shape[1])
@@ -167,7 +167,7 @@ class FittedModel:
 
     @cached_property
     def _taken_between(self) -> int:
-        """How much of what differs between blocks the mean and the columns beside take."""
+        """The degrees of freedom between blocks that the mean and the nuisance columns take."""
         assert self.blocks is not None  # noqa: S101 - degrees of freedom between blocks were asked for
         taken = np.column_stack([self.exog[:, :1], self.exog[:, self.exog.shape[1] - self.beside :]])
         every = np.column_stack([taken, pd.get_dummies(self.blocks).to_numpy(dtype=np.float64)])
@@ -188,12 +188,12 @@ class FittedModel:
 def fit_model(
     data: MeasureData, response: Floats | None = None, beside: Floats | None = None
 ) -> FittedModel | NotComputed:
-    """Fit the model that the runs suffice for.
+    """Fit the largest model for which there are enough runs.
 
     Args:
         data: the measure.
-        response: takes the place of the values, as their ranks.
-        beside: further columns that are taken out, (runs, columns).
+        response: replaces the values, for example by their ranks.
+        beside: further nuisance columns, (runs, columns).
     """
     response = response if response is not None else data.values  # noqa: PD011 - no data frame
     taken = np.empty((len(response), 0)) if beside is None else beside
@@ -213,7 +213,7 @@ def fit_model(
     exog = np.column_stack([exog, taken])
     values = frame[VALUE].to_numpy(dtype=np.float64)
     if np.linalg.matrix_rank(exog) < exog.shape[1]:
-        return NotComputed("the test", _together(frame, factors))
+        return NotComputed("the test", _confounded_in_words(frame, factors))
     every = exog if blocks is None else np.column_stack([exog, pd.get_dummies(blocks).to_numpy(dtype=np.float64)])
     left = values - every @ np.linalg.lstsq(every, values)[0]
     if np.max(np.abs(left)) <= rounding_of(values) and np.linalg.matrix_rank(every) < len(values):
@@ -224,25 +224,25 @@ def fit_model(
 
 
 def _independent(columns: Floats) -> Floats:
-    """Return so many columns as tell something beside a constant: batches may be those of replicates."""
+    """Return a basis of the columns without their means: columns of batches may coincide with those of replicates."""
     vectors, sizes, _ = np.linalg.svd(columns - columns.mean(axis=0), full_matrices=False)
     return np.asarray(vectors[:, sizes > _ROUNDING * np.max(sizes, initial=0.0)], dtype=np.float64)
 
 
 def _fitted(values: Floats, exog: Floats, blocks: NDArray[np.str_] | None) -> _Fit:
-    """Return the estimates of a model whose first column is the mean of all combinations, 1 in each row."""
-    centre = float(values.mean())  # of values far from 0, rounding would hide what they differ by
+    """Return the estimates of a model whose first column, the mean of all combinations, is 1 in each row."""
+    centre = float(values.mean())  # for values far from 0, rounding would hide their differences
     found = _best_fit(values - centre, exog, blocks)
     return found._replace(beta=np.append(found.beta[0] + centre, found.beta[1:]))
 
 
 def _best_fit(values: Floats, exog: Floats, blocks: NDArray[np.str_] | None) -> _Fit:
-    """Return the estimates of least squares; with blocks, those of restricted maximum likelihood.
+    """Return the least-squares estimates; with blocks, those of restricted maximum likelihood.
 
-    There it is a minimum over one number, the ratio of the two variances (Bates, Maechler, Bolker and Walker, Fitting
-    linear mixed-effects models using lme4, Journal of Statistical Software 67, 2015, section 3.4). `MixedLM` of
-    statsmodels is not used: where blocks do not differ, so that the best ratio is 0, its search ends somewhere above
-    or fails.
+    The latter minimise the deviance over one number, the ratio of the two variances (Bates, Maechler, Bolker and
+    Walker, Fitting linear mixed-effects models using lme4, Journal of Statistical Software 67, 2015, section 3.4).
+    `MixedLM` of statsmodels is not used: if blocks do not differ, so that the best ratio is 0, its search fails or ends
+    above 0.
     """
     if blocks is None:
         return _fit_at(0.0, values, exog, np.zeros(len(values), dtype=np.intp))
@@ -263,7 +263,7 @@ def _best_fit(values: Floats, exog: Floats, blocks: NDArray[np.str_] | None) -> 
 
 
 def _fit_at(ratio: float, values: Floats, exog: Floats, codes: Numbers) -> _Fit:
-    """Fit by least squares what is left of values once a share of the mean of their block is taken away."""
+    """Fit by least squares after subtracting a share of the block mean from values and columns."""
     sizes = np.bincount(codes)
     shares = 1 - 1 / np.sqrt(1 + ratio * sizes)
     both = np.column_stack([exog, values])
@@ -280,8 +280,8 @@ def _fit_at(ratio: float, values: Floats, exog: Floats, codes: Numbers) -> _Fit:
     return _Fit(deviance, ratio, beta, scale * inverse @ inverse.T, scale)
 
 
-def _together(frame: pd.DataFrame, factors: Iterable[str]) -> str:
-    """Say which factors cannot be told apart: what one of them says beyond the others leaves less than it has."""
+def _confounded_in_words(frame: pd.DataFrame, factors: Iterable[str]) -> str:
+    """Return why the model cannot be fitted: which factors are confounded, as each loses rank beside the others."""
     columns = {each: pd.get_dummies(frame[each].astype(str), drop_first=True, dtype=np.float64) for each in factors}
     rank = np.linalg.matrix_rank(_with_mean(columns.values(), len(frame)))
     close = [
@@ -301,7 +301,7 @@ def _with_mean(columns: Iterable[pd.DataFrame], count: int) -> Floats:
 
 
 def _means_in_blocks(data: MeasureData, numbers: Mapping[str, Floats]) -> tuple[pd.DataFrame, Numbers]:
-    """Return one row a value, of blocks the mean of each combination that a block holds; and the row of each run."""
+    """Return the data of the model and each run's row: with blocks, means of combinations in blocks, else all runs."""
     frame = data.frame[list(data.factors)].astype(str).assign(**numbers)
     if data.is_extended:
         frame[BATCH] = data.batches
@@ -314,7 +314,7 @@ def _means_in_blocks(data: MeasureData, numbers: Mapping[str, Floats]) -> tuple[
 
 
 def estimable_terms(factors: Factors, frame: pd.DataFrame, blocks: int) -> tuple[tuple[Term, ...], str]:
-    """Return the effects that the values suffice to estimate, and why others are left out."""
+    """Return the effects that can be estimated from the runs, and a note on why others are left out."""
     names = tuple(factors)
     cells, possible = frame.groupby(list(names)).ngroups, factors.count
     if cells == possible <= _MOST_CELLS and len(frame) - blocks > cells:

@@ -1,8 +1,8 @@
-"""Runs that failed, values that are missing, and values at a limit, by treatment: what is left may look better.
+"""Runs and missions that failed, values that are missing or at a limit, by treatment: what is left may look better.
 
 Runs that fail are seldom any runs: those fail that take longer than is waited for, or drive until the battery is
 empty. A mean of the others is not that of the treatment, and no test tells. Nor does one where a timeout was written
-down as if it were how long the run took.
+down as if it were how long the run took, or the time at which a mission failed as if it were what the mission takes.
 """
 
 from __future__ import annotations
@@ -10,8 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pandas as pd
 
+from robot_runner.analysis.importing.units import TIME_UNITS
 from robot_runner.analysis.wording import with_unit
 from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.events.measure import OPERATOR_OWNER
@@ -30,20 +32,26 @@ _OF_SUCCESSES = (
     "Means are of the attempts that succeeded: where those fail that take long, say, a treatment looks better the more "
     "of its attempts fail."
 )
-#: One run that is lost says nothing of which treatments lose more.
+#: The fewest lost runs for a warning: a single one does not show which treatments lose more.
 _FEWEST = 2
 _MOST_FACTORS = 3
-#: From so many runs on, and such a share of all, that have one value at the end of the range it may be a limit, where
-#: of the others hardly any are alike: counts are at their largest often, too.
+#: An end of the range may be a limit if this many runs and this share have it, and this share of the others differ
+#: from each other: counts often are at their largest, too.
 _FEWEST_AT_LIMIT, _SHARE_AT_LIMIT, _LEAST_APART = 3, 0.1, 0.8
+#: Times that were measured at a timeout differ by the moments until it is noticed: this share of the range at the most.
+_WIDTH_OF_LIMIT = 0.01
+#: What `ActionMission` calls the measure that says whether its goal was reached.
+_SUCCESS = "Success"
 
 
 def lost_warnings(results: Results, design: DesignSummary, measures: Sequence[str]) -> Iterator[str]:
-    """Yield what is doubtful as runs failed, values are missing, or stand at a limit."""
+    """Yield warnings on failed runs and missions, missing values, and values at a limit."""
     if uneven := failed_by_treatment(results, design):
         yield f"Runs failed.{uneven}"
     if uneven := repeated_by_treatment(results, design):
         yield f"Runs were repeated after attempts that failed.{uneven}"
+    for text in unsuccessful_in_words(results, design):
+        yield f"Missions did not succeed: {text}"
     for name in measures:
         if uneven := missing_by_treatment(results, design, name):
             yield f"{name} has missing values.{uneven}"
@@ -52,7 +60,7 @@ def lost_warnings(results: Results, design: DesignSummary, measures: Sequence[st
 
 
 def failed_by_treatment(results: Results, design: DesignSummary) -> str:
-    """Return which treatments more runs failed with; nothing where as many failed with each, or hardly any."""
+    """Return which treatments have more failed runs; empty if shares are equal, or hardly any run failed."""
     runs = results.confirming.runs
     status = runs[STATUS].astype("str")
     ended = runs[status.isin([RunStatus.DONE.value, RunStatus.FAILED.value])]
@@ -61,7 +69,7 @@ def failed_by_treatment(results: Results, design: DesignSummary) -> str:
 
 
 def repeated_by_treatment(results: Results, design: DesignSummary) -> str:
-    """Return which treatments more runs are done with only after an attempt that failed, which counts nowhere."""
+    """Return which treatments have more runs that succeeded only after failed attempts, which are not analysed."""
     attempts = results.attempts
     failed = set(attempts.loc[attempts["status"].astype("str") == "failed", RUN_ID])
     done = results.confirming.done
@@ -70,7 +78,7 @@ def repeated_by_treatment(results: Results, design: DesignSummary) -> str:
 
 
 def failures_in_words(results: Results) -> str:
-    """Return how many runs failed, where an experiment is compared with others; nothing where hardly any did."""
+    """Return how many runs failed, for comparisons with other experiments; empty if hardly any did."""
     counts = results.confirming.runs[STATUS].astype("str").value_counts()
     failed, done = (int(counts.get(each.value, 0)) for each in (RunStatus.FAILED, RunStatus.DONE))
     if failed < _FEWEST:
@@ -82,7 +90,7 @@ def failures_in_words(results: Results) -> str:
 
 
 def missing_by_treatment(results: Results, design: DesignSummary, measure: str) -> str:
-    """Return with which treatments more runs that are done lack a value; nothing of what an operator is asked for."""
+    """Return which treatments have more missing values; empty for values that an operator enters."""
     if results.columns[measure].owner == OPERATOR_OWNER:  # now and then
         return ""
     done = results.confirming.done
@@ -91,26 +99,68 @@ def missing_by_treatment(results: Results, design: DesignSummary, measure: str) 
 
 
 def limits_in_words(results: Results, design: DesignSummary, measure: str) -> Iterator[str]:
-    """Yield how many runs have the very largest value of a measure, or the smallest, where that may be a limit."""
+    """Yield how many runs have the largest or smallest value of a measure, if that may be a limit."""
     done = results.confirming.done
     values = done[measure]
     if isinstance(values.dtype, pd.BooleanDtype) or not pd.api.types.is_numeric_dtype(values):
         return
     known = values.dropna()
     for word, end, beyond in (("largest", known.max(), "larger"), ("smallest", known.min(), "smaller")):
-        at, others = done.loc[values == end, RUN_ID], known[known != end]
-        is_often = len(at) >= max(_FEWEST_AT_LIMIT, _SHARE_AT_LIMIT * len(known))
-        if not is_often or end == 0 or others.nunique() < max(_FEWEST_AT_LIMIT, _LEAST_APART * len(others)):
-            continue  # 0 is the end of most ranges
+        is_at, nearly = values == end, ""
+        if word == "largest" and results.unit(measure) in TIME_UNITS and not _is_limit(known, known == end):
+            is_at, nearly = values >= end - _width(known), "nearly "
+        if not _is_limit(known, is_at[known.index]) or (nearly and _is_dense_below(known, is_at[known.index])):
+            continue
+        at = done.loc[is_at.fillna(value=False), RUN_ID]
         yield (
-            f"{len(at):,} of {counted(len(known), 'run')} have the {word} value, "
+            f"{len(at):,} of {counted(len(known), 'run')} have {nearly}the {word} value, "
             f"{with_unit(float(end), results.unit(measure))}.{_by_treatment(done, set(at), design)} Where that is a "
             f"limit, such as a timeout, the true values are {beyond}: means and differences are not what they seem."
         )
 
 
+def _width(known: pd.Series[float]) -> float:
+    return _WIDTH_OF_LIMIT * (float(known.max()) - float(known.min()))
+
+
+def _is_limit(known: pd.Series[float], is_at: pd.Series[bool]) -> bool:
+    """Return whether so many values at an end of the range are no chance, as hardly any of the others are alike."""
+    count, others = int(is_at.sum()), known[~is_at]
+    is_often = count >= max(_FEWEST_AT_LIMIT, _SHARE_AT_LIMIT * len(known))
+    is_apart = others.nunique() >= max(_FEWEST_AT_LIMIT, _LEAST_APART * len(others))
+    return is_often and is_apart and not (known[is_at] == 0).any()  # 0 is the end of most ranges
+
+
+def _is_dense_below(known: pd.Series[float], is_at: pd.Series[bool]) -> bool:
+    """Return whether as many of the other values lie as close together somewhere."""
+    others, width = np.sort(known[~is_at].to_numpy(float)), _width(known)
+    alike = np.searchsorted(others, others + width, "right") - np.arange(len(others))
+    return bool(alike.max() >= is_at.sum())
+
+
+def unsuccessful_in_words(results: Results, design: DesignSummary) -> Iterator[str]:
+    """Yield how many missions did not succeed though their runs are done, where quantities of these are analysed."""
+    done = results.confirming.done
+    dtypes = [done[name].dtype for name in results.measures]
+    if not any(pd.api.types.is_numeric_dtype(each) and not pd.api.types.is_bool_dtype(each) for each in dtypes):
+        return
+    for name in results.measures:
+        if name.rpartition(".")[2] != _SUCCESS or not pd.api.types.is_bool_dtype(done[name].dtype):
+            continue
+        known = done[name].dropna()
+        failed = done.loc[known.index[~known.astype(bool)], RUN_ID]
+        if len(failed):
+            yield (
+                f"{name} is no in {len(failed):,} of {counted(len(known), 'run')}."
+                f"{_by_treatment(done, set(failed), design)} Their durations, energies and whatever else grows with "
+                "time are those until they failed or were broken off: a treatment whose missions fail early looks fast "
+                "and frugal, and one whose missions end at a deadline less slow than it is. Means and tests are of all "
+                f"runs: compare {name} first."
+            )
+
+
 def _by_treatment(runs: pd.DataFrame, lost: set[str], design: DesignSummary) -> str:
-    """Return a sentence on each factor, with a blank before it; nothing where as many are lost of each treatment."""
+    """Return a sentence on each factor, after a space; empty if all treatments lose the same share of runs."""
     if len(lost) < _FEWEST:
         return ""
     is_lost = runs[RUN_ID].isin(lost)

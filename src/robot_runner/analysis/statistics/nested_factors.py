@@ -1,9 +1,9 @@
-"""Factors that apply under a condition only: nested within the treatments of other factors that decide on them.
+"""Conditional factors: nested within the treatments of their parent factors.
 
-A conditional factor has effects among the runs where it applies. In the mean of a treatment that it is nested within,
-each of its own treatments counts the same: `y ~ Sensor / Resolution` with sums to zero within each level, as R writes
-it (Montgomery, Design and Analysis of Experiments, 2013, chapter 14). So effects of all factors, and the interactions
-of those that apply together, are contrasts of the means of combinations, and together tell all of their differences.
+A conditional factor has effects among the runs to which it applies. In the mean of a treatment that it is nested
+within, its treatments have equal weights: `y ~ Sensor / Resolution` in R, with sum coding within each level
+(Montgomery, Design and Analysis of Experiments, 2013, chapter 14). So the effects of all factors, and the interactions
+of those that apply together, are contrasts of the means of combinations, and together explain all their differences.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-#: What a conditional factor has where it does not apply.
+#: The value of a conditional factor where it does not apply.
 IDLE = str(INACTIVE)
 
 _PAIR = 2
 
 
 class NestedFactors(Factors):
-    """Factors with their treatments, some of which apply under a condition only; `inactive` is no treatment.
+    """Factors with their treatments, some of them conditional; `inactive` is not a treatment.
 
     Attributes:
-        conditions: of those that do not apply everywhere.
+        conditions: of the conditional factors.
 
     Example:
         >>> found = NestedFactors(
@@ -54,29 +54,29 @@ class NestedFactors(Factors):
         self._columns = lru_cache(maxsize=16)(self._columns_of)
 
     def has(self, term: Sequence[str]) -> bool:
-        """Return whether there is an effect of these factors: whether they apply together, and vary there."""
+        """Return whether these factors have an effect together: whether they apply together, and vary there."""
         return all(map(len, self.scope(term).values())) and min(map(len, self.levels(term))) >= _PAIR
 
     @property
     def count(self) -> int:
-        """How many combinations there can be."""
+        """The number of possible combinations."""
         bound = {name for name, of in self.conditions.items() for name in (name, *of)}
         apart = math.prod(len(levels) for name, levels in self.items() if name not in bound)
         return apart * len(self.only(bound).cells)
 
     @cached_property
     def cells(self) -> tuple[tuple[str, ...], ...]:
-        """All combinations that there can be, in the order of treatments; the last factor changes fastest."""
+        """All possible combinations, in the order of treatments; the last factor changes fastest."""
         found: list[dict[str, str]] = [{}]
-        for name in self._by_decision:
+        for name in self._parents_first:
             found = [{**cell, name: text} for cell in found for text in self._texts(name, cell)]
         order = {name: {text: at for at, text in enumerate([*levels, IDLE])} for name, levels in self.items()}
         every = [tuple(cell[name] for name in self) for cell in found]
         return tuple(sorted(every, key=lambda cell: [order[name][text] for name, text in zip(self, cell, strict=True)]))
 
     @property
-    def _by_decision(self) -> list[str]:
-        """The factors, those that decide before those that they decide on."""
+    def _parents_first(self) -> list[str]:
+        """The factors, parents before the factors that are nested in them."""
         order: list[str] = []
         while len(order) < len(self):
             order += [name for name in self if name not in order and set(self.conditions.get(name, ())) <= set(order)]
@@ -87,10 +87,10 @@ class NestedFactors(Factors):
         return self[name] if applies else [IDLE]
 
     def numbers(self, codes: Mapping[str, Numbers]) -> Numbers:
-        """Return the number of each run's combination among the cells.
+        """Return the index of each run's combination among the cells.
 
         Args:
-            codes: the number of each run's treatment, by factor; where it does not apply, one more than the last.
+            codes: the index of each run's treatment, by factor; one more than the last where it does not apply.
         """
         sizes = [len(levels) + 1 for levels in self.values()]
         known = [
@@ -104,7 +104,7 @@ class NestedFactors(Factors):
 
     @cached_property
     def _shares(self) -> Floats:
-        """How much each cell counts in the mean of all: at each decision, treatments count the same."""
+        """The weight of each cell in the overall mean: the treatments of each factor have equal weights."""
         parts = [
             math.prod(1 / len(self[name]) for name, text in zip(self, cell, strict=True) if text in self[name])
             for cell in self.cells
@@ -112,17 +112,17 @@ class NestedFactors(Factors):
         return np.array(parts)
 
     def weights(self, treatments: Mapping[str, str]) -> Floats:
-        """Return the weights of the cells in the mean of some treatments; of others, each counts the same.
+        """Return the weights of the cells in a marginal mean, equal over the treatments of the other factors.
 
         Args:
-            treatments: by factor, `inactive` among them where they are of one combination.
+            treatments: by factor; may include `inactive` for a single combination.
         """
         named = [(list(self).index(name), text) for name, text in treatments.items()]
         found = self._shares * [all(cell[at] == text for at, text in named) for cell in self.cells]
         return np.asarray(found / found.sum(), dtype=np.float64)
 
     def contrasts(self, term: Sequence[str]) -> Floats:
-        """Return the contrasts of an effect, orthonormal, (degrees of freedom, cells); of no factor the mean of all."""
+        """Return the orthonormal contrasts of an effect, (degrees of freedom, cells); for no factor, the mean."""
         levels = self.levels(term)
         means = np.stack([self.weights(dict(zip(term, texts, strict=True))) for texts in product(*levels)])
         rows = kron([linalg.helmert(len(each)) for each in levels], np.ones((1, 1))) @ means
@@ -130,25 +130,25 @@ class NestedFactors(Factors):
         return np.asarray((turned * np.sign(np.diag(triangle))).T, dtype=np.float64)
 
     def row(self, terms: Sequence[Term], treatments: Mapping[str, str]) -> Floats:
-        """Return 1 and the columns of each effect, of the mean of some treatments; see `weights`."""
+        """Return the row of the design matrix (1, then the effects) for a marginal mean; see `weights`."""
         return np.asarray(self.weights(treatments) @ self._columns(tuple(terms)), dtype=np.float64)
 
     def columns(self, codes: Mapping[str, Numbers], terms: Sequence[Term]) -> dict[Term, Floats]:
-        """Return the columns of effects, coded to sum up to zero; where factors do not apply, 0."""
+        """Return the sum-coded columns of effects; 0 where factors do not apply."""
         numbers = self.numbers(codes)
         return {term: self._coded(term)[numbers] for term in terms}
 
     def squares(self, term: Sequence[str]) -> Floats:
         """Return the mean over all combinations of the products of the columns of an effect.
 
-        The columns are those that its contrasts see: where more is nested within one treatment than within others, the
-        effects do not sum up to zero over all combinations.
+        The columns are projected on the contrasts of the effect: if more is nested within one treatment than within
+        others, the effects do not sum up to zero over all combinations.
         """
         seen = self.contrasts(term) @ self._coded(term)
         return np.asarray(seen.T @ seen / len(self.cells), dtype=np.float64)
 
     def _columns_of(self, terms: Sequence[Term]) -> Floats:
-        """Return the columns of effects, (cells, columns): of those that do not apply to a cell 0."""
+        """Return the columns of effects, (cells, columns); 0 where an effect does not apply to a cell."""
         parts = [np.ones((len(self.cells), 1)), *map(self._coded, terms)]
         return np.column_stack(parts)
 
@@ -165,7 +165,7 @@ class NestedFactors(Factors):
 
 
 def codes_of(frame: pd.DataFrame, factors: Mapping[str, Sequence[str]]) -> dict[str, Numbers]:
-    """Return the number of each run's treatment, by factor; where one does not apply, one more than the last."""
+    """Return the index of each run's treatment, by factor; one more than the last where a factor does not apply."""
     return {
         name: frame[name]
         .astype(str)
@@ -176,18 +176,18 @@ def codes_of(frame: pd.DataFrame, factors: Mapping[str, Sequence[str]]) -> dict[
 
 
 def factors_of(treatments: Mapping[str, Sequence[str]], conditions: Conditions) -> Factors:
-    """Return factors with their treatments, nested where some apply to some runs only."""
+    """Return factors with their treatments, nested if some are conditional."""
     return NestedFactors(treatments, conditions) if conditions else Factors(treatments)
 
 
 def conditions_of(planned: pd.DataFrame) -> Conditions:
-    """Return where factors apply that do not apply everywhere, as the combinations of a run table tell.
+    """Return the conditions of conditional factors, derived from the combinations of a run table.
 
-    A factor is conditional where treatments of others decide whether it is `inactive`: each of these factors by itself.
+    A factor is conditional if the treatments of other factors determine whether it is `inactive`, each by itself.
 
     Args:
-        planned: the treatments of each factor, as texts; one row a combination. Of columns that decide alike, the last
-            one is taken.
+        planned: the treatments of each factor as texts, one row for each combination. Of columns with the same
+            information, the last is taken.
 
     Example:
         >>> import pandas as pd
@@ -199,36 +199,38 @@ def conditions_of(planned: pd.DataFrame) -> Conditions:
     active = {name: len(set(planned[name])) - 1 for name in idle}
     found: Conditions = {}
     for name, rests in idle.items():
-        own = dict(_deciding(planned, name, ~rests))
-        for parent in sorted(own, key=lambda each: each not in idle):  # those that follow from others
-            if _decide({each: of for each, of in own.items() if each != parent}, planned, ~rests):
+        own = dict(_possible_parents(planned, name, ~rests))
+        for parent in sorted(own, key=lambda each: each not in idle):  # drop conditions that follow from others
+            if _determine({each: of for each, of in own.items() if each != parent}, planned, ~rests):
                 del own[parent]
-        if _decide(own, planned, ~rests):
+        if _determine(own, planned, ~rests):
             found[name] = own
-    # Of two that decide on each other, one has a treatment that happens to be called so.
-    while circular := [name for name in found if name in _above(found, name)]:
+    # Of two factors that depend on each other, one has a treatment that happens to be named `inactive`.
+    while circular := [name for name in found if name in _ancestors(found, name)]:
         del found[min(circular, key=lambda name: active[name])]
     return found
 
 
-def _deciding(planned: pd.DataFrame, name: str, applies: NDArray[np.bool_]) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Yield the factors of which not all treatments occur where a factor applies, with those that do."""
+def _possible_parents(
+    planned: pd.DataFrame, name: str, applies: NDArray[np.bool_]
+) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yield the factors some of whose treatments never occur where a factor applies, with those that do."""
     for parent in map(str, planned):
         texts = tuple(dict.fromkeys(planned[parent][applies]))
         if parent != name and 0 < len(texts) < len(set(planned[parent])):
             yield parent, texts
 
 
-def _decide(conditions: Mapping[str, Sequence[str]], planned: pd.DataFrame, applies: NDArray[np.bool_]) -> bool:
-    """Return whether a factor applies where these conditions hold, and only there."""
+def _determine(conditions: Mapping[str, Sequence[str]], planned: pd.DataFrame, applies: NDArray[np.bool_]) -> bool:
+    """Return whether a factor applies if and only if these conditions hold."""
     if not conditions:
         return False
     held = np.all([planned[parent].isin(texts).to_numpy() for parent, texts in conditions.items()], axis=0)
     return bool(np.array_equal(held, applies))
 
 
-def _above(conditions: Conditions, name: str) -> set[str]:
-    """Return the factors that decide on a factor, directly or through others."""
+def _ancestors(conditions: Conditions, name: str) -> set[str]:
+    """Return the parents of a factor, direct and indirect."""
     found: set[str] = set()
     open_names = list(conditions.get(name, ()))
     while open_names:

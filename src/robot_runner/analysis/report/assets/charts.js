@@ -1,4 +1,4 @@
-// Charts that answer to the reader's pointer. Their data stand in the page; nothing is fetched.
+// Interactive charts. Their data are in the page; nothing is fetched.
 (function () {
   "use strict";
 
@@ -6,7 +6,7 @@
   const LINE = "#e4e8ec";
   const FONT = "12px system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif";
 
-  // As the report writes numbers elsewhere.
+  // The same number format as in the rest of the report.
   function shown(value, unit) {
     if (value === null || value === undefined) { return "–"; }
     const size = Math.abs(value);
@@ -26,7 +26,7 @@
     return made;
   }
 
-  // Marks such as 1,200,000 need more room than most, or the name of the axis is written over them.
+  // Wide marks such as 1,200,000 need more room, or the axis label would overlap them.
   function roomForMarks(plot, marks) {
     return Math.max(54, 12 + 7 * Math.max(0, ...(marks || []).map((mark) => String(mark || "").length)));
   }
@@ -45,7 +45,7 @@
     return Math.round(Math.max(240, Math.min(380, width * 0.46)));
   }
 
-  // A chart is made anew when what is shown changes, and resized with the page.
+  // A chart is rebuilt when its content changes, and resized with the page.
   function mount(plot, make) {
     let chart = null;
     function draw() {

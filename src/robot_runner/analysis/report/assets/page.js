@@ -1,5 +1,5 @@
-// The link of the section that is read is marked; what is folded is unfolded for paper; light and dark can be chosen;
-// a table is unpacked from the archive of all.
+// Mark the link of the current section; unfold folded parts for printing; switch between light and dark; unpack a table
+// from the archive of all tables.
 (function () {
   "use strict";
   const scheme = document.querySelector(".scheme");
@@ -33,7 +33,7 @@
   }
   document.addEventListener("scroll", mark, { passive: true });
   mark();
-  // Each link of a table leads to the archive of all; where the browser can unpack that, it yields the one file.
+  // Each table's link leads to the archive of all tables; if the browser can unpack it, the link yields only this file.
   let files = null;
   async function unpack(address) {
     const packed = Uint8Array.from(atob(address.slice(address.indexOf(",") + 1)), function (each) { return each.charCodeAt(0); });
