@@ -16,7 +16,7 @@ class Thermometer(rr.Profiler):
 
     def check(self, circumstances: rr.Circumstances) -> list[rr.Finding]:
         problem = f"there is no file {self.path}"
-        finding = rr.Finding.error(f"plugin {self.name}", problem, "Name one that is: path='...'.")
+        finding = rr.Finding.error(f"plugin {self.name}", problem, "Name an existing file: path='...'.")
         return [] if self.path.is_file() else [finding]
 
     def read(self) -> float:

@@ -83,7 +83,7 @@ def test_what_is_no_surface_is_said_at_once() -> None:
             "factor 'F0': the factor has listed treatments: a surface takes numbers → Give it a range and no "
             "condition, as in Range(0.05, 0.22), or choose DOptimal."
         ),
-        "design: there are 2 factors, and it takes 3 → Add one, or choose another design.",
+        "design: there are 2 factors, and the design takes 3 → Add one, or choose another design.",
     ]
     assert "neither 'inscribed' nor 'faced'" in findings_of(numeric("AB"), design=CentralComposite(axial="out"))[0]
     assert "axial=['faced'] is neither" in findings_of(numeric("AB"), design=CentralComposite(axial=["faced"]))[0]

@@ -105,5 +105,5 @@ def test_what_keeps_points_from_being_spread_is_said() -> None:
 def test_a_missing_library_is_told_with_the_extra_that_brings_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("robot_runner.designs.choosing.find_spec", lambda name: None)
     assert findings_of(numeric("A"), design=Sobol(runs=4)) == [
-        "design: it needs scipy, which is not installed → Install it: pip install 'robot-runner[designs]'."
+        "design: the design needs scipy, which is not installed → Install it: pip install 'robot-runner[designs]'."
     ]

@@ -155,6 +155,17 @@ def test_axe_finds_nothing_against_pages_of_each_kind(site: Path, tab: Any) -> N
 
 
 @pytest.mark.long
+def test_no_word_in_angle_brackets_is_taken_for_an_element(site: Path, tab: Any) -> None:
+    unknown = "[...document.querySelectorAll('.md-content *')].filter(each => each instanceof HTMLUnknownElement)"
+    faults = {}
+    for page in sorted(site.glob("reference*.html")):  # made from docstrings, where nobody sees the page
+        tab.open(page)
+        if found := tab.evaluate(f"{unknown}.map(each => each.localName)"):
+            faults[page.name] = found
+    assert faults == {}
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("page", KINDS)
 def test_nothing_is_fetched_from_elsewhere_and_nothing_complains(page: str, site: Path, tab: Any) -> None:
     tab.open(site / page)

@@ -150,14 +150,14 @@ def test_what_git_packs_as_deltas_or_broke_off_is_told_as_not_searched(repositor
     (path,) = repository.folder.glob(".git/objects/pack/*.pack")
     redactor = Redactor.knowing(set(), home=tmp_path)
     (why,) = Search(path, redactor).unread
-    assert "it holds deltas between files, which cannot be looked through" in why
+    assert "the pack holds deltas between files, which cannot be looked through" in why
     repository.git("repack", "--quiet", "-a", "-d", "-F", "--window=0")
     (path,) = repository.folder.glob(".git/objects/pack/*.pack")
     assert (found := Search(path, redactor)).found == Counter({"password": 2})
     assert found.unread == []
     (tmp_path / "half.pack").write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     (why,) = Search(tmp_path / "half.pack", redactor).unread
-    assert "it ends too early" in why
+    assert "the pack ends too early" in why
 
 
 def test_a_journal_in_which_a_stranger_wrote_anything_of_revisions_is_no_fault_of_ours(tmp_path):

@@ -1,4 +1,4 @@
-"""What validation finds of gates, guards and profilers of a config: what can never hold, or is about no robot there."""
+"""Checks of the gates, guards and profilers of a config: conditions that can never hold, or are about another robot."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from robot_runner.core.words import listed
 
 
 def check_conditions(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> Iterator[Finding]:
-    """Yield what keeps the gates and guards of a config from what they are for, and profilers of simulated robots.
+    """Yield findings on gates and guards that cannot work, and on profilers of simulated robots that do not exist.
 
     Args:
         where: the config's file and class.
@@ -36,7 +36,7 @@ def check_conditions(where: str, parameters: Parameters, plugins: Sequence[Plugi
 
 
 def _without_run(place: str, condition: Condition) -> Iterator[Finding]:
-    """Yield an error for each part of a gate that waits for what only a run can tell."""
+    """Yield an error for each part of a gate that can hold only during a run."""
     for leaf in leaves(condition):
         if isinstance(leaf, Confirmed):
             problem = f"before a run, a person is asked by a step and not by a gate: {leaf}"
@@ -47,7 +47,7 @@ def _without_run(place: str, condition: Condition) -> Iterator[Finding]:
 
 
 def _of_robots_apart(conditions: Mapping[str, Condition], plugins: Sequence[Plugin]) -> Iterator[Finding]:
-    """Yield a warning for all that is about a simulated robot that no system has: there is one for each namespace."""
+    """Yield a warning for conditions and profilers of a simulated robot (one for each namespace) without a system."""
     systems = [each for each in with_parts(plugins) if isinstance(each, System)]
     named = {each.namespace for each in systems if hasattr(each, "namespace")}
     if not named or not all(isinstance(each, str) for each in named):  # bound to a factor: any of its treatments
@@ -56,7 +56,7 @@ def _of_robots_apart(conditions: Mapping[str, Condition], plugins: Sequence[Plug
     for place, subject in (*_parts(conditions), *_profilers(plugins)):
         namespace = getattr(subject, "namespace", None)
         if isinstance(namespace, str) and _as_named(namespace) not in here:
-            problem = f"it is about a simulated robot of its own, which no system commands: they command {listed(here)}"
+            problem = f"this is about another simulated robot, which no system commands: they command {listed(here)}"
             yield Finding.warning(place, problem, f"Say which one is meant, as in namespace={here[-1]!r}.")
 
 
@@ -67,10 +67,10 @@ def _parts(conditions: Mapping[str, Condition]) -> Iterator[tuple[str, object]]:
 
 
 def _profilers(plugins: Iterable[Plugin]) -> Iterator[tuple[str, object]]:
-    """Yield each profiler that measures at a robot, and not a computer that is named."""
+    """Yield each profiler that measures at a robot, and not at a named computer."""
     for plugin in plugins:
         if isinstance(plugin, Profiler) and getattr(plugin, "host", None) is None:
-            held = (plugin, *vars(plugin).values())  # a meter may keep how it is reached beside itself
+            held = (plugin, *vars(plugin).values())  # the host may be an attribute of an attribute
             yield from ((f"plugin {plugin.name}", each) for each in held if hasattr(each, "namespace"))
 
 

@@ -39,7 +39,7 @@ def topic_present(topic: str, message_type: str | None = None, *, namespace: str
 
     Args:
         topic: its name, relative to the robot's namespace unless it begins with `/`.
-        message_type: of which type it is to be; left out, of any.
+        message_type: its type; by default any.
         namespace: which robot, where there are several.
 
     Raises:
@@ -84,24 +84,24 @@ def _checked(name: str) -> str:
 
 
 def check_robot_named(what: str, robot: str | None) -> Iterable[Finding]:
-    """Yield an error where a condition asks for a robot that the experiment does not name."""
+    """Yield an error where a condition needs a robot and the experiment has none."""
     if robot is None:
         fix = f"Name one in the config: robot = {SIMULATED!r}. Or: --set robot={SIMULATED}."
-        yield Finding.error(f"condition {what!r}", "it is about a robot, and the experiment names none", fix)
+        yield Finding.error(f"condition {what!r}", "the condition is about a robot, and the experiment names none", fix)
 
 
-#: Those of lifecycle_msgs/State in which a node stays.
+#: The primary states of lifecycle_msgs/State.
 _STATES = ("unconfigured", "inactive", "active", "finalized")
-#: How long a node may take to tell its state, s: one that is busy answers at the next look.
+#: How long a node may take to answer, s; a busy one may answer at the next look.
 _ANSWER = 1.0
 
 
 class _OnGraph(Condition):
-    """A condition that a look at the robot's graph decides."""
+    """A condition of the robot's graph."""
 
     namespace: str
 
-    #: Each look is a question to the graph or to a node.
+    #: Seldom, as each look is a question to the graph or to a node.
     every_s = 0.25
 
     def check(self, robot: str | None) -> Iterable[Finding]:
@@ -123,7 +123,7 @@ class _OnGraph(Condition):
 
     @abstractmethod
     def judged(self, link: RobotLink, namespace: str) -> Look:
-        """Return what is seen, names being relative to a namespace; a `LinkError` says that nothing is."""
+        """Return the look at the graph; names are relative to `namespace`. A `LinkError`: nothing was seen."""
 
 
 @dataclass(frozen=True)
@@ -163,8 +163,8 @@ class _Present(_OnGraph):
             seen = f"{len(there)} {self.kind}s are there{f', among them {near}' if near else ''}"
             return Look(holds=False, seen=f"{name} is not: {seen}")
         found = link.topics().get(name) if self.message_type else None
-        if self.message_type and found != self.message_type.replace("/msg/", "/"):  # as ROS 2 spells it
-            is_known = found != "*"  # what a graph says where nothing tells the type
+        if self.message_type and found != self.message_type.replace("/msg/", "/"):  # the spelling of ROS 2
+            is_known = found != "*"  # the type of a topic whose type is not known
             said = f"carries {found}" if is_known else "nothing tells what it carries"
             return Look(holds=False, seen=f"{name} is there and {said}", is_known=is_known)
         return Look(holds=True, seen=f"{name} is there")

@@ -1,4 +1,4 @@
-"""What the designs have in common: from places and values to combinations, and what keeps factors from a design."""
+"""Shared parts of the designs: combinations from indices and values, and findings on factors and parameters."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from robot_runner.core.words import INACTIVE
 
 
 class Described:
-    """A design that is kept as its kind and its parameters; what derives from it is a dataclass."""
+    """A design that is stored as its kind and its parameters; subclasses must be dataclasses."""
 
     __slots__ = ()
     kind: ClassVar[str]
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return its kind and its parameters; of a factor, its name."""
+        """Return its kind and its parameters, factors by their names."""
         parameters: Any = fields(self)  # type: ignore[arg-type]
         return {"kind": self.kind, **{each.name: factor_name(getattr(self, each.name)) for each in parameters}}
 
 
 def at_places(factors: Sequence[Factor], rows: Iterable[Sequence[int]]) -> list[Combination]:
-    """Return the combinations of rows of places of treatments, one place for each factor."""
+    """Return the combinations of rows of treatment indices, one index for each factor."""
     places = factor_places(factor.name for factor in factors)
     listed = [factor.treatments for factor in factors]
     return [
@@ -37,9 +37,9 @@ def at_places(factors: Sequence[Factor], rows: Iterable[Sequence[int]]) -> list[
 
 
 def distinct(factors: Sequence[Factor], rows: Iterable[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
-    """Return rows of treatments and of numbers within ranges, each once.
+    """Return rows of treatments and of numbers within ranges, without duplicates.
 
-    Treatments are told apart as the factors' own objects, as True equals 1, and a list has no hash.
+    Treatments are compared by identity, as True equals 1, and a list has no hash.
     """
     are_numbers = [factor.range is not None for factor in factors]
     found: dict[tuple[Any, ...], tuple[Any, ...]] = {}
@@ -52,17 +52,17 @@ def distinct(factors: Sequence[Factor], rows: Iterable[tuple[Any, ...]]) -> list
 def with_values(
     factors: Sequence[Factor], rows: Iterable[Sequence[Any]], is_allowed: IsAllowed
 ) -> tuple[tuple[Factor, ...], list[Combination]]:
-    """Return combinations of values that are allowed, and the factors with the values that occur.
+    """Return the allowed combinations of values, and the factors with the values that occur.
 
-    Of a factor with a range the values become the treatments, in ascending order; other factors keep theirs.
+    The values of a factor with a range become its treatments, in ascending order; other factors keep theirs.
 
     Args:
-        factors: as they are in the config.
-        rows: a value for each factor: treatments, or numbers within the range.
-        is_allowed: whether the exclusions leave a combination.
+        factors: of the config.
+        rows: a value for each factor: a treatment, or a number within the range.
+        is_allowed: returns whether a combination is not excluded.
     """
     places = factor_places(factor.name for factor in factors)
-    # The factor's own objects, by which combinations are compared; equal numbers become one.
+    # Combinations are compared by the factor's own objects; equal numbers become one object.
     own: list[dict[Any, Any]] = [
         {each: each for each in factor.treatments} if factor.range is not None else {} for factor in factors
     ]
@@ -85,7 +85,7 @@ def _occurring(factor: Factor, combinations: Sequence[Combination]) -> Factor:
 
 
 def active_treatments(factor: Factor) -> tuple[Any, ...]:
-    """Return the treatments that are one: all but that which stands for runs where the factor does not apply."""
+    """Return the treatments without `INACTIVE`, which stands for runs to which the factor does not apply."""
     return tuple(each for each in factor.treatments if each is not INACTIVE)
 
 
@@ -111,9 +111,9 @@ def _own(factor: Factor, wanted: Iterable[Any]) -> list[Any]:
 
 
 def share_value(factor: Factor, share: float) -> Any:
-    """Return what a factor has at a share from 0 to 1: of its range, or of its treatments in their order.
+    """Return the value of a factor at a share from 0 to 1, of its range or of its ordered treatments.
 
-    Each step of a range has an equal part: to the nearest one, the ends would have half as much as all others.
+    All steps of a range have equal parts: with rounding to the nearest step, the ends would have half a part.
     """
     span = factor.range
     if span is None:
@@ -130,21 +130,21 @@ def _part(share: float, count: int) -> int:
     return min(int(share * count), count - 1)
 
 
-# What keeps factors and parameters from a design.
+# Findings on factors and parameters.
 
 
 def library_findings(*modules: str) -> Iterator[Finding]:
-    """Say which library is not installed."""
+    """Yield a finding for each library that is not installed."""
     for module in modules:
         if find_spec(module) is None:
-            yield Finding.error("design", f"it needs {module}, which is not installed", _INSTALL)
+            yield Finding.error("design", f"the design needs {module}, which is not installed", _INSTALL)
 
 
 _INSTALL = "Install it: pip install 'robot-runner[designs]'."
 
 
 def number_findings(name: str, value: object, least: int, most: int | None = None) -> Iterator[Finding]:
-    """Say whether a parameter of a design is no whole number from `least` to `most`."""
+    """Yield a finding if a parameter of a design is not a whole number from `least` to `most`."""
     fix = f"Give a whole number from {least}."
     if not is_whole(value):
         yield Finding.error("design", f"{name}={value!r} is of type {type(value).__name__}", fix)
@@ -155,7 +155,7 @@ def number_findings(name: str, value: object, least: int, most: int | None = Non
 
 
 def curve_findings(factor: Factor) -> Iterator[Finding]:
-    """Say whether the steps of a range leave fewer than the three values that a curve takes."""
+    """Yield a finding if the steps of a range allow fewer than the three values that a curve needs."""
     if factor.range is not None and len({factor.range.at(share) for share in (0, 0.5, 1)}) < 3:  # noqa: PLR2004
         problem = "its steps leave two values: a surface takes three"
         fix = "Give it finer steps or a wider range, or choose FractionalFactorial."
@@ -163,7 +163,7 @@ def curve_findings(factor: Factor) -> Iterator[Finding]:
 
 
 def left_out_warning(chosen: int, left: int, consequence: str) -> tuple[Finding, ...]:
-    """Say that exclusions take combinations out of a design that is built without a look at them."""
+    """Return a warning if exclusions remove combinations from a design that ignores exclusions."""
     if left == chosen:
         return ()
     problem = f"the exclusions take {chosen - left} of the {chosen} combinations out of the design: {consequence}"
@@ -171,7 +171,7 @@ def left_out_warning(chosen: int, left: int, consequence: str) -> tuple[Finding,
 
 
 def more_than_all(factors: Sequence[Factor], runs: int) -> Iterator[Finding]:
-    """Say whether more runs are asked for than there are combinations."""
+    """Yield a finding if there are more runs than combinations."""
     if all(factor.range is None for factor in factors) and runs > (every := full_size(factors)):
         problem = f"runs={runs:,}, and the full factorial has {every:,}"
         yield Finding.error("design", problem, f"Give {every:,} or fewer, or leave the design out.")

@@ -1,4 +1,4 @@
-"""D-optimal designs: the runs from which the effects of a model are estimated most precisely."""
+"""D-optimal designs: the runs that estimate the effects of a model most precisely."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ if TYPE_CHECKING:
     Matrix = NDArray[np.float64]
 
 _MODELS = ("main", "interactions", "quadratic")
-#: The best of so many searches from random beginnings is taken; of fewer, where one search is long.
+#: The number of searches from random starts, of which the best is taken; fewer if a search takes long.
 _STARTS = 8
-#: Candidates times runs that a search looks at in each step, of all searches together: a second or two.
+#: The limit of candidates times runs for the steps of all searches together: a second or two.
 _AT_ONCE = 500_000
-#: Of more candidates than this a random sample is searched: the full factorial is never listed where it is large.
+#: The most candidates; of a larger full factorial, which is never listed, a random sample is searched.
 _MOST_CANDIDATES = 4000
-#: A search ends when no exchange of a run makes the determinant of the information larger by this part.
+#: A search ends when no exchange of a run increases the determinant of the information by this share.
 _GAIN = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class DOptimal(choosing.Described):
-    """So many of the allowed combinations that the effects of a model are estimated most precisely.
+    """The `runs` allowed combinations that estimate the effects of a model most precisely.
 
-    It maximises the determinant of the information matrix by exchanges (Fedorov, 1972), from several beginnings. Only
-    what the exclusions leave is ever looked at. Factors may have any number of treatments, and conditions.
+    It maximises the determinant of the information matrix by exchanges (Fedorov, 1972), from several random starts.
+    Only allowed combinations are candidates. Factors may have any number of treatments, and conditions.
 
     Attributes:
-        runs: how many combinations there are.
-        model: `main` for the main effects, `interactions` for those of two factors as well, `quadratic` for squares of
-            numeric factors on top.
-        seed: what the beginnings are drawn from.
+        runs: the number of combinations.
+        model: `main` for main effects, `interactions` for two-factor interactions as well, `quadratic` for squares of
+            numeric factors in addition.
+        seed: of the random starts.
 
     Example:
         >>> from robot_runner.core.design.factor import Factor
@@ -57,7 +57,7 @@ class DOptimal(choosing.Described):
     seed: int = 0
 
     def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
-        """Say why it cannot be."""
+        """Yield findings on libraries, parameters and factors."""
         yield from choosing.library_findings("numpy")
         yield from choosing.number_findings("seed", self.seed, 0)
         wrong = list(choosing.number_findings("runs", self.runs, 1, MAX_RUNS))
@@ -75,7 +75,7 @@ class DOptimal(choosing.Described):
                 yield from choosing.curve_findings(factor)
 
     def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
-        """Return the combinations whose information has the largest determinant that is found."""
+        """Return the combinations with the largest determinant of the information that is found."""
         import numpy as np  # noqa: PLC0415 - an extra
 
         random = np.random.default_rng(self.seed)
@@ -85,7 +85,7 @@ class DOptimal(choosing.Described):
             problem = f"runs={self.runs}, and there are {len(offered)} combinations of the values that the model takes"
             raise DesignError(problem, where="design", fix=f"Give {len(offered)} runs or fewer.")
         if len(candidates) < self.runs:
-            left = f"{len(candidates)} of the {len(offered):,} combinations that it looks at"
+            left = f"{len(candidates)} of the {len(offered):,} combinations that DOptimal searches"
             problem = f"runs={self.runs}, and the exclusions leave {left}"
             raise DesignError(problem, where="design", fix="Give fewer runs, or exclude fewer.")
         matrix = _model_matrix(used, [combination.treatments for combination in candidates], self.model)
@@ -97,7 +97,7 @@ class DOptimal(choosing.Described):
             problem = f"what the exclusions leave does not tell all effects of the model {self.model!r} apart"
             raise DesignError(problem, where="design", fix="Exclude fewer, or choose a smaller model.")
         kept = [candidates[place] for place in sorted(best)]
-        # Relative to an orthogonal design, in which each effect-coded column has length one a run.
+        # Relative to an orthogonal design, in which each effect-coded column has a mean square of one.
         efficiency = float(np.exp(value / parameters) / self.runs)
         facts = {
             "kind": self.kind,
@@ -119,14 +119,14 @@ def _parameters(factors: Sequence[Factor], model: str) -> int:
 
 
 def _pairs(factors: Sequence[Factor]) -> Iterator[tuple[int, int]]:
-    """Yield the places of factors that can interact: a factor does not with one that decides whether it applies."""
+    """Yield the indices of factors that can interact: a conditional factor and its parent cannot."""
     for one, other in combinations(range(len(factors)), 2):
         if factors[one].name not in factors[other].when and factors[other].name not in factors[one].when:
             yield one, other
 
 
 def _candidates(factors: Sequence[Factor], model: str, random: np.random.Generator) -> Iterator[tuple[Any, ...]]:
-    """Yield what may be chosen: every combination, or a random part of them; a range has its ends and its middle."""
+    """Yield the candidates, all combinations or a random sample; a range has its ends and, if quadratic, its middle."""
     values = [_levels(factor, model) for factor in factors]
     listed = [factor.with_treatments(each) for factor, each in zip(factors, values, strict=True)]
     if full_size(listed) <= _MOST_CANDIDATES:
@@ -138,23 +138,23 @@ def _candidates(factors: Sequence[Factor], model: str, random: np.random.Generat
             factor.name: each[int(random.integers(len(each)))] for factor, each in zip(factors, values, strict=True)
         }
         row = choosing.with_conditions(factors, drawn)
-        key = tuple(map(id, row))  # where conditions do not hold, several draws are one combination
+        key = tuple(map(id, row))  # if conditions do not hold, several draws are the same combination
         if key not in seen and len(seen) < _MOST_CANDIDATES:
             seen.add(key)
             yield row
 
 
 def _levels(factor: Factor, model: str) -> tuple[Any, ...]:
-    span = factor.range  # of a model that is planned again its treatments are those that were chosen
+    span = factor.range  # its treatments may be those that an earlier plan chose
     if span is None:
         return choosing.active_treatments(factor)
     return (span.lower, *([span.at(0.5)] if model == "quadratic" else []), span.upper)
 
 
 def _model_matrix(factors: Sequence[Factor], rows: Sequence[tuple[Any, ...]], model: str) -> Matrix:
-    """Return the model's columns: the constant, effects, their products, squares.
+    """Return the columns of the model: the constant, effects, their products, squares.
 
-    Effects are coded as orthogonal contrasts of length one a run when balanced; an inactive factor has zeros.
+    Effects are coded as orthogonal contrasts, with a mean square of one if balanced; an inactive factor has zeros.
     """
     import numpy as np  # noqa: PLC0415 - an extra
 
@@ -179,7 +179,7 @@ def _effects(factor: Factor, values: Sequence[Any]) -> Matrix:
     treatments = choosing.active_treatments(factor)
     count = len(treatments)
     place_of = {id(each): place for place, each in enumerate(treatments)}
-    contrasts = np.zeros((count + 1, max(count - 1, 0)))  # the last row is that of an inactive factor
+    contrasts = np.zeros((count + 1, max(count - 1, 0)))  # the last row is for an inactive factor
     for column in range(count - 1):  # Helmert: each treatment against those before it
         contrasts[: column + 1, column] = -1
         contrasts[column + 1, column] = column + 1
@@ -190,15 +190,15 @@ def _effects(factor: Factor, values: Sequence[Any]) -> Matrix:
 def _exchanged(matrix: Matrix, runs: int, random: np.random.Generator) -> tuple[list[int], float]:
     """Return rows chosen by exchanges, and the logarithm of the determinant of their information.
 
-    Each step makes the exchange of one run for one candidate that raises the determinant most: by the factor
+    Each step exchanges one run for the candidate that increases the determinant most: by the factor
     (1 + d_c)(1 - d_r) + d_cr², with d_xy = x' M^-1 y (Fedorov, 1972).
     """
     import numpy as np  # noqa: PLC0415 - an extra
 
     width = matrix.shape[1]
     chosen = random.choice(len(matrix), runs, replace=False)
-    ridge = 1e-9 * np.eye(width)  # a beginning may not tell all effects apart
-    for _ in range(10 * runs):  # each step gains; so many are never needed
+    ridge = 1e-9 * np.eye(width)  # the information of a start may be singular
+    for _ in range(10 * runs):  # an upper limit that is never needed, as each step gains
         inverse = np.linalg.inv(matrix[chosen].T @ matrix[chosen] + ridge)
         projected = matrix @ inverse
         every = np.einsum("ij,ij->i", projected, matrix)

@@ -19,12 +19,12 @@ _INSCRIBED, _FACED = "inscribed", "faced"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CentralComposite(Described):
-    """Corners, axial points and the centre: all that a quadratic response surface takes (Box & Wilson, 1951).
+    """Corners, axial points and the centre, for a quadratic response surface (Box & Wilson, 1951).
 
-    No run lies outside the ranges. The corners are a fraction of resolution 5 where there are many factors.
+    All runs are inside the ranges. With many factors, the corners are a fraction of resolution 5.
 
     Attributes:
-        centre: how often the centre is executed: what tells how much repeated runs scatter.
+        centre: how often the centre is executed, to estimate the variance of repeated runs.
         axial: `inscribed` puts the axial points at the ends of the ranges and the corners inside, so that predictions
             are equally precise in all directions (rotatable: the axial distance is the fourth root of the number of
             corners); `faced` puts both at the ends, with three values for each factor.
@@ -42,7 +42,7 @@ class CentralComposite(Described):
     axial: str = _INSCRIBED
 
     def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
-        """Say why it cannot be."""
+        """Yield findings on the parameters and the factors."""
         yield from number_findings("centre", self.centre, 1, MAX_RUNS)
         if self.axial not in (_INSCRIBED, _FACED):
             problem = f"axial={self.axial!r} is neither {_INSCRIBED!r} nor {_FACED!r}"
@@ -65,10 +65,10 @@ class CentralComposite(Described):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoxBehnken(Described):
-    """Midpoints of edges and the centre: a quadratic response surface without a run at any corner of the ranges.
+    """Midpoints of edges and the centre, for a quadratic response surface without runs at the corners of the ranges.
 
-    For where all factors at their ends at once would be too much for the robot; three values for each factor. Blocks of
-    factors as in Box & Behnken (1960), Technometrics 2(4), table 4: pairs of 3 to 5 factors, triples of 6 and 7.
+    Use it if all factors at their ends at once would be too much for the robot. Each factor has three values. Blocks of
+    factors as in Box & Behnken (1960), Technometrics 2(4), table 4: pairs for 3 to 5 factors, triples for 6 and 7.
 
     Attributes:
         centre: how often the centre is executed.
@@ -85,11 +85,11 @@ class BoxBehnken(Described):
     centre: int = 3
 
     def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
-        """Say why it cannot be."""
+        """Yield findings on the parameters and the factors."""
         yield from number_findings("centre", self.centre, 1, MAX_RUNS)
         yield from _numeric_findings(factors, 3)
         if len(factors) > max(_BLOCKS):
-            problem = f"there are {len(factors)} factors, and it is known for 3 to {max(_BLOCKS)}"
+            problem = f"there are {len(factors)} factors, and BoxBehnken is known for 3 to {max(_BLOCKS)}"
             yield Finding.error("design", problem, "Choose CentralComposite, or fewer factors.")
 
     def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
@@ -104,7 +104,7 @@ class BoxBehnken(Described):
         return _surface(self, factors, points, is_allowed, {})
 
 
-#: Which factors are at their ends together, by the number of factors.
+#: The groups of factors that are at their ends together, by the number of factors.
 _BLOCKS: dict[int, list[tuple[int, ...]]] = {
     **{factors: list(combinations(range(factors), 2)) for factors in (3, 4, 5)},
     6: [(0, 1, 3), (1, 2, 4), (2, 3, 5), (0, 3, 4), (1, 4, 5), (0, 2, 5)],
@@ -119,7 +119,7 @@ def _surface(
     is_allowed: IsAllowed,
     facts: Mapping[str, Any],
 ) -> ChosenCombinations:
-    """Return points with coordinates from -1 to 1 as combinations, and the centre behind them."""
+    """Return points with coordinates from -1 to 1 as combinations, followed by the centre points."""
     every = [*points, *([0.0] * len(factors) for _ in range(design.centre))]
     rows = [
         [factor.range.at((each + 1) / 2) for factor, each in zip(factors, point, strict=True) if factor.range]
@@ -140,7 +140,7 @@ def _surface(
 
 
 def _coarse_warnings(factors: Sequence[Factor], wanted: Collection[float]) -> Iterator[Finding]:
-    """Say of which factor some of the coordinates that are wanted are one value, as its steps are wider."""
+    """Yield a warning for each factor whose steps are so wide that several coordinates are the same value."""
     for factor in factors:
         values = {factor.range.at((each + 1) / 2) for each in wanted} if factor.range else ()
         if len(values) < len(wanted):
@@ -159,4 +159,4 @@ def _numeric_findings(factors: Sequence[Factor], least: int) -> Iterator[Finding
             yield from curve_findings(factor)
     if len(factors) < least:
         problem = f"there {'is 1 factor' if len(factors) == 1 else f'are {len(factors)} factors'}"
-        yield Finding.error("design", f"{problem}, and it takes {least}", "Add one, or choose another design.")
+        yield Finding.error("design", f"{problem}, and the design takes {least}", "Add one, or choose another design.")

@@ -1,4 +1,4 @@
-"""A long-lived process on board of a robot: started over SSH, asked line by line, ended with the run."""
+"""A long-lived process on another computer: started over SSH, controlled line by line, ended with the run."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class Form:
 
     Attributes:
         program: the file that is sent there.
-        description: what samples, in words.
-        rescan: seconds between two looks for new processes, at the least.
+        description: of what samples, in words.
+        rescan: seconds between two searches for new processes, at the least.
     """
 
     program: str
@@ -44,15 +44,15 @@ class Form:
     rescan: float = RESCAN
 
 
-#: What can be sent, best first, by the name that the bootstrap program knows.
+#: The programs that can be sent, best first, by their names in the bootstrap program.
 FORMS = {
     "python3": Form("loop.py", "a loop in Python that reads Linux's /proc", rescan=SCAN),
     "sh": Form("loop.sh", "a loop of the POSIX shell that reads Linux's /proc"),
     "ps": Form("loop.sh", "a loop of the POSIX shell that asks ps: CPU time in steps of up to a second"),
 }
 
-# The user's login shell at the other end may be any: to it this is one command with one quoted word. The sh that it
-# starts reads a program up to a line `#end`, a byte at a time, so that what follows is left for the program.
+# The user's login shell at the other end may be any: for it this is one command with one quoted word. The sh that it
+# starts reads a program up to a line `#end`, byte by byte, so that the input after it is left for the program.
 _READ_PROGRAM = (
     'n="$(printf "\\n_")";n="${n%_}";p=;while IFS= read -r l&&[ "$l" != "#end" ];do p="$p$l$n";done;eval "$p"'
 )
@@ -65,25 +65,25 @@ _SAMPLES = ("s", "f")
 #: How long an answer may take, s: the first one waits for the connection.
 _PATIENCE = 10.0
 _FIRST_PATIENCE = 20.0
-#: For how long, s, a loop that keeps its samples goes on after its connection was cut: a network that comes back within
-#: a mission finds them whole, and a computer is not sampled for ever where nobody comes back.
+#: For how long, s, a loop that keeps its samples goes on after its connection was cut: so they are complete if the
+#: network comes back during the mission, and a computer is not sampled for ever if it does not.
 _LEASE = 600
-#: How often the clock is asked for: the least delay of eight is near the least there is.
+#: How many times the clock is asked for: the least delay of eight is near the least possible.
 _EXCHANGES = 8
-#: How long a process may take to end once its input is closed, s, and then once it is told to.
+#: How long a process may take to end once its input is closed, and again once it got a signal, s.
 _LAST_WORDS = 2.0
 
 
 class OnBoardSession:
-    """A process that samples the computer that it runs on, and answers questions meanwhile.
+    """A process that samples the computer on which it runs, and answers requests meanwhile.
 
     Args:
         command: what starts a shell at the other end that executes `REMOTE_COMMAND`: ssh with its arguments.
         where: the computer, for messages.
         clock: the run's.
-        form: one of `FORMS`; left out, the best that the computer can do.
-        gist: says in one line what the stderr of the command says.
-        explain: says from the whole stderr of the command what mends it.
+        form: one of `FORMS`; None takes the best one that works there.
+        gist: returns the stderr of the command in one line.
+        explain: returns a fix from the whole stderr of the command.
 
     Raises:
         LinkError: the command cannot be started, there is no answer, or the computer cannot be sampled.
@@ -117,28 +117,28 @@ class OnBoardSession:
 
     @property
     def is_alive(self) -> bool:
-        """Whether it still answers, as far as is known."""
+        """Whether the process still answers, as far as is known."""
         return self._listener.is_alive() and self._process.poll() is None
 
     def ask(self, *words: object, answer: str, patience: float = _PATIENCE) -> list[str]:
         """Send one line and return the fields of the line that answers it.
 
         Raises:
-            LinkError: the connection is lost, it does not answer in time, or it says that it cannot.
+            LinkError: the connection is lost, there is no answer in time, or the answer is a refusal.
         """
         self._send("\t".join(map(str, words)) + "\n")
         return self._await(answer, patience)[0]
 
     def clock_offset(self) -> ClockOffset:
-        """Ask for the time a few times and return how its clock stands to the run's.
+        """Ask for the time a few times and return the offset of the computer's clock from the run's.
 
         Raises:
-            LinkError: it does not answer.
+            LinkError: there is no answer.
         """
         return estimate_offset([self._exchange(number) for number in range(_EXCHANGES)])
 
     def end(self) -> None:
-        """Have it sample no more, without waiting.
+        """Make the process stop sampling, without waiting.
 
         Raises:
             LinkError: the connection is lost.
@@ -146,10 +146,10 @@ class OnBoardSession:
         self._send("stop\n")
 
     def fetch(self) -> float | None:
-        """Wait, after `end`, until all samples are in `samples`. Return the CPU time that they took there, s, if known.
+        """Wait, after `end`, until all samples are in `samples`; return the CPU time that sampling took, s, if known.
 
         Raises:
-            LinkError: the connection is lost, or it falls silent.
+            LinkError: the connection is lost, or the process falls silent.
         """
         while True:
             try:
@@ -161,16 +161,16 @@ class OnBoardSession:
             return None if seconds == "-" else float(seconds)
 
     def recover(self, path: str) -> None:
-        """Fetch the samples that a session kept whose connection was lost, and end what it left; as `fetch`.
+        """Fetch, like `fetch`, the samples that a session with a lost connection kept, and end its process.
 
         Raises:
-            LinkError: the file is not there, the connection is lost, or it falls silent.
+            LinkError: there is no such file, the connection is lost, or the process falls silent.
         """
         self._send(f"recover\t{path}\n")
         self.fetch()
 
     def lost(self) -> LinkError:
-        """Return what is to be said of a connection that is lost, with ssh's own words and exit code."""
+        """Return the error for a lost connection, with ssh's own message and exit code."""
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(_LAST_WORDS)
         code = self._process.poll()
@@ -186,7 +186,7 @@ class OnBoardSession:
         pipe = self._process.stdin
         if pipe is not None and not pipe.closed:
             with suppress(OSError):
-                pipe.write(b"leave\n")  # otherwise it would take this for a connection that was cut
+                pipe.write(b"leave\n")  # otherwise the loop would take this for a connection that was cut
             with suppress(OSError):
                 pipe.close()
         for ending in (None, signal.SIGTERM, signal.SIGKILL):
@@ -235,10 +235,10 @@ class OnBoardSession:
         self._send(f"clock\t{number}\n")
         while True:
             (asked, steady, wall), received = self._await("clock", _PATIENCE)
-            if asked == str(number):  # not the late answer to a question that was given up
+            if asked == str(number):  # not the late answer to a request that was given up
                 break
         own_wall = wall_sent + (received - sent) / 2
-        # The clock of a shell goes in steps, and shows as many digits as it knows.
+        # The clock of a shell goes in steps, whose size is that of its last digit.
         resolution = 10.0 ** -len(steady.partition(".")[2])
         return ClockExchange(sent, received, float(steady), float(wall), own_wall, resolution)
 
@@ -260,7 +260,7 @@ class OnBoardSession:
             except queue.Empty:
                 break
             if not words:
-                self._answers.put(([], at))  # the next call is told the same
+                self._answers.put(([], at))  # so that the next call finds the same
                 raise self.lost()
             if words[0] == kind:
                 return words[1:], at
@@ -306,14 +306,14 @@ _OWNER_DIGITS = 16
 
 
 def new_token() -> str:
-    """Return what a new file of samples is named after: this machine, this process, and a number of its own."""
+    """Return a name for a new file of samples, from this machine, this process, and a number."""
     return f"{_owner()}-{os.getpid()}-{secrets.token_hex(8)}"
 
 
 def remove_leftovers(session: OnBoardSession) -> None:
-    """Remove the samples on board that runs of this machine left which are dead, with the loops that still keep them.
+    """Remove the samples on board of runs of this machine that were killed, with the loops that still keep them.
 
-    Those of other machines are left alone: their runs may be alive. What cannot be removed is no fault of this run.
+    Those of other machines stay: their runs may be alive. A failure to remove some does not fail this run.
     """
     try:
         for path in session.ask("leftovers", _owner(), answer="paths"):
@@ -321,11 +321,11 @@ def remove_leftovers(session: OnBoardSession) -> None:
                 session.ask("discard", path, answer="discarded")
                 _logger.info("removed the samples of a run that was killed: %s on %s", path, session.where)
     except LinkError as error:
-        _logger.warning("what runs that were killed left on board could not be removed: %s", error)
+        _logger.warning("samples that killed runs left on board could not be removed: %s", error)
 
 
 def _owner() -> str:
-    """Return what tells this machine from others, and a container from those beside it, whose processes it sees not."""
+    """Return a name that distinguishes this machine, or this container, whose processes alone are visible from here."""
     space = ""
     with suppress(OSError):
         space = str(Path("/proc/self/ns/pid").readlink())

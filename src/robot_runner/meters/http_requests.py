@@ -1,4 +1,4 @@
-"""Small requests over HTTP to devices and exporters of a lab, with a password that stands in no config."""
+"""Small requests over HTTP to devices and exporters of a lab, with a password that is in no config."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import Any
 
 from robot_runner.core.errors import LinkError, PluginError
 
-#: Much more than an exporter's page takes; a device that sends without end is cut off.
+#: Much more than the page of an exporter; the answer of a device that never stops sending is cut off.
 _MOST_BYTES = 32 << 20
 _UNAUTHORIZED, _FORBIDDEN = 401, 403
 _NAME_PASSWORD = "Name its user, and where its password stands: password_env='NAME' or password_file='...'."  # noqa: S105
@@ -24,7 +24,7 @@ _NAME_PASSWORD = "Name its user, and where its password stands: password_env='NA
 
 @dataclass(frozen=True, slots=True)
 class Secret:
-    """Where a password stands, which is all that a config says of it.
+    """The source of a password, which a config names instead of the password.
 
     Attributes:
         env: the environment variable that holds it.
@@ -36,7 +36,7 @@ class Secret:
 
     @classmethod
     def named(cls, env: str | None, file: str | Path | None, *, where: str) -> Secret | None:
-        """Return where the password stands; None where there is none.
+        """Return the source of the password; None where there is none.
 
         Raises:
             PluginError: both are named.
@@ -51,7 +51,7 @@ class Secret:
         """Return the password.
 
         Raises:
-            LinkError: it is not there.
+            LinkError: there is none, or the file cannot be read.
         """
         if self.file is None:
             password = os.environ.get(self.env or "")
@@ -75,7 +75,7 @@ def check_url(url: str, *, where: str, schemes: tuple[str, ...] = ("http", "http
     """Return a URL without the `/` at its end.
 
     Raises:
-        PluginError: it is of another kind, names no host, or holds a password.
+        PluginError: the scheme is another one, the URL names no host, or it contains a password.
     """
     try:
         parts = urllib.parse.urlsplit(url)
@@ -95,7 +95,7 @@ def _example(schemes: tuple[str, ...]) -> str:
 
 
 class _Digest(urllib.request.HTTPDigestAuthHandler):
-    """Digest authentication with SHA-256 too (RFC 7616), which Shelly's plugs want and Python before 3.14 lacks."""
+    """Digest authentication, also with SHA-256 (RFC 7616): Shelly's plugs need it and Python before 3.14 lacks it."""
 
     def get_algorithm_impls(self, algorithm: str) -> tuple[Callable[[str], str], Callable[[str, str], str]]:
         if algorithm != "SHA-256":
@@ -109,13 +109,13 @@ class _Digest(urllib.request.HTTPDigestAuthHandler):
 
 
 class HttpDevice:
-    """Something that answers GET requests.
+    """A device that answers GET requests.
 
     Args:
-        url: where it is, such as `http://192.168.0.20`.
+        url: of the device, such as `http://192.168.0.20`.
         timeout: how long each step of a request may take, s.
-        user: for the password.
-        password: None where there is none.
+        user: whose password it is.
+        password: None for requests without one.
         where: for errors: whose device it is.
     """
 
@@ -123,7 +123,7 @@ class HttpDevice:
         self.url = url
         self._timeout = timeout
         self._where = where
-        handlers: list[Any] = [urllib.request.ProxyHandler({})]  # it stands in the lab
+        handlers: list[Any] = [urllib.request.ProxyHandler({})]  # no proxy, as the device is in the lab
         if password is not None:
             known = urllib.request.HTTPPasswordMgrWithDefaultRealm()
             known.add_password(None, url, user, password)
@@ -134,7 +134,7 @@ class HttpDevice:
         """Return the body of the answer.
 
         Raises:
-            LinkError: it does not answer, or refuses.
+            LinkError: the device does not answer, or refuses.
         """
         request = urllib.request.Request(self.url + path, headers=headers)  # noqa: S310 - the scheme was checked
         try:
@@ -143,8 +143,8 @@ class HttpDevice:
         except urllib.error.HTTPError as error:
             with error:
                 raise self._refused(error.code, error.reason) from error
-        except ValueError as error:  # urllib's word for a kind of authentication that it could not do
-            raise self._refused(_UNAUTHORIZED, "it was not let in") from error
+        except ValueError as error:  # urllib raises it for an unknown kind of authentication
+            raise self._refused(_UNAUTHORIZED, "authentication failed") from error
         except (OSError, HTTPException) as error:
             reason = getattr(error, "reason", None) or error
             said = "it timed out" if isinstance(reason, TimeoutError) else str(reason) or type(reason).__name__
@@ -153,7 +153,7 @@ class HttpDevice:
         if len(body) > _MOST_BYTES:
             fix = "Look whether the address is right."
             raise LinkError(f"{self.url} sends more than {_MOST_BYTES >> 20} MiB", where=self._where, fix=fix)
-        if answer.length:  # what is missing of the length that was told; a read of so many bytes says nothing of it
+        if answer.length:  # missing bytes of the announced length; a read with a size raises no error for them
             fix = "Look whether the device was restarted, and at the network."
             problem = f"the answer of {self.url} breaks off {answer.length} bytes before its end"
             raise LinkError(problem, where=self._where, fix=fix)

@@ -20,20 +20,20 @@ from robot_runner.meters.polled import trial_findings
 
 _INSTALL = "Install it: pip install 'robot-runner[joulescope]'."
 _CONNECT = "Connect it by USB; on Linux its rules for udev must be installed (joulescope.com, user's guide)."
-#: Samples a second, by which its statistics are counted. Source: the driver's own program `statistics`.
+#: Sample rates, Hz: the period of statistics is requested in samples. Source: the driver's own program `statistics`.
 _JS110_RATE, _LATER_RATE = 2_000_000, 1_000_000
-#: How many statistics are sent for each reading, so that the last one is never old.
+#: How many statistics are sent for each reading, so that the last one is always recent.
 _STATISTICS_PER_READING = 2
 #: Hz; the driver's callbacks take their time from the run's process.
 _FASTEST = 100
-#: How long to wait between two looks for the first statistics, s.
+#: The time between two checks for the first statistics, s.
 _POLL = 0.02
 #: After how many readings without a new one the instrument counts as silent.
 _SILENT_READINGS = 5
 
 
 class _Instrument:
-    """An opened Joulescope that sends statistics; those since the last reading are what is read."""
+    """An opened Joulescope that sends statistics; a reading is made of those since the last one."""
 
     def __init__(self, plugin: Joulescope, clock: Clock) -> None:
         self._plugin = plugin
@@ -45,9 +45,11 @@ class _Instrument:
         try:
             self._driver: Any = import_module("pyjoulescope_driver").Driver()
         except ImportError as error:
-            raise PluginError(f"its driver cannot be imported: {error}", where=plugin.name, fix=_INSTALL) from error
+            raise PluginError(
+                f"the Joulescope's driver cannot be imported: {error}", where=plugin.name, fix=_INSTALL
+            ) from error
         try:
-            # Such as `u/js220/000415`; later drivers list other instruments too.
+            # Such as `u/js220/000415`; later drivers list other instruments, too.
             paths = [path for path in self._driver.device_paths() if "/js" in path]
             self.path = self._chosen(paths)
             self._driver.open(self.path)
@@ -55,15 +57,15 @@ class _Instrument:
         except PluginError:
             self.close()
             raise
-        except Exception as error:  # the driver has errors of its own, among them RuntimeError and TimeoutError
+        except Exception as error:  # the driver raises various errors, among them RuntimeError and TimeoutError
             self.close()
             raise PluginError(f"the Joulescope cannot be opened: {error}", where=plugin.name, fix=_CONNECT) from error
 
     def await_statistics(self) -> None:
-        """Wait until it has sent the first of its statistics.
+        """Wait for the first statistics.
 
         Raises:
-            PluginError: it sends none.
+            PluginError: the instrument sends none.
         """
         deadline = self._clock.now() + self._patience
         while self._last is None:
@@ -84,7 +86,7 @@ class _Instrument:
         return (ElectricalReading(power, voltage, current, last.joules, last.time),)
 
     def close(self) -> None:
-        with suppress(Exception):  # it may be unplugged; what is left is let go of by `finalize`
+        with suppress(Exception):  # the instrument may be unplugged; `finalize` releases the rest
             self._driver.close(self.path)
         self._driver.finalize()
 
@@ -102,7 +104,7 @@ class _Instrument:
         return found[0]
 
     def _begin(self) -> None:
-        """Have statistics sent, as the maker's own programs do."""
+        """Request statistics, as the maker's own programs do."""
         is_first = "js110" in self.path
         settings: Mapping[str, object] = (
             {"s/i/range/select": "auto", "s/i/ctrl": "on", "s/v/ctrl": "on", "s/p/ctrl": "on"}
@@ -116,7 +118,7 @@ class _Instrument:
         self._driver.subscribe(f"{self.path}/s/stats/value", "pub", self._receive)
 
     def _receive(self, topic: str, value: Mapping[str, Any]) -> None:
-        """Take the statistics of a moment; called in a thread of the driver."""
+        """Take new statistics; called in a thread of the driver."""
         del topic
         signals = value["signals"]
         power, voltage, current = (float(signals[name]["avg"]["value"]) for name in ("power", "voltage", "current"))
@@ -129,8 +131,8 @@ class Joulescope(ElectricalProfiler):
     """Measures with a Joulescope (JS220, JS320, JS110) on USB, which integrates power at a million samples a second.
 
     Args:
-        name: tells several instances apart; the class's name if left out.
-        device: its path such as `u/js220/000415`, or its serial number; left out, the only one.
+        name: distinguishes several instances; None for the class's name.
+        device: its path such as `u/js220/000415`, or its serial number; None takes the only one.
         rate_hz: readings a second, Hz; the instrument integrates between them, whatever the load does.
 
     Raises:
@@ -154,22 +156,22 @@ class Joulescope(ElectricalProfiler):
         self._path = ""
 
     def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: the instrument."""
+        """Return a claim of the instrument."""
         del robot
         return (f"device:joulescope {self.device or ''}".rstrip(),)
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no driver, no instrument, or several of which none is named."""
+        """Return errors: no driver, no instrument, or several without a name."""
         if importlib.util.find_spec("pyjoulescope_driver") is None:
             return [Finding.error(f"plugin {self.name}", "pyjoulescope_driver is not installed", _INSTALL)]
         findings = trial_findings(self, lambda: _Instrument(self, SystemClock()))
         return findings or simulation_findings(self.name, circumstances.robot)
 
     def open(self, context: RobotRunnerContext) -> _Instrument:
-        """Return the instrument, which has begun to send statistics.
+        """Return the instrument once it sends statistics.
 
         Raises:
-            PluginError: the driver or the instrument is not there, or sends nothing.
+            PluginError: the driver or the instrument is missing, or no statistics come.
         """
         instrument = _Instrument(self, machine_clock(context))
         try:
@@ -181,5 +183,5 @@ class Joulescope(ElectricalProfiler):
         return instrument
 
     def details(self) -> Mapping[str, Any]:
-        """Return which instrument it was."""
+        """Return the details of an electrical meter, and the instrument's path."""
         return {**super().details(), "device": self._path}

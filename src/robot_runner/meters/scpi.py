@@ -1,4 +1,4 @@
-"""The profiler that asks laboratory instruments: power supplies, multimeters and power analysers that speak SCPI."""
+"""The profiler of laboratory instruments with SCPI: power supplies, multimeters and power analysers."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from robot_runner.meters.polled import trial_findings
 
 _INSTALL = "Install it: pip install 'robot-runner[scpi]'."
 _ENERGY_UNITS = {"J": 1.0, "Wh": 3600.0, "kWh": 3.6e6}
-#: A number, and the prefix of its unit where an instrument answers `150 mA`; the unit of an energy counter is declared.
+#: A number, and the prefix of its unit in answers such as `150 mA`; the unit of an energy counter is a parameter.
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?)(?:\s*([munk])[WVA]\b)?", re.IGNORECASE)
 _PREFIXES = {"m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
-#: What stands for an overload and for no number. Source: SCPI-99, volume 1, section 7.2.1.4: 9.9E37 and 9.91E37.
+#: The values for overload and for no number. Source: SCPI-99, volume 1, section 7.2.1.4: 9.9E37 and 9.91E37.
 _NO_NUMBER = 9.9e37
 _LONGEST_QUEUE = 50
-#: So many letters of an answer are shown.
+#: How many characters of an answer a message shows.
 _SHOWN = 40
-#: How long to look for what was not asked for, ms; the least that VISA waits.
+#: How long to wait for unrequested data, ms; the shortest timeout of VISA.
 _AT_ONCE = 1
-#: What stands in the way where an instrument cannot be opened, by a word of what PyVISA says.
+#: Fixes for an instrument that cannot be opened, by a part of PyVISA's message.
 _REFUSED = "Undefined header"
 _REMEDIES = (
     (_REFUSED, "Look the command up in the instrument's programming manual."),
@@ -51,25 +51,25 @@ _REMEDY = "Look whether it is switched on, its address, and whether its remote i
 
 
 class OverloadError(ValueError):
-    """An answer that holds no value, and is one answer all the same."""
+    """A complete answer without a value."""
 
 
 class SurplusError(ValueError):
-    """Something came that was not asked for: from then on, each answer would be that to the query before."""
+    """Unrequested data came: from then on, each answer would be taken for that to the next query."""
 
     def __init__(self, surplus: str) -> None:
         super().__init__(f"the instrument sends what it was not asked for, such as {surplus.strip()[:_SHOWN]!r}")
 
 
 def parse_number(answer: str) -> float:
-    """Return the number with which an instrument's answer begins, in W, V or A; further numbers may follow.
+    """Return the number at the beginning of an instrument's answer, in W, V or A; further numbers may follow.
 
     Example:
         >>> parse_number("+1.25000E+01,V"), parse_number("150mA")
         (12.5, 0.15)
 
     Raises:
-        ValueError: it begins with none, or stands for an overload or for no number.
+        ValueError: there is none, or it means an overload or no number.
     """
     match = _NUMBER.match(answer)
     if match is None:
@@ -83,8 +83,7 @@ def parse_number(answer: str) -> float:
 class _Instrument:
     """An opened instrument.
 
-    After a failure it is opened anew, so that an answer that comes late, or was not asked for, is not taken for the
-    next one's.
+    After a failure it is opened again, so that a late or unrequested answer is not taken for that to the next query.
 
     Raises:
         PluginError: the library is not installed, or the instrument does not answer as it should.
@@ -95,14 +94,14 @@ class _Instrument:
     def __init__(self, plugin: Scpi) -> None:
         self._plugin = plugin
         try:
-            self._get_acquainted()
+            self._prepare()
         except PluginError:
             self.close()
             raise
         except SurplusError as error:
             self.close()
             raise PluginError(str(error), where=plugin.name, fix=_FIX_SURPLUS) from error
-        except Exception as error:  # each backend of PyVISA has errors of its own
+        except Exception as error:  # each backend of PyVISA has its own errors
             self.close()
             raise self._error(f"{plugin.resource} does not answer: {_said(error)}", str(error)) from error
 
@@ -125,29 +124,28 @@ class _Instrument:
     def close(self) -> None:
         resource, self._resource = self._resource, None
         if resource is not None:
-            with suppress(Exception):  # whatever a backend raises here, nothing can be lost any more
+            with suppress(Exception):  # an error of the backend costs nothing here
                 resource.close()
 
     def _asked(self, query: str) -> float:
         self._refuse_surplus()
         return parse_number(self._resource.query(query))
 
-    def _get_acquainted(self) -> None:
-        """Open it, set it up, and try each query.
+    def _prepare(self) -> None:
+        """Open the instrument, set it up, and try each query.
 
-        Its identity is asked for before and after: a greeting or an echo comes in its place, whether it was sent early
-        or late.
+        Its identity is queried before and after: a greeting or an echo is noticed, as it comes instead, early or late.
 
         Raises:
-            PluginError: it refuses its setup, or does not understand a query.
-            SurplusError: it sends what it was not asked for.
+            PluginError: the instrument refuses its setup, or does not understand a query.
+            SurplusError: the instrument sends unrequested data.
         """
         self._open()
         self.identity = self._resource.query("*IDN?").strip()
         if self._resource.query("*IDN?").strip() != self.identity:
             raise SurplusError(self.identity)
         for _ in range(_LONGEST_QUEUE):
-            if not self._complaint():  # of what others have sent before
+            if not self._complaint():  # about earlier commands of others
                 break
         for command in self._plugin.setup:
             self._resource.write(command)
@@ -161,25 +159,25 @@ class _Instrument:
             raise SurplusError(said)
 
     def _refuse_surplus(self) -> None:
-        """Look whether more came than was asked for.
+        """Check for unrequested data.
 
         Raises:
-            SurplusError: so it is.
+            SurplusError: there are some.
         """
         resource, visa = self._resource, import_module("pyvisa")
         if resource.resource_class != "SOCKET" and resource.interface_type != visa.constants.InterfaceType.asrl:
-            return  # other interfaces tell one answer from the next
+            return  # other interfaces keep answers apart
         patience, resource.timeout = resource.timeout, _AT_ONCE
         surplus, end = b"", (self._plugin.terminator or "\n").encode()
         try:
             while end not in surplus and len(surplus) < _SHOWN:
-                surplus += resource.read_bytes(1)  # not a line: of what arrives right now, a part would be passed over
+                surplus += resource.read_bytes(1)  # not a line: a part of one that is just arriving would be missed
         except visa.VisaIOError as error:
             if error.error_code != visa.constants.StatusCode.error_timeout:
                 raise
         finally:
             resource.timeout = patience
-        if surplus.strip() or end in surplus:  # blanks alone are how some end their answers
+        if surplus.strip() or end in surplus:  # not blanks alone, with which some end their answers
             raise SurplusError(surplus.decode("ascii", "replace"))
 
     def _open(self) -> None:
@@ -197,7 +195,7 @@ class _Instrument:
         except Exception as error:
             self.close()
             complaint = ""
-            with suppress(Exception):  # what it says of the query is more than that it did not answer
+            with suppress(Exception):  # an error in its queue says more than a missing answer
                 self._open()
                 complaint = self._complaint()
             self.close()
@@ -205,10 +203,10 @@ class _Instrument:
             raise self._error(problem, _REFUSED if complaint else str(error)) from error
 
     def _complaint(self) -> str:
-        """Return what stands first in the instrument's queue of errors; empty where nothing does, or it has none."""
+        """Return the first entry of the instrument's error queue; empty if there is no entry, or no queue."""
         try:
             said = str(self._resource.query("SYST:ERR?")).strip()
-        except Exception:  # noqa: BLE001 - no queue; opened anew, so that a late answer is not taken for the next one's
+        except Exception:  # noqa: BLE001 - no queue; opened again, so that a late answer is not taken for the next one
             self.close()
             self._open()
             return ""
@@ -227,24 +225,24 @@ def _said(error: Exception) -> str:
 class Scpi(ElectricalProfiler):
     """Measures with a laboratory instrument that speaks SCPI: a supply, a multimeter or a power analyser, over PyVISA.
 
-    Power is what the instrument answers to `power`, else voltage times current.
+    Power is the answer to the query `power`, else voltage times current.
 
     Args:
         resource: its VISA address, such as `TCPIP::192.168.0.5::5025::SOCKET`.
-        name: tells several instances apart; the class's name if left out.
+        name: distinguishes several instances; None for the class's name.
         power: the query for power, W; None where there is none.
         voltage: the query for voltage, V; None leaves it out.
         current: the query for current, A; None leaves it out.
         energy: the query for an energy counter; None where there is none.
         energy_unit: of that counter: `J`, `Wh` or `kWh`.
-        setup: commands to be sent before the measurement, such as `["SENS:CURR:RANG 3"]`.
+        setup: commands to send before the measurement, such as `["SENS:CURR:RANG 3"]`.
         rate_hz: readings a second, Hz; a supply takes 20 to 100 ms for each query.
         timeout_s: how long to wait for an answer, s.
-        terminator: what ends a line in both directions.
-        backend: PyVISA's: `@py` needs no library of a maker's; empty for an installed one (NI, Keysight).
+        terminator: of lines in both directions.
+        backend: of PyVISA: `@py` needs no maker's library; empty for an installed one (NI, Keysight).
 
     Raises:
-        PluginError: no query is left, the energy's unit is another, or the rate or the timeout is not positive.
+        PluginError: there is no query, the energy's unit is unknown, or the rate or the timeout is not positive.
 
     Example:
         >>> Scpi("TCPIP::192.168.0.5::5025::SOCKET", power="MEAS:POW? (@1)").measures[0].unit
@@ -291,12 +289,12 @@ class Scpi(ElectricalProfiler):
         self._identity = ""
 
     def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: the instrument."""
+        """Return a claim of the instrument."""
         del robot
         return (f"device:{self.resource}",)
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no library, no instrument, or a query that it does not understand."""
+        """Return errors: no library, no instrument, or a query that it does not understand."""
         libraries = ("pyvisa", "pyvisa_py") if self.backend.endswith("@py") else ("pyvisa",)
         missing = [each for each in libraries if importlib.util.find_spec(each) is None]
         if missing:
@@ -308,7 +306,7 @@ class Scpi(ElectricalProfiler):
         """Return the instrument.
 
         Raises:
-            PluginError: it does not answer as it should.
+            PluginError: the answers are not as expected.
         """
         del context
         instrument = _Instrument(self)
@@ -316,5 +314,5 @@ class Scpi(ElectricalProfiler):
         return instrument
 
     def details(self) -> Mapping[str, Any]:
-        """Return which instrument it is, and what it was asked."""
+        """Return the instrument's identity, and the queries."""
         return {**super().details(), "identity": self._identity, "queries": self.queries}

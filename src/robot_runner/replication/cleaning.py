@@ -1,6 +1,6 @@
-"""Which form a file goes into a package in: as it is, without its secrets, or not at all.
+"""Decide for each file of a package: pack it unchanged, pack it with its secrets replaced, or leave it out.
 
-Files that are no text in UTF-8 are looked through as well: other encodings, archives, commits, recordings.
+Files other than text in UTF-8 are searched, too: other encodings, archives, commits, recordings.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from robot_runner.replication.redaction import Hits, Redactor, chunks_of, gramma
 
 _BLOCK = 1 << 20
 _SNIFFED = 8192
-#: So much of what is packed in an archive is unpacked to look at it, in all: more may be a bomb.
+#: At most so many bytes of an archive are unpacked for the search: more may be a zip bomb.
 _MOST_UNPACKED = 4 << 30
-#: Archives in archives.
+#: The deepest nesting of archives that is searched.
 _DEEPEST = 3
 _MARKS = (
     (codecs.BOM_UTF32_LE, "utf-32-le"),
@@ -47,11 +47,11 @@ _PRESSED: dict[bytes, Callable[[BinaryIO], IO[bytes]]] = {
     b"BZh": bz2.BZ2File,
     b"\xfd7zXZ\0": lzma.LZMAFile,
 }
-#: A file of git's objects begins with this and one of two versions, and then tells their number (gitformat-pack).
+#: A pack file of git begins with one of these and the number of its objects (gitformat-pack).
 _GIT_PACKS, _GIT_HEADER = (b"PACK\0\0\0\2", b"PACK\0\0\0\3"), 12
-#: The kinds of objects that are deltas against another one.
+#: The types of objects that are deltas against another object.
 _GIT_DELTAS = {6, 7}
-#: An object is unpacked as a whole, bytes.
+#: The largest object that is unpacked, as it is held in memory as a whole, bytes.
 _MOST_OF_OBJECT = 256 << 20
 _UNKNOWN = {b"7z\xbc\xaf": "7z", b"Rar!": "RAR", b"PAR1": "Parquet", b"\x28\xb5\x2f\xfd": "Zstandard"}
 _DAMAGED = (OSError, EOFError, ValueError, RuntimeError, NotImplementedError, zipfile.BadZipFile, tarfile.TarError,
@@ -59,7 +59,7 @@ _DAMAGED = (OSError, EOFError, ValueError, RuntimeError, NotImplementedError, zi
 
 
 def wide_encoding(path: Path) -> str | None:
-    """Return the encoding of a text of two or four bytes a letter; None where it is none, or does not decode.
+    """Return the encoding of a text in UTF-16 or UTF-32; None if it is in neither, or does not decode.
 
     Raises:
         OSError: the file cannot be read.
@@ -79,7 +79,7 @@ def wide_encoding(path: Path) -> str | None:
 
 
 def _guessed(start: bytes) -> str | None:
-    """Return UTF-16 where nearly each letter has a byte that is zero, as those of European languages have."""
+    """Return UTF-16 if nearly each character has a zero byte, as in European languages; else None."""
     half = len(start) // 2
     if half < 4:  # noqa: PLR2004 - too few to judge
         return None
@@ -94,8 +94,8 @@ def recoded(file: BinaryIO, encoding: str) -> Iterator[bytes]:
     """Yield a text in blocks of UTF-8.
 
     Raises:
-        UnicodeError: it is no text in this encoding.
-        OSError: it cannot be read.
+        UnicodeError: the file is not text in this encoding.
+        OSError: the file cannot be read.
     """
     decoder = codecs.getincrementaldecoder(encoding)("strict")
     for block in chunks_of(file):
@@ -104,14 +104,14 @@ def recoded(file: BinaryIO, encoding: str) -> Iterator[bytes]:
 
 
 class Search:
-    """Looks through a file in which nothing can be replaced, as it is, and through what is packed in it.
+    """A search for secrets in a file that cannot be changed, and in the members of an archive.
 
     Attributes:
-        found: how many secrets of each kind are in it.
-        unread: why some of it could not be looked into, in words.
+        found: the number of secrets of each kind.
+        unread: reasons why parts of it could not be searched.
 
     Raises:
-        OSError: it cannot be read.
+        OSError: the file cannot be read.
     """
 
     def __init__(self, path: Path, redactor: Redactor) -> None:
@@ -123,7 +123,7 @@ class Search:
             self._look(file, path.name, 0)
 
     def _look(self, file: BinaryIO, name: str, depth: int) -> None:
-        """Look through one file, or one member of an archive."""
+        """Search one file, or one member of an archive."""
         start = file.read(_SNIFFED)
         file.seek(0)
         if kind := next((words for magic, words in _UNKNOWN.items() if start.startswith(magic)), None):
@@ -136,13 +136,13 @@ class Search:
         else:
             try:
                 for inside, content in members:
-                    # It can be read twice from its start, and is bounded in what it unpacks.
+                    # Seekable, since it is read twice, and limited in the number of unpacked bytes.
                     self._look(io.BufferedReader(_Bounded(content, self), _BLOCK), inside, depth + 1)
             except _DAMAGED as error:
                 self.unread.append(f"{name}: {str(error) or type(error).__name__}")
 
     def _members(self, file: BinaryIO, start: bytes, name: str) -> Iterable[tuple[str, IO[bytes]]] | None:
-        """Return what is packed in a file, each with its name; None where it is no archive."""
+        """Return the members of an archive with their names; None if the file is not an archive."""
         if opener := next((opener for magic, opener in _PRESSED.items() if start.startswith(magic)), None):
             return [(name.rpartition(".")[0], opener(file))]
         if start.startswith(_GIT_PACKS):
@@ -162,27 +162,27 @@ class Search:
                     yield inside, content
 
     def take(self, count: int) -> None:
-        """Count what was unpacked.
+        """Count unpacked bytes.
 
         Raises:
-            ValueError: it is more than is looked at.
+            ValueError: the limit is exceeded.
         """
         self._left -= count
         if self._left < 0:
-            raise ValueError("it unpacks to more than 4 GiB, and was not looked through to its end")
+            raise ValueError("the contents unpack to more than 4 GiB, and were not looked through to their end")
 
     def _look_through(self, file: BinaryIO, start: bytes) -> None:
         if b"\0" not in start:
             self.found += self._redactor.secrets_in(chunks_of(file), Grammar.TEXT)
             return
         self.found += self._redactor.secrets_in(chunks_of(file), Grammar.MARKUP)
-        file.seek(0)  # texts of two bytes a letter are texts without their zeros
+        file.seek(0)  # text in UTF-16 becomes readable without its zeros
         without_zeros = (chunk.replace(b"\0", b"") for chunk in chunks_of(file))
         self.found += self._redactor.secrets_in(without_zeros, Grammar.MARKUP)
 
 
 class _Bounded(io.RawIOBase):
-    """What an archive holds, counted as it is unpacked; it may go back to its start, as long as the archive can."""
+    """A member of an archive, whose bytes are counted as they are unpacked; seekable if the archive's member is."""
 
     def __init__(self, file: IO[bytes], search: Search) -> None:
         self._file = file
@@ -215,39 +215,39 @@ def _members_of_tar(file: BinaryIO, name: str) -> Iterator[tuple[str, IO[bytes]]
 
 
 def _git_objects(file: BinaryIO) -> Iterator[BinaryIO]:
-    """Yield the objects of a pack of git, one after another.
+    """Yield the objects of a pack file of git.
 
     Raises:
-        ValueError: one of them is too large, or is a delta, which means nothing without the object that it changes.
+        ValueError: an object is too large, or is a delta, which cannot be searched without its base object.
     """
     count = int.from_bytes(file.read(_GIT_HEADER)[8:], "big")
     rest = b""
     for _ in range(count):
         kind, is_head = None, True
-        while is_head:  # kind and size, seven bits a byte; the kind is in the first one
+        while is_head:  # type and size, seven bits a byte; the type is in the first byte
             rest = rest or _block(file)
             kind = rest[0] >> 4 & 7 if kind is None else kind
             is_head, rest = rest[0] >= 0x80, rest[1:]  # noqa: PLR2004 - the bit that says that another byte follows
         if kind in _GIT_DELTAS:
-            raise ValueError("it holds deltas between files, which cannot be looked through")
+            raise ValueError("the pack holds deltas between files, which cannot be looked through")
         stream, content = zlib.decompressobj(), bytearray()
         while not stream.eof:
             content += stream.decompress(rest or _block(file), _MOST_OF_OBJECT + 1 - len(content))
             rest = stream.unused_data or stream.unconsumed_tail
             if len(content) > _MOST_OF_OBJECT:
-                raise ValueError("a file in it is larger than 256 MiB, and was not looked through")
+                raise ValueError("a file in the pack is larger than 256 MiB, and was not looked through")
         yield io.BytesIO(content)
 
 
 def _block(file: BinaryIO) -> bytes:
     if block := file.read(_BLOCK):
         return block
-    raise EOFError("it ends too early")
+    raise EOFError("the pack ends too early")
 
 
 @dataclass(frozen=True, slots=True)
 class Replaced:
-    """What was replaced in a file, or may have to be: of which kind, how many, and in which lines at first."""
+    """Secrets of one kind in a file, certain or possible: their kind, number and first lines."""
 
     name: str
     what: str
@@ -257,15 +257,15 @@ class Replaced:
 
 @dataclass(slots=True)
 class Cleaning:
-    """Cleans the files of a package, and remembers what it did.
+    """Cleans the files of a package, and records the replacements.
 
     Attributes:
         redactor: finds and replaces secrets.
-        keep: patterns of names of files that go in as they are.
+        keep: patterns of the names of files that are packed unchanged.
         left_out: files that hold secrets and cannot be changed.
-        replaced: what was replaced.
-        doubtful: what may be a secret, and stayed.
-        unread: what could not be looked into, and why.
+        replaced: the replaced secrets.
+        doubtful: possible secrets that were not replaced.
+        unread: files that could not be searched, and why.
     """
 
     redactor: Redactor
@@ -276,10 +276,10 @@ class Cleaning:
     unread: list[LeftOut] = field(default_factory=list)
 
     def blocks_of(self, file: PackedFile) -> Iterator[bytes] | None:
-        """Return a file's contents as they go into the package, block by block; None where it stays out.
+        """Return a file's contents for the package, block by block; None if the file is left out.
 
         Raises:
-            StorageError: it cannot be read.
+            StorageError: the file cannot be read.
         """
         if any(fnmatch(file.name, pattern) for pattern in self.keep):
             return _unchanged(file.path)
@@ -312,7 +312,7 @@ class Cleaning:
             ]
 
     def refusals(self) -> list[Finding]:
-        """Return an error for whatever may be a secret and was neither replaced nor allowed."""
+        """Return an error for each possible secret that was neither replaced nor allowed."""
         fix = "Look at it. --doubtful keep packs it as it is, --doubtful replace without it; or change the file."
         return [
             Finding.error(place, f"this line has {each.what}", fix)
@@ -327,5 +327,5 @@ def _unchanged(path: Path) -> Iterator[bytes]:
 
 
 def in_words(found: Counter[str]) -> str:
-    """Return kinds with their counts, as in `password (2), token (1)`."""
+    """Return kinds with their counts, such as `password (2), token (1)`."""
     return ", ".join(f"{what} ({count})" for what, count in sorted(found.items()))

@@ -1,4 +1,4 @@
-"""What a model in MJCF offers to drive it by: two wheels, joints, a scanner, an inertial sensor; found by name."""
+"""The interface of an MJCF model: wheels, joints, laser scanner, inertial sensor and camera, found by name and kind."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
 
 _SCANNERS = ("base_scan", "scan", "lidar", "laser")
 _SIDES = ("left", "right")
-# Its enumerations do not equal the numbers in its arrays in every release.
+# As ints, because in some releases of MuJoCo its enumerations do not equal the numbers in its arrays.
 _MOVABLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _ELLIPSOID = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
@@ -29,7 +29,7 @@ _ROUND = tuple(map(int, (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYL
 
 
 class ActuatorKind(Enum):
-    """What an actuator's control value means, by the field of sensor_msgs/JointState that commands it."""
+    """The meaning of an actuator's control value, by the field of sensor_msgs/JointState that commands it."""
 
     POSITION = "position"
     VELOCITY = "velocity"
@@ -38,13 +38,13 @@ class ActuatorKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """A joint that moves, and what drives it.
+    """A movable joint, and its actuator.
 
     Attributes:
         name: in the model.
-        position, velocity: its places in `qpos` and `qvel`.
-        control: the place of its actuator's value in `ctrl`; None where nothing drives it.
-        kind: what that value means.
+        position, velocity: its indices in `qpos` and `qvel`.
+        control: the index of its actuator's value in `ctrl`; None without an actuator.
+        kind: the meaning of that value.
         scale: the control value for one unit (rad or m, a second, N m or N) at the joint, gears included.
     """
 
@@ -58,10 +58,10 @@ class Joint:
 
 @dataclass(frozen=True, slots=True)
 class WheelPair:
-    """Two wheels that are driven by their speeds: joints, radius (m) and distance from each other (m).
+    """Two wheels with velocity actuators: joints, radius (m) and distance from each other (m).
 
     Attributes:
-        senses: 1 of a wheel that rolls forward where its joint turns forward, -1 of one whose axis points to the right.
+        senses: 1 for a wheel that rolls forward if its joint turns forward, -1 for one whose axis points to the right.
     """
 
     left: Joint
@@ -73,16 +73,16 @@ class WheelPair:
 
 @dataclass(frozen=True, slots=True)
 class MjcfInterface:
-    """What was found in a model.
+    """The interface of a model.
 
     Attributes:
-        joints: those that move, in the model's order.
-        wheels: of a differential drive, if it is one.
-        base: the place in `qpos` of the robot's free joint, whose pose is the robot's; None where it is fixed.
-        base_velocity: the place of that joint in `qvel`.
-        scanner: the site that a laser scanner turns at; None without one.
-        gyroscope, accelerometer: their places in `sensordata`; None without them.
-        gyroscope_site: the site that the gyroscope is at, whose orientation is that of the inertial sensor.
+        joints: the movable ones, in the model's order.
+        wheels: of a differential drive; None without one.
+        base: the index in `qpos` of the robot's free joint, whose pose is the robot's; None if the robot is fixed.
+        base_velocity: the index of that joint in `qvel`.
+        scanner: the site of a laser scanner; None without one.
+        gyroscope, accelerometer: their indices in `sensordata`; None without them.
+        gyroscope_site: the site of the gyroscope, whose orientation is that of the inertial sensor.
         camera: the number of its first camera; None without one.
     """
 
@@ -101,7 +101,7 @@ def read_model(path: Path, obstacles: Iterable[Obstacle] = ()) -> mujoco.MjModel
     """Return the model of a file, with obstacles around it; its time step divides that of the simulation.
 
     Raises:
-        LinkError: there is no such file, or MuJoCo does not take it.
+        LinkError: there is no such file, or MuJoCo refuses it.
     """
     if not path.is_file():
         raise LinkError(
@@ -133,31 +133,31 @@ def _stand(spec: mujoco.MjSpec, obstacle: Obstacle) -> None:
 
 
 def parts_of_model(path: Path) -> tuple[Path, ...]:
-    """Return the files that a model is made of beside its own: included ones, meshes, textures, height fields.
+    """Return the further files of a model: included ones, meshes, textures, height fields.
 
-    Older releases of MuJoCo do not tell them: then all files in the folder of the model count.
+    Older releases of MuJoCo do not list them: then all files in the folder of the model count.
     """
     told = getattr(mujoco, "mju_getXMLDependencies", None)
     if told is None:
         return tuple(each for each in sorted(path.parent.rglob("*")) if each.is_file() and each != path)
     try:
         found = map(Path, told(str(path)))
-    except mujoco.FatalError:  # it cannot be read, which its reader tells
+    except mujoco.FatalError:  # the model cannot be read, which `read_model` reports
         return ()
     return tuple(sorted(each for each in found if each != path))
 
 
 def read_interface(model: mujoco.MjModel, *, where: str, left: str = "", right: str = "") -> MjcfInterface:
-    """Return what a model offers.
+    """Return the interface of a model.
 
     Args:
         model: of MuJoCo.
         where: the file, for errors.
-        left: the joint of its left wheel; left out, the only one driven by its speed whose name says left.
+        left: the joint of its left wheel; if empty, the only one with a velocity actuator and left in its name.
         right: likewise.
 
     Raises:
-        LinkError: nothing drives it, or the wheels that are named are none.
+        LinkError: the model has no actuator for a joint, or a named joint is no wheel.
     """
     joints = _joints(model)
     driven = next((each for each in joints if each.control is not None), None)
@@ -198,7 +198,7 @@ def _joint_number(model: mujoco.MjModel, joint: Joint) -> int:
 
 
 def _base(model: mujoco.MjModel, joint: Joint) -> int | None:
-    """Return the free joint of the robot that a joint is part of: what else lies around freely has one, too."""
+    """Return the free joint of the robot with this joint: loose objects have free joints, too."""
     root = model.body_rootid[model.jnt_bodyid[_joint_number(model, joint)]]
     found = (each for each in range(model.njnt) if model.jnt_type[each] == _FREE and model.jnt_bodyid[each] == root)
     return next(found, None)
@@ -222,23 +222,23 @@ def _joints(model: mujoco.MjModel) -> tuple[Joint, ...]:
 
 
 def _control(model: mujoco.MjModel, actuator: int) -> int | None:
-    """Return the place of an actuator's value in `ctrl`; None of one that takes several, as DC motors of MuJoCo 4 may.
+    """Return the index of an actuator's value in `ctrl`; None if it takes several, as DC motors of MuJoCo 4 may.
 
-    What each of several means, `sensor_msgs/JointState` has no words for.
+    `sensor_msgs/JointState` has no fields for several values.
     """
     counts = getattr(model, "actuator_ctrlnum", None)
-    if counts is None:  # before, each took one
+    if counts is None:  # in older releases each takes one
         return actuator
     return int(model.actuator_ctrladr[actuator]) if counts[actuator] == 1 else None
 
 
 def _drive(model: mujoco.MjModel, actuator: int) -> tuple[ActuatorKind, float]:
-    """Return what a control value means, and the one for a unit at the joint.
+    """Return the meaning of a control value, and the value for one unit at the joint.
 
-    MuJoCo's force is gain * control + bias on length and speed, which are the joint's times the gear; an integrator
-    adds up the control value first (https://mujoco.readthedocs.io/en/stable/computation/, actuation model).
+    MuJoCo's force is gain * control + bias by length and speed, which are the joint's times the gear; an integrator
+    integrates the control value first (https://mujoco.readthedocs.io/en/stable/computation/, actuation model).
     """
-    is_affine = model.actuator_biastype[actuator] == _AFFINE  # the numbers of muscles and others mean something else
+    is_affine = model.actuator_biastype[actuator] == _AFFINE  # other types, such as muscles, have other parameters
     _, on_position, on_speed = map(float, model.actuator_biasprm[actuator][:3]) if is_affine else (0.0, 0.0, 0.0)
     gear, gain = float(model.actuator_gear[actuator][0]), float(model.actuator_gainprm[actuator][0])
     adds_up = model.actuator_dyntype[actuator] == _INTEGRATOR
@@ -270,11 +270,11 @@ def _wheels(model: mujoco.MjModel, joints: Sequence[Joint], given: dict[str, str
     separation = float(np.linalg.norm(across))
     radius = _radius(model, int(model.jnt_bodyid[numbers[0]]))
     if not (separation > 0 and radius > 0):
-        problem = f"its wheels are {separation:g} m apart and have a radius of {radius:g} m"
+        problem = f"the wheels are {separation:g} m apart and have a radius of {radius:g} m"
         raise LinkError(
             problem, where=where, fix="Give each wheel a body with a round geom, to the left and the right."
         )
-    # A wheel rolls forward where it turns about an axis that points to the left.
+    # A wheel rolls forward if it turns about an axis that points to the left.
     left_sense, right_sense = (-1.0 if float(data.xaxis[each] @ across) < 0 else 1.0 for each in numbers)
     return WheelPair(left, right, radius, separation, (left_sense, right_sense))
 
@@ -286,6 +286,6 @@ def _radius(model: mujoco.MjModel, body: int) -> float:
 
 
 def _round_radius(model: mujoco.MjModel, geom: int) -> float:
-    # An ellipsoid may have any of its axes along the axle; of a cylinder the second figure is half its width.
+    # An ellipsoid may have any of its axes along the axle; the second size of a cylinder is half its width.
     sizes = model.geom_size[geom]
     return float(sizes.max() if model.geom_type[geom] == _ELLIPSOID else sizes[0])

@@ -18,23 +18,23 @@ STEPS_PER_SECOND = 200
 _SECOND_NS = 1_000_000_000
 #: In real time the simulation is at most this far ahead.
 _PACE_NS = 20_000_000
-#: How long, real s, work that lives by the clock may compute between two sleeps on it.
+#: How long, real s, a worker may compute between two sleeps on the clock.
 _LONGEST_WORK = 60.0
 
 
 def tick_time(number: int, rate: int) -> int:
-    """Return when (ns) tick `number` of something `rate` times a second falls due: on the next point of the grid."""
+    """Return the time (ns) of tick `number` at `rate` ticks a second, rounded up to the grid."""
     return -(-number * _SECOND_NS // (rate * STEP_NS)) * STEP_NS
 
 
 class Ticker:
-    """Something that happens again and again on a simulated clock until it is closed.
+    """Calls a callback repeatedly on a simulated clock until it is closed.
 
     Args:
-        clock: that it happens on.
-        due: returns when (ns) it happens for the n-th time.
-        callback: called each time.
-        number: the first time that may be in the future.
+        clock: the simulated one.
+        due: returns the time (ns) of the n-th call.
+        callback: to call.
+        number: of the first call that may be in the future.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class Ticker:
         self._schedule()
 
     def close(self) -> None:
-        """Tick no more; closing twice does nothing."""
+        """End the calls; closing twice does nothing."""
         self._is_closed = True
 
     def _schedule(self) -> None:
@@ -63,13 +63,13 @@ class Ticker:
 
 
 class ClockWorker:
-    """A thread that lives by a simulated clock: it runs only while that clock is moved on, and nobody else does then.
+    """A thread on a simulated clock: it runs only while that clock is advanced, and no other thread runs then.
 
-    So what is done in it comes at the same simulated time in each execution, whatever the machine is busy with.
+    So its actions have the same simulated times in each execution, whatever the load of the machine.
 
     Args:
         clock: that it may sleep on.
-        work: what it does.
+        work: called in the thread.
     """
 
     def __init__(self, clock: SimulatedClock, work: Callable[[], None]) -> None:
@@ -82,10 +82,10 @@ class ClockWorker:
         clock.after(0.0, self._hand_over)
 
     def sleep(self, seconds: float) -> None:
-        """Let this many simulated seconds go by; for its own thread.
+        """Sleep for this many simulated seconds; for its own thread.
 
         Raises:
-            ActionCanceled: it was stopped.
+            ActionCanceled: the worker was stopped.
         """
         if not self._is_stopped:
             # At least one nanosecond: time must pass for all others, too.
@@ -93,10 +93,10 @@ class ClockWorker:
             self._back.release()
             self._go.acquire()
         if self._is_stopped:
-            raise ActionCanceled("its time does not go on")
+            raise ActionCanceled("the simulated time does not go on")
 
     def stop(self) -> None:
-        """Have its sleep raise, and wait until it ends."""
+        """Make its sleep raise an exception, and wait for its end."""
         self._is_stopped = True
         if self._thread is not threading.current_thread():
             self._hand_over()
@@ -124,10 +124,10 @@ class ClockWorker:
 
 
 class SimulatedClock:
-    """A clock that starts at 0 s and is moved on by sleeping on it; what is due in between happens on the way.
+    """A clock that starts at 0 s and advances by sleeping on it; callbacks that are due are called during the sleep.
 
-    Times are whole nanoseconds inside, so that many short sleeps add up exactly. With a `real_time_factor` a sleep
-    takes as long as it says (1.0), half as long (2.0), and so on; without one it takes as long as the physics needs.
+    Times are whole nanoseconds internally, so that many short sleeps add up exactly. With a `real_time_factor` a sleep
+    takes its nominal time (1.0), half of it (2.0), and so on; without one it takes as long as the physics needs.
 
     Example:
         >>> clock = SimulatedClock()
@@ -158,10 +158,10 @@ class SimulatedClock:
         return self._now_ns / _SECOND_NS
 
     def sleep(self, seconds: float) -> None:
-        """Let this many simulated seconds go by; negative counts as zero.
+        """Sleep for this many simulated seconds; negative counts as zero.
 
         Raises:
-            LinkError: a callback that this clock called sleeps on it.
+            LinkError: a callback of this clock sleeps on it.
         """
         if sleep_with_others(seconds):
             return
@@ -182,25 +182,25 @@ class SimulatedClock:
             self._is_moving_on = False
 
     def every(self, rate: int, callback: Callable[[], None]) -> Ticker:
-        """Have `callback` called `rate` times a second, on the grid, as time passes."""
+        """Call `callback` `rate` times a second, on the grid."""
         return Ticker(self, lambda number: tick_time(number, rate), callback, number=self._now_ns * rate // _SECOND_NS)
 
     def call_every(self, period: float, callback: Callable[[], None]) -> Ticker:
-        """Have `callback` called every `period` seconds from now on, wherever on the grid that falls."""
+        """Call `callback` every `period` seconds from now on, not rounded to the grid."""
         begun_ns = self._now_ns
         return Ticker(self, lambda number: begun_ns + round(number * period * _SECOND_NS), callback, number=1)
 
     def after(self, seconds: float, callback: Callable[[], None]) -> None:
-        """Have `callback` called once, in so many seconds; where that is zero, as soon as time is to pass."""
+        """Call `callback` once, in `seconds`; if zero, at the beginning of the next sleep."""
         self.schedule(self._now_ns + max(0, round(seconds * _SECOND_NS)), callback)
 
     def schedule(self, due_ns: int, callback: Callable[[], None]) -> None:
-        """Have `callback` called once, at this time; those due at one moment in the order in which they came here."""
+        """Call `callback` once, at this time; those of the same time in the order of these calls."""
         self._scheduled += 1
         heapq.heappush(self._due, (due_ns, self._scheduled, callback))
 
     def work(self, work: Callable[[], None]) -> ClockWorker:
-        """Begin to do work in a thread that may sleep on this clock, from the next moment that passes."""
+        """Start work in a thread that may sleep on this clock, at the beginning of the next sleep."""
         return ClockWorker(self, work)
 
     def _move_in_pace(self, target_ns: int, factor: float) -> None:

@@ -1,4 +1,4 @@
-"""The system that gives the embedded simulation the room, and the robot's model, of each run's treatments."""
+"""The system that loads the room and the robot's model of each run's treatments into the embedded simulation."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ class _World(NamedTuple):
 
 
 class SimulatedWorld(System):
-    """Loads a room and a robot's model into the embedded simulation, each of which may be bound to a factor.
+    """Loads a room and a robot's model into the embedded simulation; each may be bound to a factor.
 
-    They are read before the run's process is forked, where it is, and checked with each treatment before the first
-    run. List it before the systems that operate the robot, which is made when the first of them connects to it.
+    They are read before the run's process is forked, if it is, and checked with each treatment before the first run.
+    List it before the systems that operate the robot, which is made when the first of them connects to it.
 
     Args:
-        room: the TOML file of a room; None for the usual one.
+        room: the TOML file of a room; None for the default room.
         model: the MJCF file of a robot; None for a TurtleBot3.
-        folder: where relative paths begin, such as `Path(__file__).parent`; left out, the folder in which the command
+        folder: the base of relative paths, such as `Path(__file__).parent`; by default the folder in which the command
             is executed.
-        left, right: the joints of the model's wheels, where their names do not say so.
-        name: tells several instances apart; the class's name if left out.
+        left, right: the joints of the model's wheels, if their names do not contain left and right.
+        name: distinguishes several instances; None for the class's name.
 
     Example:
         >>> from robot_runner.plugins import treatment
@@ -67,20 +67,20 @@ class SimulatedWorld(System):
         self._loaded: _World | None = None
 
     def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: nothing, as each run has a simulation of its own."""
+        """Return no claims, as each run has its own simulation."""
         del robot
         return ()
 
     def input_files(self) -> Iterable[InputFile]:
-        """Return the room, and the model with the files that it is made of."""
+        """Return the files of the room and of the model, including files that the model includes."""
         room, model = self._named
         return inputs_of(room, model)
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what is wrong with the files, and what they are of no use for."""
+        """Return errors of the files, and findings if they would have no effect."""
         where, robot = f"plugin {self.name}", circumstances.robot
         if not is_simulated(robot):
-            problem = f"it loads its room into the embedded simulation, and robot is {robot!r}: nothing is loaded there"
+            problem = f"the room is for the embedded simulation, and robot is {robot!r}: nothing is loaded there"
             fix = "Start a simulator with this room (Program, RosLaunch), or build it. Or: --set robot=simulated."
             yield Finding.warning(where, problem, fix)
             return
@@ -100,10 +100,10 @@ class SimulatedWorld(System):
             self._loaded = self._world()
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Have the run's simulation begin with this room and this model.
+        """Load this room and this model into the run's simulation.
 
         Raises:
-            LinkError: its robot is there already, or a file cannot be read.
+            LinkError: its robot was made already, or a file cannot be read.
         """
         if not is_simulated(context.robot):
             return
@@ -122,7 +122,7 @@ class SimulatedWorld(System):
 
 
 def _state(path: Path | None) -> tuple[int, int] | None:
-    """Return what tells one version of a file from another; None where there is none."""
+    """Return a value that differs between versions of a file; None if there is no file."""
     try:
         status = None if path is None else path.stat()
     except OSError:
@@ -132,7 +132,7 @@ def _state(path: Path | None) -> tuple[int, int] | None:
 
 @lru_cache(maxsize=16)
 def _read(room: Path | None, model: Path | None, left: str, right: str, *_: tuple[int, int] | None) -> _World:
-    """Read a world once for all runs in which its files are the same."""
+    """Read a world once for all runs with the same files."""
     from robot_runner.simulator.modelled_robot import RobotModel  # noqa: PLC0415  # it imports MuJoCo
     from robot_runner.simulator.room_file import read_room  # noqa: PLC0415  # it imports NumPy
 

@@ -81,7 +81,7 @@ def test_ticks_of_a_very_short_run_are_no_load() -> None:
             conditions(is_held_back=True),
             "the kernel or the firmware held the processor back during r_7 (the hottest zone had 55 °C)",
         ),
-        (conditions(firmware_flags=0b0101), "its firmware reported under-voltage and throttling during r_7"),
+        (conditions(firmware_flags=0b0101), "the firmware reported under-voltage and throttling during r_7"),
         (conditions(governors=("powersave",)), "the CPU governor changed from performance to powersave during r_7"),
         (conditions(is_turbo=True), "turbo went from off to on during r_7"),
         (conditions(limit=0.6e9), "the highest frequency that is allowed went from 1,500 to 600 MHz during r_7"),
@@ -98,7 +98,7 @@ def test_what_was_swapped_is_reckoned_by_the_pages_of_the_machine(monkeypatch: p
 
 def test_what_was_seen_only_on_the_way_is_told_too() -> None:
     assert problems(polled=(replace(CALM, is_under_voltage=True),)) == [
-        "its firmware reported under-voltage during r_7"
+        "the firmware reported under-voltage during r_7"
     ]
 
 

@@ -1,4 +1,4 @@
-# Say in which ways this computer can be sampled, hear the choice and its program, and become it.
+# Print the forms in which this computer can be sampled, read the chosen one and its program, and execute that.
 umask 077
 forms=
 if [ -r /proc/stat ] && [ -r /proc/meminfo ] && [ -r /proc/uptime ]; then

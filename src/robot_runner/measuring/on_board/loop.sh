@@ -1,8 +1,8 @@
-# Sample a computer's utilisation or files from inside, where there is no Python: $form is `sh` for one that has Linux's
-# /proc, and `ps` for any other. It understands what loop.py does. This shell hears; a second one samples.
+# Sample a computer's utilisation or files from inside, without Python: $form is `sh` for one with Linux's /proc, and
+# `ps` for any other. It has the same requests as loop.py. This shell answers them; a second one samples.
 
 tab=$(printf '\t')
-# Linux tells of the cores without any tool, too: each has a line of its own.
+# On Linux no tool is needed for the number of cores: each has a line in a file.
 count_cores() {
     cores=0
     while read -r name _; do
@@ -88,8 +88,8 @@ find_processes() {
     done
 }
 
-# The words after the first are the fields of /proc/PID/stat from the third on. Whose children belong to it, those that
-# came and went between two looks do as well.
+# The words after the first are the fields of /proc/PID/stat from the third on. If a process's children are selected
+# with it, then also those that lived between two samples.
 add_process() {
     seconds_of $((${13} + ${14}))
     processes="$processes,$1:${21}:$seconds:$((${23} * page)):$3"
@@ -107,7 +107,7 @@ seconds_of() {
     seconds=$(($1 / tick)).$rest
 }
 
-# Put `SELECTOR'S PLACE:PID` of each process that a selector means into $matches.
+# Put `SELECTOR'S PLACE:PID` of each process that a selector matches into $matches.
 scan() {
     before=$matches
     matches=
@@ -129,7 +129,7 @@ scan() {
     done
 }
 
-# What has ended is there, without its environment, until its parent awaits it, which has its time from then on.
+# An ended process remains, without its environment, until its parent reaps it, which has its CPU time from then on.
 keep_ended() {
     for match in $before; do
         case $match in "$place":*) ;; *) continue ;; esac
@@ -148,8 +148,8 @@ scan_names() {
     done
 }
 
-# The first grep asks for a part of the command line or the environment, and finds itself too; the second asks for a
-# whole word of it.
+# The first grep searches for a part of the command line or the environment, and finds itself, too; the second one
+# searches for a whole word of it.
 scan_files() {
     for file in $(grep -ls -F -e "$2" -e "$3" /proc/[0-9]*/"$1"); do
         pid=${file#/proc/}
@@ -160,7 +160,7 @@ scan_files() {
     done
 }
 
-# A node's name and its namespace are words of their own: `-r __node:=ear -r __ns:=/alice`.
+# A node's name and its namespace are separate words: `-r __node:=ear -r __ns:=/alice`.
 scan_nodes() {
     bare=${value##*/}
     space=${value%"$bare"}
@@ -184,7 +184,7 @@ keep_sampling() {
     shift
     look_at_clock
     due=$now
-    while kill -0 $$ 2>/dev/null; do # the shell that hears is still there
+    while kill -0 $$ 2>/dev/null; do # the shell that answers still runs
         "${kind}_line" "$@"
         printf '%s\n' "$line"
         look_at_clock
@@ -201,8 +201,8 @@ pause() {
     sleep "$(($1 / 100)).$rest"
 }
 
-# Sample by asking ps: the differences of all processes' CPU time, not ps's own %cpu, which is that of a
-# process's whole life. One awk remembers what each process had used before.
+# Sample by ps: the differences of all processes' CPU time, not ps's own %cpu, which is that over a process's
+# lifetime. One awk keeps the CPU time of each process at the sample before.
 keep_asking_ps() {
     memory=$(getconf _PHYS_PAGES 2>/dev/null) && memory=$((memory * (page / 1024))) ||
         memory=$(($(sysctl -n hw.memsize 2>/dev/null || echo 0) / 1024))
@@ -227,7 +227,7 @@ keep_asking_ps() {
         function matches(selector, words, count, value, place, space, named, within) {
             value = substr(selector, index(selector, ":") + 1)
             if (selector ~ /^pid:/) return words[1] == value
-            if (selector ~ /^subject:/) return 0  # ps does not tell of environments
+            if (selector ~ /^subject:/) return 0  # ps does not show environments
             if (selector ~ /^name:/) {
                 if (base(words[4]) == value) return 1
                 return base(words[4]) ~ /^(python|perl|ruby|node|sh|bash|dash)/ && base(words[5]) == value
@@ -248,7 +248,7 @@ keep_asking_ps() {
             first = due = now = clock()
             for (look = 0; !system("kill -0 " ENVIRON["parent"] " 2>/dev/null"); look++) {
                 resident = 0; processes = ""
-                # Some ps cut lines off at 79 characters, or at what COLUMNS says, and with them the name of a node.
+                # Some ps cut lines off at 79 characters, or at COLUMNS, and with them the name of a node.
                 command = "COLUMNS=32000 ps -A -o pid= -o time= -o rss= -o args="
                 while ((command | getline line) > 0) {
                     count = split(line, words, " ")
@@ -275,7 +275,7 @@ keep_asking_ps() {
         }'
 }
 
-# Begin to sample in a second shell: `begin utilisation|files RATE TOKEN WHAT...`
+# Start sampling in a second shell: `begin utilisation|files RATE TOKEN WHAT...`
 begin() {
     kind=$1 rate=$2 token=$3
     shift 3
@@ -307,7 +307,7 @@ begin() {
     fi
 }
 
-# Set $path to a new file for the samples, or to `-` where they are to be sent at once, or no file can be made.
+# Set $path to a new file for the samples, or to `-` if they are to be sent at once, or no file can be made.
 make_file() {
     path=-
     if [ "$token" = - ]; then return; fi
@@ -329,7 +329,7 @@ add_children() {
     spent=$((${14} + ${15}))
 }
 
-# A shell that has just begun may miss any milder signal.
+# By SIGKILL, as a shell that has just started may miss any other signal.
 stop_sampler() {
     if [ -n "$sampler" ]; then
         kill -9 "$sampler" 2>/dev/null
@@ -338,7 +338,7 @@ stop_sampler() {
     fi
 }
 
-# End sampling, take a last sample, and hand over what was kept: `end utilisation|files RATE TOKEN WHAT...`
+# End sampling, take a last sample, and send the samples that were kept: `end utilisation|files RATE TOKEN WHAT...`
 end() {
     if [ -z "$sampler" ]; then
         printf 'end\t-\n'
@@ -366,7 +366,7 @@ send_kept() {
     rm -f "$1"
 }
 
-# End the sampler that keeps its samples in a file, if it is still there.
+# End the sampler that keeps its samples in a file, if it still runs.
 end_holder() {
     pid=$(sed -n "s/^pid$tab//p" "$1")
     if [ -n "$pid" ] && ls -l "/proc/$pid/fd" 2>/dev/null | grep -q -F -e "-> $1"; then
@@ -374,7 +374,7 @@ end_holder() {
     fi
 }
 
-# Tell of the files that sessions of one owner keep, or have left.
+# List the files of samples of one owner's sessions.
 leftovers() {
     line=paths
     for folder in "${TMPDIR:-/tmp}" /var/tmp "$HOME"; do
@@ -396,7 +396,7 @@ discard() {
     printf 'discarded\t%s\n' "$1"
 }
 
-# End a sampler that lost its connection, and send what it kept.
+# End a sampler that lost its connection, and send its samples.
 recover() {
     if ! [ -r "$1" ]; then
         printf 'error\tthere is no %s\n' "$1"
@@ -424,7 +424,7 @@ list_files() {
 }
 
 trap stop_sampler EXIT
-trap '' HUP # a connection that is cut shows in the input
+trap '' HUP # a cut connection is noticed by the end of the input
 while IFS= read -r asked; do
     set -f
     IFS=$tab
@@ -459,7 +459,7 @@ while IFS= read -r asked; do
     esac
 done
 
-# The connection was cut: go on for a while, until somebody fetches what is kept.
+# The connection was cut: go on for the lease, or until another session fetches the samples.
 if [ -n "$sampler" ] && [ "$path" != - ]; then
     while [ "$lease" -gt 0 ] && [ -e "$path" ]; do
         sleep 1

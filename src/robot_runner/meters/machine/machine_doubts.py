@@ -1,4 +1,4 @@
-"""What is to be said of a computer after a run: which of what happened there makes its measures doubtful."""
+"""Doubts about the measures of a computer, by disturbances on it during a run."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ _FLAGS = {1: "under-voltage", 2: "a capped frequency", 4: "throttling", 8: "the 
 
 @dataclass(frozen=True, slots=True)
 class Thresholds:
-    """From which figure on something is said.
+    """The figures from which on disturbances are reported.
 
-    BenchExec (`systeminfo.py`: CPUThrottleCheck, SwapCheck) takes any throttling and any swapped page for a sign that
-    results are not reliable. So does this, but for less than a megabyte of swap, which a desktop moves at any time. For
-    load, steal and waiting for memory we know of no figure that others use; these are our own.
+    BenchExec (`systeminfo.py`: CPUThrottleCheck, SwapCheck) considers results unreliable after any throttling and any
+    swapped page. So do these, except for less than a megabyte of swap, which a desktop moves at any time. For load,
+    steal and waiting for memory we know of no published figures; these are our own.
 
     Attributes:
-        load: CPU time of others, percent of one core: an idle desktop stays below it, and a tenth of a core's
-            power is about what an energy meter of some percent accuracy can tell.
+        load: CPU time of others, percent of one core: an idle desktop stays below it, and a tenth of a core's power is
+            about the smallest difference that an energy meter of some percent accuracy can show.
         cpu_seconds: the least CPU time of others that counts, s: Linux counts it in ticks of 10 ms.
         steal: time that a hypervisor gave to others, percent of one core.
         stall: time in which some process waited for memory, percent.
-        swap: what went to swap or came from there, bytes.
+        swap: data moved to and from swap, bytes.
     """
 
     load: float = 10.0
@@ -45,16 +45,16 @@ class Thresholds:
 
 @dataclass(frozen=True, slots=True)
 class MachineReport:
-    """What is known of one computer in one run.
+    """The state of one computer during one run.
 
     Attributes:
         host: its name; empty for this machine.
         run_id: the run.
-        before: the look at the beginning.
-        after: the look at the end.
-        load: who had the processor between them.
-        polled: how the processor was run, from time to time; the two looks included.
-        thresholds: from which figure on something is said.
+        before: the state at the beginning.
+        after: the state at the end.
+        load: the load of the processor between them.
+        polled: the conditions of the processor, from time to time, including those of `before` and `after`.
+        thresholds: the figures from which on disturbances are reported.
     """
 
     host: str
@@ -66,12 +66,12 @@ class MachineReport:
     thresholds: Thresholds
 
     def problems(self) -> list[str]:
-        """Return what makes the computer's measures doubtful, each with figures."""
+        """Return the reasons to doubt the computer's measures, with figures."""
         on = f"on {self.host} " if self.host else ""
         return [f"{on}{problem}" for find in (self._load, self._memory, self._processor) for problem in find()]
 
     def facts(self) -> dict[str, Any]:
-        """Return everything that is known, as plain data."""
+        """Return the whole report as plain data."""
         conditions = self.after.conditions
         frequencies = [each.frequency for each in self.polled if each.frequency is not None]
         temperatures = [each.temperature for each in self.polled if each.temperature is not None]
@@ -120,7 +120,7 @@ class MachineReport:
         return f"other processes took {self.load.foreign:.0f} % of a core during {self.run_id} ({'; '.join(parts)})"
 
     def _memory(self) -> Iterator[str]:
-        # Of this machine, as no other one tells; a page of a Raspberry Pi 5 has 16 KiB.
+        # The page size of this machine, as another's is unknown; a page of a Raspberry Pi 5 has 16 KiB.
         moved = (self._swapped or 0) * mmap.PAGESIZE
         if moved >= self.thresholds.swap:
             yield f"{moved / _MEGA:,.1f} MB went to swap or came from there during {self.run_id}"
@@ -141,7 +141,7 @@ class MachineReport:
             flags |= 1
         if flags:
             words = enumerated(word for bit, word in _FLAGS.items() if flags & bit)
-            yield f"its firmware reported {words} during {self.run_id}"
+            yield f"the firmware reported {words} during {self.run_id}"
         yield from self._changes()
 
     def _changes(self) -> Iterator[str]:
@@ -176,7 +176,7 @@ class MachineReport:
 
     @property
     def _throttlings(self) -> int | None:
-        """How often it was throttled, by the counter that rose most: each core tells anew of its package."""
+        """How often it was throttled, by the counter that rose most: each core also counts for its package."""
         before, after = self.before.conditions.throttle_counts, self.after.conditions.throttle_counts
         if before is None or after is None:
             return None

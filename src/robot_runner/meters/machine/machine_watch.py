@@ -1,4 +1,4 @@
-"""The profiler that watches the computers on which something is measured, for what makes their measures doubtful."""
+"""The profiler that watches measured computers for disturbances that make their measures doubtful."""
 
 from __future__ import annotations
 
@@ -24,31 +24,31 @@ from robot_runner.meters.machine.others_load import Load, load_between
 from robot_runner.meters.parameter_checks import check_list, check_positive
 
 _USUAL = Thresholds()
-#: How often frequency and temperature of this machine are looked at, s: heat takes longer than that to build up, and a
-#: look at sixteen cores takes about a millisecond, 0.02 % of a core.
+#: The period of reading frequency and temperature of this machine, s: heat takes longer than that to build up, and a
+#: reading of sixteen cores takes about a millisecond, 0.02 % of a core.
 _PERIOD = 5.0
 _FIX = "End what else runs there, or keep it off the cores of the experiment (Tune), and repeat the run."
 
 
 class MachineWatch(Profiler):
-    """Watches computers while something is measured there, and doubts what was measured while others disturbed it.
+    """Watches measured computers, and doubts their measures if other processes, heat or throttling disturbed them.
 
-    It is there by itself wherever a profiler measures a computer (`watch_machines = False` turns it off); list it to
-    watch further computers or to set other thresholds. It looks twice at /proc and /sys, before everything else begins
-    and after everything else has ended, and every five seconds at frequency and temperature of this machine.
+    It is added automatically if a profiler measures a computer (`watch_machines = False` turns it off); list it to
+    watch further computers or to set other thresholds. It reads /proc and /sys twice, before all other profilers begin
+    and after they have ended, and every five seconds the frequency and temperature of this machine.
 
     Args:
-        name: tells several instances apart; the class's name if left out.
-        hosts: computers to watch beside those that profilers measure: `localhost`, or as ssh takes them.
-        load: from which CPU time of others on something is said, percent of one core.
-        root: the folder that holds this machine's `proc` and `sys`.
+        name: distinguishes several instances; None for the class's name.
+        hosts: computers to watch besides those that profilers measure: `localhost`, or as ssh takes them.
+        load: the CPU time of others from which on it is reported, percent of one core.
+        root: the folder with this machine's `proc` and `sys`.
 
     Example:
         >>> MachineWatch(hosts=["localhost"], load=25.0).name
         'MachineWatch'
     """
 
-    needs: ClassVar[str] = "Linux's /proc and /sys; where a file is missing, what it would tell is left out."
+    needs: ClassVar[str] = "Linux's /proc and /sys; if a file is missing, its information is left out."
     bytes_per_run: int = 1_500  # one file of facts for each computer
 
     def __init__(
@@ -70,7 +70,7 @@ class MachineWatch(Profiler):
         self._watched: list[_WatchedComputer] = []
 
     def attach(self, plugins: Iterable[Plugin]) -> None:
-        """Take down which plugins may measure a computer; which one, they are asked in each run."""
+        """Note the plugins that may measure a computer; which computer it is, is known in each run."""
         self._measuring = tuple(plugins)
 
     @property
@@ -78,12 +78,12 @@ class MachineWatch(Profiler):
         return concerned(self._measuring)
 
     def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: nothing, as it only looks at what goes on beside a run."""
+        """Return no claims, as watching disturbs nothing."""
         del robot
         return ()
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Find the files of each computer, so that looking at them takes little time."""
+        """Find the files of each computer, so that reading them takes little time."""
         self._watched = []
         for computer in self._computers():
             try:
@@ -92,20 +92,20 @@ class MachineWatch(Profiler):
                 context.warn(f"{computer.host} cannot be watched: {error.problem}", fix=error.fix)
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
-        """Take the first look, before other profilers begin."""
+        """Read the first state, before other profilers begin."""
         del context
         for watched in self._watched:
             watched.begin()
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
-        """Take the last look at this machine, now that other profilers have ended."""
+        """Read the last state of this machine, now that other profilers have ended."""
         del context
         for watched in self._watched:
             if watched.is_here:
                 watched.end()
 
     def stop_run(self, context: RobotRunnerContext) -> None:
-        """Take the last look at computers over ssh: their sessions are free once all samples were fetched."""
+        """Read the last state of computers over ssh: their sessions are free once all samples were fetched."""
         for watched in self._watched:
             watched.end(_started_there(context, watched.computer.host))
         reports = self._reports(context.run_id)
@@ -114,7 +114,7 @@ class MachineWatch(Profiler):
             path.write_text(json.dumps(report.facts(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
-        """Doubt the measures of each computer on which something disturbed them."""
+        """Doubt the measures of each computer with a disturbance."""
         for watched in self._watched:
             for problem in watched.complaints:
                 context.warn(f"{watched.computer.host} could not be watched: {problem}")
@@ -128,7 +128,7 @@ class MachineWatch(Profiler):
                 context.warn("; ".join(problems), fix=_FIX)
 
     def _computers(self) -> list[Computer]:
-        """Return each computer once; how it is reached is as for the first profiler that measures it."""
+        """Return each computer once, with the connection of the first profiler that measures it."""
         named = [Computer(host) for host in self.hosts]
         by_host: dict[str, Computer] = {}
         for computer in (*(each for _, each in self._concerned), *named):
@@ -143,7 +143,7 @@ class MachineWatch(Profiler):
         if isinstance(link, RemoteHost):
             link.connect()
         if not isinstance(link, FileHost):
-            raise LinkError("its files cannot be read", where=computer.host, fix="Watch another computer.")
+            raise LinkError("the computer's files cannot be read", where=computer.host, fix="Watch another computer.")
         return _WatchedComputer(computer, MachineFiles(link), None)
 
     def _reports(self, run_id: str) -> list[tuple[str, MachineReport]]:
@@ -155,8 +155,8 @@ class _WatchedComputer:
     """One computer during one run.
 
     Attributes:
-        computer: how it is reached.
-        complaints: why a look could not be taken.
+        computer: with its connection.
+        complaints: the reasons why a state could not be read.
     """
 
     def __init__(self, computer: Computer, files: MachineFiles, orchestrator: int | None) -> None:
@@ -181,7 +181,7 @@ class _WatchedComputer:
             self._poller.start()
 
     def end(self, started: Collection[int] = ()) -> None:
-        """Take the last look; a second call does nothing.
+        """Read the last state; a second call does nothing.
 
         Args:
             started: software under test that the experiment has started on another computer, by process id.
@@ -205,7 +205,7 @@ class _WatchedComputer:
             self.complaints.append(error.problem)
 
     def report(self, run_id: str, thresholds: Thresholds) -> MachineReport | None:
-        """Return what is known; None where nothing is."""
+        """Return the report; None if a state is missing."""
         if self._before is None or self._after is None or self._load is None:
             return None
         polled = self._poller.stop().readings if self._poller else ()
@@ -224,16 +224,16 @@ class _WatchedComputer:
         """Return the experiment's processes: the orchestrator, the keeper, the run, and all that they started."""
         if self._orchestrator is None:
             found = _descendants(state, state.reader)
-            for pid in self._started:  # with what lost its parent, which its supervisor took over
+            for pid in self._started:  # with orphans, which their supervisor adopted
                 process = state.processes.get(pid)
                 found |= _descendants(state, process.parent if process else None)
             return found
-        above = state.processes.get(os.getppid())  # a fresh interpreter does not know who orchestrates
+        above = state.processes.get(os.getppid())  # in a fresh interpreter the orchestrator's pid is unknown
         return _descendants(state, self._orchestrator) | {os.getpid(), os.getppid(), above.parent if above else 0}
 
 
 def _started_there(context: RobotRunnerContext, host: str) -> list[int]:
-    """Return what plugins say that they have started on a computer: they share its `host` and the `pid`."""
+    """Return the pids of software that plugins have started on a computer: they share `host` and `pid`."""
     told = [shared for shared in context.plugin_data.values() if shared.get("host") == host]
     return [pid for shared in told if isinstance(pid := shared.get("pid"), int)]
 

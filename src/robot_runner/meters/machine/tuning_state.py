@@ -1,7 +1,7 @@
-"""What a machine was like before it was set up, in a file that outlives whoever set it up.
+"""The settings of a machine before it was set up, in a file that outlives the process that did so.
 
-It is written before anything is changed, and goes once everything is as before: as long as it is there, somebody is at
-work or was killed, and whoever comes next can put things right.
+The file is written before any change, and removed once everything is restored: while it exists, a process is at work
+or was killed, and the next one can restore the machine.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from robot_runner.core.storage.safe_write import write_beside_and_rename
 
 
 def state_file() -> Path:
-    """Return where it is kept what a machine was like before: in the user's folder of state (XDG_STATE_HOME).
+    """Return the path of the file: in the user's folder of state (XDG_STATE_HOME).
 
     Raises:
         StorageError: the user has no home folder.
@@ -27,7 +27,7 @@ def state_file() -> Path:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One file of the kernel: what stood in it, and what is wanted."""
+    """One file of the kernel: its content before, and the new one."""
 
     path: str
     before: str
@@ -36,14 +36,14 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """What is in the file.
+    """The content of the file.
 
     Attributes:
-        owner: the process that restores the machine, and when it was started; None for one that was set up by hand.
-        boot: tells one start of the machine from the next, after which nothing is as it was set.
-        threads: cores that each thread might use before, with the time at which it was started, by thread.
+        owner: the process that restores the machine, and its start; None for a machine that was set up by hand.
+        boot: identifies the start of the machine; at the next one all settings are lost.
+        threads: the start of each thread and the cores that it might use before, by thread.
         others: the cores that were left to others.
-        everything: all cores that were there.
+        everything: all cores that there were.
     """
 
     boot: str
@@ -55,15 +55,15 @@ class Kept:
 
     @property
     def who(self) -> str:
-        """Who set the machine up, in words."""
+        """The process that set the machine up, or that it was done by hand, in words."""
         return "by hand" if self.owner is None else f"by process {self.owner[0]}"
 
     @classmethod
     def read(cls, path: Path) -> Kept | None:
-        """Return what a file of state holds; None where there is none.
+        """Read a file of state; return None if there is none.
 
         Raises:
-            PluginError: it cannot be read.
+            PluginError: the file cannot be read.
         """
         try:
             found = json.loads(path.read_text(encoding="utf-8"))
@@ -82,16 +82,16 @@ class Kept:
             return None
         except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
             if isinstance(error, PermissionError) and not os.access(path.parent, os.X_OK, effective_ids=True):
-                return None  # a folder that this user cannot enter holds nothing that was kept for him
-            problem = f"what this machine was like before cannot be read: {error}"
+                return None  # in a folder that this user cannot enter there is no file of this user
+            problem = f"the previous settings of this machine cannot be read: {error}"
             fix = "Look at the file, set the machine up by hand, and remove the file."
             raise PluginError(problem, where=str(path), fix=fix) from error
 
     def write(self, path: Path) -> None:
-        """Write the file of state, and have it reach the disk.
+        """Write the file of state, and flush it to disk.
 
         Raises:
-            StorageError: it cannot be written.
+            StorageError: the file cannot be written.
         """
         path.parent.mkdir(parents=True, exist_ok=True)
         write_beside_and_rename(path, lambda file: json.dump(asdict(self), file, indent=1))

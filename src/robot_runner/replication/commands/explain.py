@@ -1,4 +1,4 @@
-"""Say where the values of a run come from; of a whole experiment or package, what it has of ACM's artifact badges.
+"""Explain where the values of a run come from, or check an experiment or package against ACM's artifact badges.
 
 For each value: plugin, raw file, aggregation, config line, attempt and host.
 """
@@ -24,14 +24,14 @@ _MARKS = {"met": "+", "not met": "-"}
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     add_target(parser)
     parser.add_argument(
         "run",
         metavar="RUN",
         nargs="?",
-        help="the run's id, such as r_3; if left out, what the experiment, or a package named in its place, has of "
-        "what ACM's artifact badges ask for",
+        help="the run's id, such as r_3; if left out, show the checklist of ACM's artifact badges for the experiment, "
+        "or for a package given in its place",
     )
     parser.add_argument(
         "names", metavar="NAME", nargs="*", help="measures or columns of the run table; all of them if left out"
@@ -41,7 +41,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def execute(arguments: Namespace) -> int:
-    """Print where each value comes from."""
+    """Print the origin of each value."""
     if arguments.run is None:
         return _explain_badges(arguments)
     folder = folder_of_target(arguments.target, arguments.set).root

@@ -39,12 +39,12 @@ if TYPE_CHECKING:
     from robot_runner.replication.plain_zip import Progress
 
 _MEGABYTE = 1_000_000
-#: More lines of one kind in one file are in package.json.
+#: So many line numbers of one kind and file are printed; package.json has all.
 _SHOWN_LINES = 5
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     parser.add_argument(
         "target",
         metavar="EXPERIMENT",
@@ -57,7 +57,7 @@ def add_arguments(parser: Parser) -> None:
         "--raw",
         metavar="WHOSE",
         action="append",
-        help="whose raw data to take: all (if left out), none, or a plugin's name; may be given several times",
+        help="whose raw data to pack: all (if left out), none, or a plugin's name; may be given several times",
     )
     parser.add_argument(
         "--author",
@@ -67,21 +67,22 @@ def add_arguments(parser: Parser) -> None:
         help="'NAME; ORCID; AFFILIATION; URL', instead of those in the config; may be given several times",
     )
     parser.add_argument("--licence", help="an SPDX identifier such as CC-BY-4.0, or a URL, instead of the config's")
-    parser.add_argument("--citation", metavar="TEXT", help="what to cite, instead of what the config says")
+    parser.add_argument("--citation", metavar="TEXT", help="the publication to cite, instead of the config's")
     parser.add_argument(
         "--keep",
         metavar="PATTERN",
         action="append",
         default=[],
-        help="pack files of this name as they are, secrets and all, such as 'runs/*/bag/*'; may be given several times",
+        help="pack files with matching names unchanged, with any secrets, such as 'runs/*/bag/*'; may be given several "
+        "times",
     )
     parser.add_argument(
         "--doubtful",
         metavar="WHAT",
         choices=("refuse", "keep", "replace"),
         default="refuse",
-        help="what to do about lines that may hold a secret: `refuse` to pack, and list them (if left out), `keep` "
-        "them as they are, or `replace` what may be one",
+        help="how to treat lines that may hold a secret: `refuse` to pack, and list them (if left out), `keep` them "
+        "unchanged, or `replace` the possible secrets",
     )
     parser.add_argument(
         "--no-wheels",
@@ -92,23 +93,23 @@ def add_arguments(parser: Parser) -> None:
         "--hashes",
         action=BooleanOptionalAction,
         default=True,
-        help="ask the package index that pip is set up for, for the hashes of needed packages that the lock of Robot "
-        "Runner does not have: others' pip then demands them (it is asked if left out)",
+        help="ask the package index of pip's settings for the hashes of needed packages that are not in Robot Runner's "
+        "lock, so that pip checks them when the package is replicated (on if left out)",
     )
     parser.add_argument(
         "--base-image",
         metavar="IMAGE",
-        help="what the container image is based on, best with its digest (NAME:TAG@sha256:DIGITS), instead of the "
-        "official image of the experiment's Python or ROS",
+        help="the base of the container image, best with its digest (NAME:TAG@sha256:DIGITS), instead of the official "
+        "image of the experiment's Python or ROS",
     )
     parser.add_argument(
-        "--sign", metavar="KEY", help="sign it with this key of ssh, such as ~/.ssh/id_ed25519, as FILE.sig beside it"
+        "--sign", metavar="KEY", help="sign it with this ssh key, such as ~/.ssh/id_ed25519; writes FILE.sig beside it"
     )
     add_json(parser)
 
 
 def execute(arguments: Namespace) -> int:
-    """Write the package; say what is in it, what is not, and what others will miss."""
+    """Write the package, and print its contents, the omitted files and the missing facts."""
     folder = target_or_only("pack", arguments.target, arguments.set).root
     authors, licence = _authors(arguments.author), _licence(arguments.licence)
     from robot_runner.replication.container import as_base  # noqa: PLC0415 - only where a package is made
@@ -133,13 +134,13 @@ def execute(arguments: Namespace) -> int:
 
         @cache
         def bar() -> Progress:
-            return stack.enter_context(byte_progress("packing"))  # what is said before it stays legible
+            return stack.enter_context(byte_progress("packing"))  # messages before it stay legible
 
         def show(done: int, total: int) -> None:
             bar()(done, total)
 
         def ask(count: int) -> None:
-            stack.close()  # everything is packed by then
+            stack.close()  # all files are packed now
             _say_asking(count)
 
         packed = pack(folder, target, packing, show, ask)
@@ -152,12 +153,12 @@ def execute(arguments: Namespace) -> int:
         if packed.findings:
             show_findings(packed.findings)
     if signature is None and signature_of(target).exists():
-        check_signature(target)  # of an earlier package: of the same bytes it is good still
+        check_signature(target)  # an earlier signature stays valid if the bytes are the same
     return 0
 
 
 def _key(text: str | None) -> Path | None:
-    """Return the key to sign with; it is looked for before anything is packed."""
+    """Return the path of the signing key; called before packing, so that a missing key is reported early."""
     key = Path(text).expanduser() if text else None
     if key is not None and not key.is_file():
         fix = "Name a key of ssh; `ssh-keygen -t ed25519` makes one."
@@ -215,7 +216,7 @@ def _print(console: UserConsole, packed: Packed, signature: Path | None, *, has_
 
 
 def _hashes(packed: Packed, *, has_asked: bool) -> str:
-    """Return of how many packages pip can check the files; nothing where nobody knows what is needed."""
+    """Return the number of packages whose files pip can check; empty if the needed packages are unknown."""
     packages = counted(packed.package_count, "package")
     if not packed.without_hash:
         return f"of all {packages} needed: pip demands them" if packed.package_count else ""
@@ -225,7 +226,7 @@ def _hashes(packed: Packed, *, has_asked: bool) -> str:
 
 
 def _listed(found: Iterable[Replaced]) -> Iterator[str]:
-    """Yield one line for each kind of secret and file; the runs' files, which are many, as one."""
+    """Yield one line for each file and kind of secret; equal files of all runs are one line."""
     grouped: dict[tuple[str, str], list[Replaced]] = {}
     for each in found:
         top, _, rest = each.name.partition("/")
@@ -238,7 +239,7 @@ def _listed(found: Iterable[Replaced]) -> Iterator[str]:
 
 
 def _place(found: Replaced) -> str:
-    """Return the file, with the lines in which something was found at first."""
+    """Return the name of the file, and the first lines with secrets."""
     lines = ", ".join(map(str, found.lines[:_SHOWN_LINES]))
     more = ", ..." if len(found.lines) > _SHOWN_LINES else ""
     return f"{found.name}, line{'s' if len(found.lines) > 1 else ''} {lines}{more}" if lines else found.name

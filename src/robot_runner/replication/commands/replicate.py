@@ -1,13 +1,13 @@
 """Execute a package again, and say whether the results agree.
 
-The same runs are executed in the same order from the same seed. The package is verified first, and what differs between
-its environment and this machine is shown; nothing of it is executed or installed before you have said yes. Where what
-the experiment imports is another version here, its own environment is offered, and made with --yes. The same command
-goes on with a replication that was interrupted.
+The same runs are executed in the same order from the same seed. First the package is verified, and the differences
+between its environment and this machine are shown; its code is not executed, and nothing is installed, before you have
+said yes. If packages that the experiment imports have other versions here, the package's own environment is offered,
+and made with --yes. The same command continues an interrupted replication.
 
-The last lines say of each primary measure (those of the plan, or all) whether it is identical, equivalent within a
-bound, different or undecided; the very last one says it of all. Exit code 0: identical or equivalent; 3: different; 4:
-undecided, or nothing could be compared; 1: some run failed; 2: refused; 130: interrupted.
+The last lines say for each primary measure (those of the plan, or all) whether it is identical, equivalent within a
+bound, different or undecided; the very last line is the verdict on all. Exit code 0: identical or equivalent; 3:
+different; 4: undecided, or nothing could be compared; 1: some run failed; 2: refused; 130: interrupted.
 
     robot-runner replicate study.zip
     robot-runner replicate study.zip --environment venv --yes --bound Energy=10
@@ -64,7 +64,7 @@ _HERE, _VENV, _CONTAINER = _ENVIRONMENTS = ("here", "venv", "container")
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     parser.add_argument(
         "package",
         metavar="PACKAGE",
@@ -72,14 +72,14 @@ def add_arguments(parser: Parser) -> None:
         help="the package, the folder that it was unpacked to, or an experiment's; the only zip file here if left out",
     )
     parser.add_argument(
-        "--to", metavar="FOLDER", help="where everything is written; NAME_replication in the current folder if left out"
+        "--to", metavar="FOLDER", help="the folder for all files; NAME_replication in the current folder if left out"
     )
     parser.add_argument(
         "--environment",
         metavar="WHICH",
-        help="here: as it is on this machine; venv: make the package's Python environment first; a folder: the virtual "
+        help="here: this machine's; venv: make the package's Python environment first; a folder: the virtual "
         "environment in it; container: print the commands that build and start a container; if left out, venv is "
-        "offered where it makes a difference, and else it is here",
+        "offered if it makes a difference, and here is used otherwise",
     )
     add_set(parser)
     parser.add_argument(
@@ -87,11 +87,11 @@ def add_arguments(parser: Parser) -> None:
         metavar="BOUND",
         action="append",
         default=[],
-        help="what difference would not matter: 5%%, 10 (in the measure's unit), or NAME=BOUND; may be given several "
-        "times; if left out, what the plan of the original states, and else 5%%",
+        help="the largest difference that does not matter: 5%%, 10 (in the measure's unit), or NAME=BOUND; may be "
+        "given several times; if left out, the margin in the original's plan, or else 5%%",
     )
     parser.add_argument(
-        "--yes", action="store_true", help="execute the package's code, and install what that needs, without asking"
+        "--yes", action="store_true", help="execute the package's code, and install its requirements, without asking"
     )
     parser.add_argument(
         "--all-differences", action="store_true", help="show every package that differs on this machine"
@@ -102,9 +102,9 @@ def add_arguments(parser: Parser) -> None:
 
 
 def execute(arguments: Namespace) -> int:
-    """Verify, show what differs, ask, execute, compare; the exit code is the verdict."""
+    """Verify, show differences, ask, execute, compare; the exit code is the verdict."""
     _check_options(arguments)
-    # What is told on the way is not what a program reads.
+    # Progress goes to standard error, since a program reads the JSON from standard output.
     with redirect_stdout(sys.stderr) if arguments.json else nullcontext():
         facts = _replicate(arguments)
     if arguments.json:
@@ -123,7 +123,7 @@ def _check_options(arguments: Namespace) -> None:
 
 
 def _replicate(arguments: Namespace) -> dict[str, Any]:
-    """Return how it ended, as plain data."""
+    """Replicate the package, and return the result as plain data."""
     deviations = parse_assignments(arguments.set)
     arguments.package = arguments.package or only_package("replicate")
     with byte_progress("verifying") as progress:
@@ -153,12 +153,12 @@ def _replicate(arguments: Namespace) -> dict[str, Any]:
 
 
 def _harmless(name: str) -> str:
-    """Return a name that a stranger chose so that it leads nowhere else and commands no terminal."""
+    """Return an untrusted name without folders and control characters."""
     return re.sub(r"[^\w .-]", "_", Path(name).name)
 
 
 def _offered(arguments: Namespace, source: Source, differing: list[Difference]) -> str:
-    """Return which environment is taken where none was named."""
+    """Return the environment that is used if none was named."""
     is_own = source.is_sealed and wants_own_environment(differing, is_agreed=arguments.yes)
     return _VENV if is_own else _HERE
 
@@ -169,7 +169,7 @@ def _unpacked(source: Source, target: Path) -> Path:
 
 
 def _execute_here(arguments: Namespace, root: Path, target: Path) -> int:
-    """Execute the experiment of the package in this very environment; return the exit code of its execution."""
+    """Execute the package's experiment in this environment; return the exit code of the execution."""
     with _no_traces(), kept_copies(ExperimentFolder.found_at(root).config, working_files(root, target)):
         replication = prepare_replication(root, target, parse_assignments(arguments.set))
         with _own_remedies():
@@ -180,7 +180,7 @@ def _execute_here(arguments: Namespace, root: Path, target: Path) -> int:
     return execution.exit_code
 
 
-#: Remedies that name options of `robot-runner run`, and those that a replication has instead.
+#: The fixes of a replication instead of those that name options of `robot-runner run`.
 _REMEDIES = {
     ACCEPT: "Have it be as it was when this replication was begun, or begin another: --to FOLDER.",
     "--table": "Restore run table and journal from a backup, or begin another replication: --to FOLDER.",
@@ -189,7 +189,7 @@ _REMEDIES = {
 
 @contextmanager
 def _own_remedies() -> Iterator[None]:
-    """Have what refuses to go on advise nothing that only `robot-runner run` takes."""
+    """Replace fixes in errors that name options of `robot-runner run`."""
 
     def remedied(finding: Finding) -> Finding:
         own = next((fix for option, fix in _REMEDIES.items() if option in finding.fix), finding.fix)
@@ -202,7 +202,7 @@ def _own_remedies() -> Iterator[None]:
 
 
 def _execute_elsewhere(arguments: Namespace, source: Source, root: Path, target: Path, which: str) -> int:
-    """Execute it with the program of another environment, which is made where it is the package's own."""
+    """Execute it by the program of another environment; the package's own environment is made first."""
     if which == _VENV:
         output().print("Making the environment of the package ...", style="bold")
         sys.stdout.flush()
@@ -220,7 +220,7 @@ def _execute_elsewhere(arguments: Namespace, source: Source, root: Path, target:
 
 @contextmanager
 def _no_traces() -> Iterator[None]:
-    """Write no byte code beside the package's modules, here and in what is started from here."""
+    """Write no byte code beside the package's modules, in this process and its children."""
     name = "PYTHONDONTWRITEBYTECODE"
     before = os.environ.get(name)
     os.environ[name] = "1"
@@ -235,7 +235,7 @@ def _no_traces() -> Iterator[None]:
 
 
 def _ended(arguments: Namespace, comparing: Comparing, facts: dict[str, Any]) -> dict[str, Any]:
-    """Return how it ended, with its verdict where every run was executed; say how to go on where some were not."""
+    """Return the result, with the verdict if all runs were executed; otherwise print how to continue."""
     if arguments.without_verdict or facts["exit_code"] not in {0, SOME_FAILED}:
         return facts
     folder = replicated_folder(comparing.target, comparing.root, parse_assignments(arguments.set))

@@ -29,7 +29,7 @@ _SHA256 = re.compile("[0-9a-f]{64}")
 
 
 def add_arguments(parser: Parser) -> None:
-    """Add what the command takes."""
+    """Add the command's arguments."""
     parser.add_argument(
         "package",
         metavar="PACKAGE",
@@ -37,7 +37,7 @@ def add_arguments(parser: Parser) -> None:
         help="the package, or the folder that it was unpacked to; the only zip file here if left out",
     )
     parser.add_argument(
-        "--sha256", metavar="DIGITS", help="what its authors say that its SHA-256 is: only this tells who made it"
+        "--sha256", metavar="DIGITS", help="the SHA-256 that its authors published, to check who made it"
     )
     parser.add_argument(
         "--signed-by",
@@ -48,7 +48,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def execute(arguments: Namespace) -> int:
-    """Verify the package, and say what is wrong with it."""
+    """Verify the package, and print its problems."""
     path = Path(arguments.package or only_package("verify")).expanduser()
     digest = _sha256(path, arguments.sha256) if arguments.sha256 is not None else None
     from robot_runner.replication.opening import open_package  # noqa: PLC0415 - for a quick --help
@@ -56,7 +56,7 @@ def execute(arguments: Namespace) -> int:
 
     with open_package(path) as package, byte_progress("verifying") as progress:
         verification = verify_package(package, progress)
-    digest = digest or _sha256(path, None)  # last: what is no package is not read to its end
+    digest = digest or _sha256(path, None)  # last, so that a file that is not a package is not read to its end
     signer = _signer(path, arguments.signed_by)
     if arguments.json:
         print_json(
@@ -98,7 +98,7 @@ def _sha256(path: Path, expected: str | None) -> str | None:
 
 
 def _signer(path: Path, trusted: str | None) -> Signer | None:
-    """Return who signed the package; None where nobody did and nobody had to."""
+    """Return the signer of the package; None if it has no signature and needs none."""
     from robot_runner.replication.signatures import check_signature, signature_of  # noqa: PLC0415 - as above
 
     if not path.is_file():
