@@ -71,6 +71,24 @@ def test_a_row_that_is_longer_than_the_headings_keeps_its_cells(tmp_path):
     assert written(tmp_path, [["Task"], ["Video", "0.5", "note"]])[1] == ["Video", 0.5, "note"]
 
 
+def test_a_text_that_is_longer_than_a_cell_holds_is_cut_and_says_so(tmp_path):
+    [[note]] = written(tmp_path, [[40_000 * "é"]])
+    assert len(note) == 32_767
+    assert note.endswith("é…")
+
+
+def test_a_table_of_more_rows_than_a_sheet_holds_is_refused_once_all_else_is_exported(
+    tmp_path, robot_runner, monkeypatch
+):
+    made = make_experiment(tmp_path / "made")
+    monkeypatch.setattr("robot_runner.analysis.exporting._MOST_ROWS", 1)
+    answer = robot_runner("export", made.root, "--to", tmp_path / "out", "--spreadsheets")
+    assert answer.code == 2
+    assert "the table has 7 rows, and a workbook holds 1" in answer.err
+    assert "without --spreadsheets" in answer.err
+    assert (tmp_path / "out" / "datapackage.json").exists()
+
+
 def test_the_same_table_is_the_same_bytes(tmp_path):
     for name in ("one", "other"):
         write_workbook([["Task"], ["Video"]], tmp_path / name)

@@ -266,22 +266,30 @@ def leave_driving(experiment: Experiment, both: dict[str, tuple[str, Robot]], *,
     assert [robot.stood_still() for robot in robots] == [False, False], "nobody has stopped them"
 
 
+@contextmanager
+def robots_left_driving(
+    graph: str, start: Callable[..., Experiment], folder: Path, *, stopped: str = ""
+) -> Iterator[tuple[Experiment, dict[str, tuple[str, Robot]]]]:
+    """Yield an experiment in this folder that was killed, whose config can be executed again, and its two robots."""
+    config = folder / "config.py"
+    with two_robots(graph) as both:
+        config.write_text(TWO_ROBOTS.format(**{name: link for name, (link, _) in both.items()}))
+        experiment = start(config=config)
+        leave_driving(experiment, both, stopped=stopped)
+        (folder / "killed").touch()
+        (folder / "begun").unlink()
+        yield experiment, both
+
+
 @over("dds", "ros1", "ros2", "rosbridge")
 @pytest.mark.long
 def test_robots_that_nobody_was_left_to_stop_are_stopped_by_the_next_execution_before_anything_else(
     graph: str, start: Callable[..., Experiment], tmp_path: Path
 ) -> None:
-    config = tmp_path / "config.py"
-    with two_robots(graph) as both:
-        config.write_text(TWO_ROBOTS.format(**{name: link for name, (link, _) in both.items()}))
-        robots = [robot for _, robot in both.values()]
-        experiment = start(config=config)
-        leave_driving(experiment, both)
-        (tmp_path / "killed").touch()
-        (tmp_path / "begun").unlink()
-        again = start("", "--only", "r_1", config=config)
+    with robots_left_driving(graph, start, tmp_path) as (experiment, both):
+        again = start("", "--only", "r_1", config=experiment.config)
         again.wait_for("begun")
-        assert not any(robot.moves() for robot in robots), "both stand still before the experiment begins"
+        assert not any(robot.moves() for _, robot in both.values()), "both stand still before the experiment begins"
         assert again.end() == 0, again.output
         told = " ".join(again.output.split())
         for run, name in (("r_1", "alice"), ("r_2", "bob")):
@@ -298,18 +306,11 @@ def test_robots_that_nobody_was_left_to_stop_are_stopped_by_the_next_execution_b
 def test_robots_that_a_killed_experiment_left_moving_are_stopped_before_another_one_that_uses_them_begins(
     graph: str, start: Callable[..., Experiment], tmp_path: Path, stopped: str
 ) -> None:
-    config = tmp_path / "config.py"
-    with two_robots(graph) as both:
-        config.write_text(TWO_ROBOTS.format(**{name: link for name, (link, _) in both.items()}))
-        robots = [robot for _, robot in both.values()]
-        experiment = start(config=config)
-        leave_driving(experiment, both, stopped=stopped)
-        (tmp_path / "killed").touch()
-        (tmp_path / "begun").unlink()
-        config.write_text(config.read_text().replace('"trial"', '"another"'))
-        another = start("", "--only", "r_1", config=config)
+    with robots_left_driving(graph, start, tmp_path, stopped=stopped) as (experiment, both):
+        experiment.config.write_text(experiment.config.read_text().replace('"trial"', '"another"'))
+        another = start("", "--only", "r_1", config=experiment.config)
         another.wait_for("begun")
-        assert not any(robot.moves() for robot in robots), "both stand still before the other experiment begins"
+        assert not any(robot.moves() for _, robot in both.values()), "both stand still before it begins"
         assert another.end() == 0, another.output
         told = " ".join(another.output.split())
         for link, _ in both.values():
@@ -325,21 +326,14 @@ def test_robots_that_a_killed_experiment_left_moving_are_stopped_before_another_
 def test_robots_are_stopped_also_where_the_folder_of_the_killed_experiment_was_removed_or_renamed(
     graph: str, start: Callable[..., Experiment], tmp_path: Path, name: str, becomes_of_it: Callable[[Path], object]
 ) -> None:
-    config = tmp_path / "config.py"
-    with two_robots(graph) as both:
-        config.write_text(TWO_ROBOTS.format(**{name: link for name, (link, _) in both.items()}))
-        robots = [robot for _, robot in both.values()]
-        experiment = start(config=config)
-        leave_driving(experiment, both)
+    with robots_left_driving(graph, start, tmp_path) as (experiment, both):
         becomes_of_it(experiment.folder)
         ours = [each for each in robots_left() if str(tmp_path) in each.where]
         assert len(ours) == 2, "which `robot-runner doctor` tells"
-        (tmp_path / "killed").touch()
-        (tmp_path / "begun").unlink()
-        config.write_text(config.read_text().replace('"trial"', f'"{name}"'))
-        following = start("", "--only", "r_1", config=config)
+        experiment.config.write_text(experiment.config.read_text().replace('"trial"', f'"{name}"'))
+        following = start("", "--only", "r_1", config=experiment.config)
         following.wait_for("begun")
-        assert not any(robot.moves() for robot in robots), "both stand still before anything else begins"
+        assert not any(robot.moves() for _, robot in both.values()), "both stand still before anything else begins"
         assert following.end() == 0, following.output
         told = " ".join(following.output.split())
         for link, _ in both.values():

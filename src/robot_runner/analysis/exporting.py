@@ -28,6 +28,7 @@ from pyarrow import parquet
 from robot_runner.analysis.sample_files import SampleFile, split_unit
 from robot_runner.analysis.samples import read_samples
 from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.guarded_files import make_folder, open_to_read, open_to_write, read_text, replace
 from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.core.storage.table_schema import data_package, file_resource, table_resource
@@ -83,10 +84,10 @@ def export_results(
             types = _types_of_all(_sample_tables(results, raw, kind))
             _write_parquet(path, (_with_types(table, types) for table in _sample_tables(results, raw, kind)))
         written.append(path)
-    copies = tuple(_copies_for_spreadsheets(results, target)) if for_spreadsheets else ()
     package = target / "datapackage.json"
     listed = [_resource(target, path) for path in written if path.name != "run_table.schema.json"]
     replace(package, json.dumps(data_package(results.name, listed), indent=2, ensure_ascii=False) + "\n")
+    copies = tuple(_copies_for_spreadsheets(results, target)) if for_spreadsheets else ()
     return (*written, *copies, package)
 
 
@@ -193,6 +194,8 @@ def _resource(target: Path, path: Path) -> dict[str, Any]:
     return file_resource(relative, size, sha256) | described
 
 
+#: The limits of a sheet and of a cell in Excel ("Excel specifications and limits").
+_MOST_ROWS, _LONGEST_TEXT = 1_048_576, 32_767
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 #: What XML cannot hold, and what would be read as one of these, is written by its number.
 _NO_XML = re.compile(r"[\x00-\x08\x0b-\x1f\ufffe\uffff]|_(?=x[0-9A-Fa-f]{4}_)")
@@ -223,9 +226,12 @@ def write_workbook(rows: Iterable[Sequence[str]], target: Path, numeric: Collect
     write another file each time.
 
     Raises:
-        StorageError: it cannot be written.
+        StorageError: the workbook cannot be written, or the table has too many rows.
     """
     table = list(rows)
+    if len(table) > _MOST_ROWS:
+        problem = f"the table has {len(table):,} rows, and a workbook holds {_MOST_ROWS:,}"
+        raise StorageError(problem, where=str(target), fix="Export without --spreadsheets, and read the CSV file.")
     is_numeric = [name in numeric for name in table[0]] if table else []
     written = "".join(
         f"<row>{''.join(map(_workbook_cell, row, chain(is_numeric, repeat(object=False))))}</row>"
@@ -251,5 +257,7 @@ def _workbook_cell(text: str, is_numeric: bool) -> str:
 def _text(text: str) -> str:
     if not text:
         return "<c/>"
+    if len(text) > _LONGEST_TEXT:
+        text = f"{text[: _LONGEST_TEXT - 1]}…"
     plain = escape(_NO_XML.sub(lambda found: f"_x{ord(found[0]):04X}_", text))
     return f'<c t="inlineStr"><is><t xml:space="preserve">{plain}</t></is></c>'

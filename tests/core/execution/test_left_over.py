@@ -23,7 +23,8 @@ from robot_runner.core.execution.left_over import (
     left_over,
     runs_elsewhere,
 )
-from robot_runner.core.execution.left_systems import await_standby, goes_on
+from robot_runner.core.execution.left_systems import goes_on
+from robot_runner.core.execution.standby import await_standby
 from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:

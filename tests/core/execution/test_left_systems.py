@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -28,7 +29,7 @@ from robot_runner.core.execution.left_systems import (
 )
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.standby import Standby
-from robot_runner.core.execution.systems_state import SystemsFile
+from robot_runner.core.execution.systems_state import SystemsFile, left_copies
 from robot_runner.core.execution.task import RunTask
 from robot_runner.core.execution.worker import described_task
 from robot_runner.core.links import commanded_topics
@@ -295,6 +296,21 @@ def test_of_a_killed_experiment_whose_folder_is_gone_the_robot_is_stopped_once_a
     assert "its robot was told to stand still now" in found.problem
     assert found.fix == "Look where it stands, and see to Lamp by hand: the experiment's folder is gone."
     assert see_to_what_others_left(experiment, [], CLAIMED) == robots_left() == []
+    assert not experiment.folder.root.exists(), "nothing is written where somebody has removed it"
+
+
+@pytest.mark.parametrize("folder", ["/" + 300 * "x", "/a\0b"], ids=["as of a share that is dead", "of another kind"])
+def test_of_a_folder_that_cannot_be_looked_at_the_robot_is_stopped_as_of_one_that_is_gone(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch, folder: str
+) -> None:
+    of_velocities(experiment, Deserted(), monkeypatch)
+    (copy,) = left_copies()
+    first, *others = copy.path.read_text().splitlines()
+    copy.path.write_text("\n".join([json.dumps(json.loads(first) | {"folder": folder}), *others]))
+    assert len(robots_left()) == 1
+    (found,) = see_to_what_others_left(experiment, [], CLAIMED)
+    assert "its robot was told to stand still now" in found.problem
+    assert robots_left() == []
 
 
 def test_an_experiment_that_was_moved_and_made_safe_has_left_nothing_where_it_was(

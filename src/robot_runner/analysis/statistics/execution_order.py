@@ -2,7 +2,7 @@
 
 If a run of a crossover failed and was executed again after later periods of its unit, the period in its row and the
 previous treatment are wrong. If a run of a split plot was executed after another whole plot had begun, its whole plot
-was set up anew, and is none of the design's. The model of the design is not valid for such runs.
+had to be set up a second time, which the design does not have. The model of the design is not valid for such runs.
 
 Robots take turns so that each combination is executed equally often on each. This is no longer so if a robot was set
 aside, or runs failed or were excluded: with unequal shares, a difference between robots may look like an effect.

@@ -206,7 +206,7 @@ def runs_elsewhere(folder: ExperimentFolder) -> list[RunsElsewhere]:
 
 
 def go_on_elsewhere(folder: ExperimentFolder) -> bool:
-    """Return whether other machines may go on with runs now: whoever looks after them touches the mark each time."""
+    """Return whether other machines may still execute runs: their orchestrator touches the mark at each renewal."""
     now = time.time()  # not monotonic, which differs after a reboot
     marks = _marks_of_elsewhere(folder)
     return any(abs(now - mark.lstat().st_mtime) < _elsewhere(mark, folder).seconds for mark in marks)

@@ -7,7 +7,7 @@ last command for ever.
 
 from __future__ import annotations
 
-import time
+import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import fields, replace
@@ -35,12 +35,10 @@ from robot_runner.core.execution.left_over import (
     marked_folders,
 )
 from robot_runner.core.execution.standby import (
-    LONGEST,
     Standby,
+    await_standby,
+    await_standby_at,
     is_at_work,
-    kill_if_stopped,
-    kill_standby,
-    locked_by,
     made_safe_of_their_own,
 )
 from robot_runner.core.execution.systems_state import Care, LeftCopy, LeftSystems, SystemsFile, left_copies
@@ -50,18 +48,12 @@ from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND
 from robot_runner.core.links.connect import is_simulated, robot_on_graph
 from robot_runner.core.plugin import System
 from robot_runner.core.storage.claim_locks import HeldClaims
-from robot_runner.core.storage.guarded_files import remove
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import ExperimentLock, holder_of
-from robot_runner.core.storage.lock_files import was_open_to_strangers
 from robot_runner.core.storage.shared_claims import may_be_one
 from robot_runner.core.treatments import bind
 from robot_runner.core.words import enumerated
 
-#: How long a standby may take to die once it was killed, s.
-_DYING = 5.0
-#: How often it is checked whether it has ended, s.
-_LOOK = 0.02
 #: Said where no command is on the disk: the power may have failed before one was written.
 _TOLD_NOTHING = "no command of it is known, so that the robot was told nothing now"
 
@@ -133,11 +125,14 @@ def see_to_what_others_left(experiment: Experiment, roots: Iterable[Path], claim
 
 
 def _left_elsewhere(known: Collection[Path]) -> Iterator[LeftCopy]:
-    """Yield what is left in folders that are gone, or at work in none: those of workers, and all but the known ones."""
+    """Yield what killed runs have left, unless their folder is among the known ones, or is still in use.
+
+    A folder that cannot be read, as on a network share that does not answer, counts as gone.
+    """
     for each in left_copies():
         root = each.original.parent
-        is_seen_to = root in known or holder_of(ExperimentFolder(root).lock) or goes_on(root)
-        if not (each.original.exists() and is_seen_to):
+        is_there = os.path.exists(each.original)  # noqa: PTH110 - `Path.exists` raises where the system cannot tell
+        if not is_there or not (root in known or holder_of(ExperimentFolder(root).lock) or goes_on(root)):
             yield each
 
 
@@ -183,7 +178,7 @@ def _end_what_is_left(root: Path, may_command: Callable[[str], bool]) -> list[Fi
                 left = SystemsFile(each).left()
                 if left is None or left.robot is None or may_command(left.robot):
                     killed += end_left_over(each)
-                    _await_at(each)  # a run that was stopped, say, has a standby, which acts now
+                    await_standby_at(each)  # a run that was stopped, say, has a standby, which acts now
                 elif going_on := left_over(each):
                     findings.append(_left_driving(root, left.robot, going_on))
             findings += _ended_by_rooms(root, may_command)
@@ -354,43 +349,3 @@ def goes_on(root: Path, *, counts_orphans: bool = True) -> bool:
         is_left = counts_orphans and any(map(left_over, marked))
         return is_here or is_left or is_subject_left(folder) or go_on_elsewhere(folder)
     return False
-
-
-def await_standby(folder: ExperimentFolder) -> Finding | None:
-    """Wait until the standbys of an earlier execution have ended; kill one that takes too long.
-
-    Two processes must not command one robot. A standby that outlived its orchestrator may still be at work when the
-    next execution begins.
-
-    Returns:
-        how long it was waited; None where there was no standby.
-
-    Raises:
-        ExecutionError: one is still there afterwards, as it is another user's process.
-    """
-    began = time.monotonic()
-    # A list, not a generator: all of them are awaited.
-    if not any([_await_at(slot) for slot in map(folder.at_slot, folder.used_slots())]):  # noqa: C419
-        return None
-    waited = time.monotonic() - began
-    problem = f"an earlier execution was killed; its systems were still being made safe, which took {waited:.1f} s"
-    return Finding.warning(str(folder.root), problem, "Look where the robot stands.")
-
-
-def _await_at(slot: ExperimentFolder) -> bool:
-    """Wait until a slot has no standby, and kill one that is stopped; return whether it was waited for."""
-    began, stood_by, killed = time.monotonic(), False, 0
-    while (pid := locked_by(slot)) is not None:
-        if kill_if_stopped(slot):
-            killed = pid
-        stood_by = stood_by or pid != killed
-        waited = time.monotonic() - began
-        if waited > LONGEST:
-            kill_standby(pid, slot)
-        if waited > LONGEST + _DYING:
-            problem = "systems of an earlier execution are still being made safe, and that cannot be ended from here"
-            raise ExecutionError(problem, where=str(slot.root), fix=f"End process {pid} by hand.")
-        time.sleep(_LOOK)
-    if was_open_to_strangers(slot.standing_by, slot.root):  # as earlier versions made it
-        remove(slot.standing_by, slot.root)
-    return stood_by

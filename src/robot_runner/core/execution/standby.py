@@ -19,7 +19,7 @@ from copy import copy as shallow_copy
 from typing import Any, NoReturn
 
 from robot_runner.core.config.experiment import Experiment
-from robot_runner.core.errors import LinkError, StorageError
+from robot_runner.core.errors import ExecutionError, Finding, LinkError, StorageError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.events.resources import Resources
@@ -38,7 +38,7 @@ from robot_runner.core.execution.task import RunTask
 from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND, keep_commanding_zero
 from robot_runner.core.links.connect import connect_robot, is_simulated, join_beforehand, preload_robot
 from robot_runner.core.plugin import System
-from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor
+from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, remove
 from robot_runner.core.storage.layout import ExperimentFolder, print_to_log
 from robot_runner.core.storage.lock_files import open_to_lock, was_open_to_strangers
 from robot_runner.core.storage.outliving import is_stopped
@@ -58,6 +58,8 @@ _DYING = 5.0
 _DIGITS = 20
 #: How often it is checked whether another process has ended, and whether a standby that is awaited is stopped, s.
 _LOOK, _OFTEN = 0.02, 0.5
+#: How long a standby may take to die once it was killed, s.
+_DYING = 5.0
 #: How much longer than the grace a run may go on without an orchestrator, s: ending it is its keeper's work.
 _MARGIN = 2.0
 
@@ -128,7 +130,7 @@ class Standby:
         # The standby was killed or stopped, or has not woken up yet: making a system safe twice does no harm.
         if self.state.care in {Care.RUN, Care.STANDBY} and not self._acts():
             with suppress(StorageError):  # once continued, a stopped one would command the robot in the midst of a run
-                kill_if_stopped(self._experiment.folder)
+                _kill_if_stopped(self._experiment.folder)
             self.state.set(Care.RUN)
             self.begin(run)
             deadline = time.monotonic() + LONGEST
@@ -300,16 +302,16 @@ def is_at_work(folder: ExperimentFolder) -> bool:
     return pid is not None and not is_stopped(pid)
 
 
-def kill_if_stopped(folder: ExperimentFolder) -> bool:
+def _kill_if_stopped(folder: ExperimentFolder) -> bool:
     """Kill the standby of a slot where it is stopped; return whether it was."""
     pid = locked_by(folder)
     if pid is None or not is_stopped(pid):
         return False
-    kill_standby(pid, folder)
+    _kill(pid, folder)
     return True
 
 
-def kill_standby(pid: int, folder: ExperimentFolder) -> None:
+def _kill(pid: int, folder: ExperimentFolder) -> None:
     """Kill a process, unless it is not the standby: the number in the file may be wrong."""
     if pid > 1 and (sys.platform != "linux" or has_locked(pid, folder.standing_by.resolve())):
         with suppress(ProcessLookupError, PermissionError):
@@ -331,3 +333,43 @@ def standby_of(experiment: Experiment, task: RunTask) -> Standby | None:
 def made_safe_of_their_own(experiment: Experiment) -> list[System]:
     """Return the systems that have a `make_safe` of their own."""
     return [each for each in experiment.systems if type(each).make_safe is not System.make_safe]
+
+
+def await_standby(folder: ExperimentFolder) -> Finding | None:
+    """Wait until the standbys of an earlier execution have ended; kill one that takes too long.
+
+    Two processes must not command one robot. A standby that outlived its orchestrator may still be at work when the
+    next execution begins.
+
+    Returns:
+        how long it was waited; None where there was no standby.
+
+    Raises:
+        ExecutionError: one is still there afterwards, as it is another user's process.
+    """
+    began = time.monotonic()
+    # A list, not a generator: all of them are awaited.
+    if not any([await_standby_at(slot) for slot in map(folder.at_slot, folder.used_slots())]):  # noqa: C419
+        return None
+    waited = time.monotonic() - began
+    problem = f"an earlier execution was killed; its systems were still being made safe, which took {waited:.1f} s"
+    return Finding.warning(str(folder.root), problem, "Look where the robot stands.")
+
+
+def await_standby_at(slot: ExperimentFolder) -> bool:
+    """Wait until a slot has no standby, and kill one that is stopped; return whether it was waited for."""
+    began, stood_by, killed = time.monotonic(), False, 0
+    while (pid := locked_by(slot)) is not None:
+        if _kill_if_stopped(slot):
+            killed = pid
+        stood_by = stood_by or pid != killed
+        waited = time.monotonic() - began
+        if waited > LONGEST:
+            _kill(pid, slot)
+        if waited > LONGEST + _DYING:
+            problem = "systems of an earlier execution are still being made safe, and that cannot be ended from here"
+            raise ExecutionError(problem, where=str(slot.root), fix=f"End process {pid} by hand.")
+        time.sleep(_LOOK)
+    if was_open_to_strangers(slot.standing_by, slot.root):  # as earlier versions made it
+        remove(slot.standing_by, slot.root)
+    return stood_by

@@ -1,7 +1,7 @@
 """Which process is responsible for a run's systems: shared by the run, its keeper, its standby and the orchestrator.
 
-Where all of them were killed, a file in the experiment's folder tells the next execution what is not safe yet, and a
-copy of it, among the user's claims, whoever uses that robot next: the folder may have been removed or renamed.
+If all of them are killed, a file in the experiment's folder tells the next execution what is not safe yet. A copy
+beside the user's claims tells any experiment that uses the robot next, as the folder may have been removed or renamed.
 """
 
 from __future__ import annotations

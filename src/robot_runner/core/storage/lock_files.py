@@ -1,8 +1,8 @@
 """Lock files of an experiment that other local users cannot lock, and so cannot use to block its owner.
 
-Whoever can open a file can lock it. So these files are for their owner alone, or for a group that may write in the
-experiment's folder. Earlier versions made them readable for everybody, and another user may have one open since then:
-such a file is replaced, as a change of its permissions would come too late.
+A user who can open a file can lock it. So only the owner may open these files, and a group that may write in the
+experiment's folder. Earlier versions made them readable by everybody, so another user may still have one open: such a
+file is replaced, as changing its permissions would be too late.
 """
 
 from __future__ import annotations

@@ -168,7 +168,7 @@ def evaluate_registers(
     rate_hz: float | None = None,
     is_simulated: bool = False,
 ) -> Evaluation:
-    """Return the samples of a stream in physical units; parameters that are None are taken from the device's hello.
+    """Return the samples of a stream in physical units; for parameters that are None, the device's own values are used.
 
     Args:
         stream: the samples.
