@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.ros.real_graph import graph
 
-from robot_runner.core.storage.outliving import process_stat
+from robot_runner.core.storage.outliving import ancestors, process_stat
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -119,8 +119,11 @@ class Experiment:
 
 
 def kill_together(pids: Iterable[int]) -> None:
-    """Kill processes so that none of them has the time to do anything about the death of another."""
-    doomed = list(pids)
+    """Kill processes so that none of them has the time to do anything about the death of another.
+
+    Children come first: where a parent dies, Linux continues stopped processes of a group that is orphaned by that.
+    """
+    doomed = sorted(pids, key=lambda pid: len(list(ancestors(pid))), reverse=True)
     for number in (signal.SIGSTOP, signal.SIGKILL):
         for pid in doomed:
             os.kill(pid, number)
