@@ -103,6 +103,11 @@ def test_csv_knows_its_heading_and_passes_over_the_rest():
     assert rows == [None, None, None, {"a": "1", "b": "2"}, None, {"a": "x", "b": "y,z"}, None]
 
 
+def test_a_progress_bar_between_the_rows_is_no_row():
+    rows = parse_csv(["10 %\r20 %\r30 %", "a,b", "1,2", "40 %\r50 %", "3,4\r"])
+    assert rows == [None, None, {"a": "1", "b": "2"}, None, {"a": "3", "b": "4"}]
+
+
 def test_without_a_column_a_row_was_taken_when_it_arrived():
     assert row_times([{}, {}], [5.0, 6.0], None, utc_offset=0.0) == [5.0, 6.0]
 

@@ -54,6 +54,17 @@ def test_messages_that_are_only_counted_are_told(tmp_path):
     assert found(path) == ({}, {"/renamed": problem})
 
 
+def test_a_count_in_the_metadata_that_is_a_text_is_a_fault_of_the_bag(tmp_path):
+    path = scans_of_ros2(tmp_path / "hall")
+    metadata = path / "metadata.yaml"
+    told = _loaded(metadata)
+    told["rosbag2_bagfile_information"]["topics_with_message_count"][0]["message_count"] = "twenty"
+    metadata.write_text(json.dumps(told))
+    with pytest.raises(PluginError, match="the bag cannot be read") as refused:
+        RecordedBag(path)
+    assert refused.value.where == str(path)
+
+
 def test_a_definition_that_cannot_be_read_keeps_only_its_topic_away(tmp_path):
     # As rosbag2 writes services: the definition of both halves stands where that of the event is to be.
     bag = new_bag(tmp_path, Encoding.CDR)

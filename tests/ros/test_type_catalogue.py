@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import pytest
 
@@ -177,9 +178,11 @@ int32 plain # 5
     assert len({catalogue.shape("my_robot/Goal")}) == 1  # it can be a key, as the DDS types are kept by it
 
 
-def test_a_default_that_cannot_be_read_is_named_by_its_file(tmp_path):
-    _written(tmp_path, "my_robot/msg/Goal.msg", "int32[] plain [1, x]\n")
-    with pytest.raises(LinkError, match=r"Goal\.msg: the default of the field 'plain' cannot be read: '\[1, x\]'"):
+@pytest.mark.parametrize("default", ["[1, x]", "5", "'abc'", "{[1]: 2}"])
+def test_a_default_that_cannot_be_read_is_named_by_its_file(tmp_path, default):
+    _written(tmp_path, "my_robot/msg/Goal.msg", f"int32[] plain {default}\n")
+    problem = re.escape(f"the default of the field 'plain' cannot be read: {default!r}")
+    with pytest.raises(LinkError, match=rf"Goal\.msg: {problem}"):
         TypeCatalogue.of(2, "jazzy", (tmp_path,))
 
 

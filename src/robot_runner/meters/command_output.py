@@ -228,12 +228,19 @@ def parse_csv(records: Sequence[str], *, delimiter: str = ",", comment: str = "#
     rows: list[Row | None] = []
     for record in records:
         is_silent = not record.strip() or record.startswith(comment)
-        cells = [] if is_silent else [cell.strip() for cell in next(csv.reader([record], delimiter=delimiter))]
+        cells = [] if is_silent else _cells(record, delimiter)
         is_row = heading is not None and len(cells) == len(heading) and cells != heading
         rows.append(dict(zip(heading, cells, strict=True)) if is_row and heading else None)
         if heading is None and cells:
             heading = cells
     return rows
+
+
+def _cells(record: str, delimiter: str) -> list[str]:
+    try:
+        return [cell.strip() for cell in next(csv.reader([record], delimiter=delimiter))]
+    except csv.Error:  # a carriage return within the line, as a progress bar has them
+        return []
 
 
 def row_times(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -80,12 +80,14 @@ class RecordedBag:
     def __init__(self, path: Path) -> None:
         self.path = bag_at(path)
         _check_merged(self.path)
-        with _told_as_broken(self.path):
+        with _told_as_broken(self.path), ExitStack() as undoing:
             self._bag = OpenedBag(self.path)
-        self.encoding = self._bag.encoding
-        self._codec = MessageCodec(self._bag.store, signed_bytes=self.encoding is Encoding.ROS1)
-        self.count, self.begin_ns, self.end_ns = self._bag.count, self._bag.begin_ns, self._bag.end_ns
-        self.topics: Mapping[str, RecordedTopic] = {each.name: each for each in self._described()}
+            undoing.callback(self._bag.close)
+            self.encoding = self._bag.encoding
+            self._codec = MessageCodec(self._bag.store, signed_bytes=self.encoding is Encoding.ROS1)
+            self.count, self.begin_ns, self.end_ns = self._bag.count, self._bag.begin_ns, self._bag.end_ns
+            self.topics: Mapping[str, RecordedTopic] = {each.name: each for each in self._described()}
+            undoing.pop_all()
 
     def __enter__(self) -> Self:
         """Return itself."""

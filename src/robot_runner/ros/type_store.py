@@ -271,7 +271,7 @@ def field_defaults(text: str, *, where: str) -> dict[str, Any]:
             kind, array, name, written = parts.groups()
             try:
                 found[name] = _default(kind, written, is_array=array is not None)
-            except (ValueError, SyntaxError) as error:
+            except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError) as error:  # all of `literal_eval`
                 problem = f"the default of the field {name!r} cannot be read: {written[:80]!r}"
                 raise LinkError(problem, where=where, fix="Mend the definition.") from error
     return found
@@ -281,6 +281,8 @@ def _default(kind: str, written: str, *, is_array: bool) -> Any:
     if is_array:
         spelt = written if kind in _TEXTS else _TRUTH.sub(lambda word: word[0].title(), written)
         values = ast.literal_eval(spelt)  # lists are spelt as in Python, and comments, too
+        if not isinstance(values, list):
+            raise ValueError(f"{spelt} is no list")
         return tuple(map(bool, values)) if kind == "bool" else tuple(values)
     if kind in _TEXTS and written[0] in "\"'":
         return ast.literal_eval(written)

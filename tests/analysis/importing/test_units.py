@@ -104,9 +104,22 @@ NO_UNITS = ["", "2", "C", "G", "foo", "dBm", "J + W", "avg %", "joules/mission",
 NO_UNITS += ["a.u.", "N/A", "units", "unit/s", "db", "link", "hand", "pin", "pi", "pp", "EU"]
 
 
+#: The first would be computed for years, the next lie beyond what a float can hold, or are 0 there.
+NO_UNITS += ["s^9^9^9", "s³³³³", "(s^9)^9^9", "km^999", "kW^99", "mm^999", "m^1e9", "Ym^9*Ym^9", "qm^9*qm^9"]
+
+
 @pytest.mark.parametrize("text", NO_UNITS)
 def test_what_is_no_unit_or_could_be_several_is_none(text):
     assert unit_of(text) is None
+
+
+def test_powers_of_one_digit_are_read():
+    assert [unit_of(text).si for text in ("m/s^2", "V²", "Hz^(1/2)", "m**2")] == ["m/s^2", "V^2", "Hz^0.5", "m^2"]
+
+
+@pytest.mark.parametrize("heading", ["Speed ( )", "Speed [\t]", "Speed [ ] (x)"])
+def test_empty_brackets_are_no_unit(heading):
+    assert split_heading(heading) == (heading, None)
 
 
 @given(st.sampled_from(known_units()), st.floats(-1e9, 1e9))

@@ -81,12 +81,15 @@ _WORD = re.compile(r"[A-Za-zµμ°Ω%℃]+")
 _IN_PINT = {"KB": "kB", "1": "", "rps": "count/s", "fps": "count/s", "qps": "count/s", "px": "pixel"}
 #: Torques without a multiplication sign, which pint reads as the fineness of yarn.
 _IN_PINT |= {f"{prefix}Nm": f"({prefix}N*m)" for prefix in ("", "m", "k")}
+_POWER = re.compile(r"\^|\*\*")
+#: The power of a unit. Python would compute that of another, as in `s^9^9^9`, for years.
+_PLAIN_POWER = re.compile(rf"(?:{_POWER.pattern})\s*\(?-?\d(?:[./]\d)?\)?(?!\s*(?:{_POWER.pattern})|[\w.])")
 _SIGNS = str.maketrans({"⋅": "*", "·": "*", "²": "^2", "³": "^3", "μ": "µ"})
 #: Single letters that are units in headings; others that pint knows (`C`, `G`, `b`) too often mean something else.
 _LETTERS = frozenset("sWJVAKmNhBgΩ%1")
 _MAY_BE_A_UNIT = re.compile(r"[A-Za-zµμ°Ω%℃1][A-Za-zµμ°Ω%\d/*^ ().⋅·²³_-]{0,23}")
 
-_BRACKETED = re.compile(r"\s*[\[(]\s*([^\])\[(]+?)\s*[\])]")
+_BRACKETED = re.compile(r"\s*[\[(]\s*([^\s\])\[(](?:[^\])\[(]*?[^\s\])\[(])?)\s*[\])]")
 _SUFFIXED = re.compile(
     r"(?P<base>.+?)[_ .](?P<unit>(?:m_s|rad_s|[A-Za-zµμ°%/]+)(?:_per_[A-Za-z]+)?)"
     r"(?P<rest>[_ ](?:avg|mean|median|max|sd|std|rss|total))?",
@@ -155,13 +158,17 @@ def _unit(symbol: str) -> Unit | None:
     if symbol in _SI:
         return Unit(symbol, symbol)
     written = _WORD.sub(lambda found: _IN_PINT.get(_symbol(found[0]), _symbol(found[0])), _COUNTED.sub("count", symbol))
+    written = written.translate(_SIGNS)
+    if len(_POWER.findall(written)) != len(_PLAIN_POWER.findall(written)):
+        return None
     try:
-        parsed = dict(_registry().parse_units(written.translate(_SIGNS))._units)  # noqa: SLF001 - the only way to the parts
+        parsed = dict(_registry().parse_units(written)._units)  # noqa: SLF001 - the only way to the parts
+        parts = [(_part(name), power) for name, power in parsed.items()]
+        factor = math.prod(part.factor**power for part, power in parts)
     except Exception:  # noqa: BLE001 - pint raises many kinds of errors for texts that are not units
         return None
-    parts = [(_part(name), power) for name, power in parsed.items()]
-    factor, offset = math.prod(part.factor**power for part, power in parts), sum(part.offset for part, _ in parts)
-    if not parts or any(name.startswith("decibel") for name in parsed) or (offset and len(parts) > 1):
+    offset = sum(part.offset for part, _ in parts)
+    if not parts or not factor or any(name.startswith("decibel") for name in parsed) or (offset and len(parts) > 1):
         return None
     above = "*".join(_raised(part.si, power) for part, power in parts if power > 0) or "1"
     below = "".join(f"/{_raised(part.si, -power)}" for part, power in parts if power < 0)
