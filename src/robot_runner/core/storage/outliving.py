@@ -85,7 +85,7 @@ def _read(path: Path) -> Iterator[tuple[int, str]]:
         return
     with suppress(MissingFileError):
         for line in read_text(path, errors="replace").splitlines():
-            with suppress(ValueError, TypeError):  # a line that was torn by a power failure
+            with suppress(ValueError, TypeError, OverflowError, RecursionError):  # torn by a power failure
                 pid, started = json.loads(line)
                 yield int(pid), str(started)
 
