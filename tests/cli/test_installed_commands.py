@@ -99,6 +99,8 @@ def test_help_imports_no_package_of_a_command(robot_runner: Callable, announce: 
         ({"broken_command.py": "def add_arguments(parser):\n    pass\n"}, "the command has no function execute"),
         ({"broken_command.py": "def ("}, "SyntaxError"),
         ({"broken_command.py": "\0"}, "the command cannot be imported"),
+        ({"broken_command.py": WEIGH.replace("print(", "1 / 0 or (")}, "the command raised ZeroDivisionError"),
+        ({"broken_command.py": WEIGH.replace("--grams", "--debug")}, "the command raised ArgumentError"),
     ],
 )
 def test_a_broken_command_is_a_finding_and_hides_no_other(

@@ -9,10 +9,14 @@ from importlib.metadata import entry_points as found_by_python
 from pathlib import Path
 
 import pytest
+from tests.conftest import written_config
 
 from robot_runner.core import entry_points as module
+from robot_runner.core.config.preparation import prepare
 from robot_runner.core.entry_points import EntryPoint, entry_points, named_entry_point
-from robot_runner.core.errors import PluginError
+from robot_runner.core.errors import ExecutionError, PluginError
+from robot_runner.core.execution.notices import SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.plugin import described_circumstances
 
 ROOT = Path(__file__).parents[2]
@@ -168,3 +172,54 @@ def test_a_path_among_the_folders_of_modules_is_passed_over_as_an_import_does(cl
     known = entry_points("systems")
     clean.setattr(sys, "path", [*sys.path, tmp_path])
     assert entry_points("systems") == known
+
+
+RAISING = """\
+class Stranger:
+    description, takes_address, is_simulated = "a robot", False, False
+
+    def _raised(self, *given, **named):
+        raise RuntimeError("the sensor is gone")
+
+    recognise = stand_in_modules = findings = open_robot = open_clock = prepare = __call__ = _raised
+
+stranger = Stranger()
+"""
+ODD = """\
+class Stranger:
+    description, takes_address, is_simulated = "a robot", False, False
+
+    def _odd(self, *given, **named):
+        return ["a text"]
+
+    recognise = stand_in_modules = findings = open_robot = open_clock = prepare = __call__ = _odd
+
+stranger = Stranger()
+"""
+OTHER = "stranger = object()\n"
+
+
+@pytest.mark.parametrize("source", [RAISING, ODD, OTHER], ids=["raises", "returns something else", "is something else"])
+@pytest.mark.parametrize("group", ["dialects", "links", "checks", "companions", "preparations", "left_behind"])
+def test_what_a_stranger_s_package_does_wrong_is_told_to_be_its_fault(clean, tmp_path, group, source):
+    (tmp_path / "site").mkdir()
+    ordinary(tmp_path / "site")
+    (tmp_path / "site" / "stranger.py").write_text(source)
+    announced = f"[robot_runner.{group}]\nodd = stranger:stranger\n"
+    (tmp_path / "site" / "some_stranger-2.1.dist-info" / "entry_points.txt").write_text(announced)
+    clean.syspath_prepend(tmp_path / "site")
+    config = written_config(tmp_path, 'robot = "odd"' if group == "links" else "")
+    prepared = prepare(config)
+    findings = list(prepared.findings)
+    if prepared.experiment is not None:
+        findings += told_by_execution(prepared.experiment)
+    (told,) = [each for each in findings if "of Some.Stranger 2.1" in each.where]
+    assert told.where.startswith(f"{group.removesuffix('s')} odd")
+    assert told.is_error is (group != "dialects")  # our own configs need none
+
+
+def told_by_execution(experiment):
+    try:
+        return execute_experiment(experiment, SilentObserver()).findings
+    except ExecutionError as refused:
+        return refused.findings

@@ -19,7 +19,7 @@ from tests.ros.real_graph import over
 from tests.ros.ros1_master import RUDE
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.execution.left_systems import robots_left
+from robot_runner.core.execution.left_systems import may_be_moving, robots_left
 from robot_runner.core.execution.standby import locked_by
 from robot_runner.core.links import commanded_topics
 from robot_runner.core.links.commanded_topics import keep_commanding_zero
@@ -339,6 +339,24 @@ def test_robots_are_stopped_also_where_the_folder_of_the_killed_experiment_was_r
         for link, _ in both.values():
             assert f"({link}), and nobody was left to make its systems safe; its robot was told to stand still" in told
         assert not [each for each in robots_left() if str(tmp_path) in each.where]
+
+
+@over("ros1", "rosbridge")
+@pytest.mark.long
+def test_of_a_live_experiment_whose_folder_was_renamed_no_robot_is_said_to_be_left_moving(
+    graph: str, start: Callable[..., Experiment], tmp_path: Path
+) -> None:
+    with two_robots(graph) as both:
+        config = tmp_path / "config.py"
+        config.write_text(TWO_ROBOTS.format(**{name: link for name, (link, _) in both.items()}))
+        experiment = start(config=config)
+        wait_until(lambda: all(robot.moves() for _, robot in both.values()), "both of them drive")
+        renamed = experiment.folder.rename(experiment.folder.with_name("old"))
+        assert not [each for each in robots_left() if str(tmp_path) in each.where], "which `robot-runner doctor` tells"
+        assert not may_be_moving(ExperimentFolder.found_at(renamed)), "which `robot-runner status` tells"
+        kill_together(experiment.processes())
+        experiment.end()
+        assert len([each for each in robots_left() if str(tmp_path) in each.where]) == 2
 
 
 #: Tells that who stands by for a run has joined the robot's graph.

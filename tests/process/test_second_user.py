@@ -18,6 +18,8 @@ import pytest
 from tests.command_line import PROGRAM
 from tests.process.conftest import kill_together, wait_until
 
+from robot_runner.core.config.preparation import prepare
+from robot_runner.core.execution.begun_experiment import folder_refusals
 from robot_runner.core.storage.shared_claims import hold_against_users
 
 if TYPE_CHECKING:
@@ -130,6 +132,24 @@ def test_nothing_of_a_new_experiment_can_be_read_or_altered(study: Path) -> None
     private = [name for name in acts if name.partition(" ")[2] not in {"", "faces.csv"}]
     assert as_stranger(lambda: succeeded({name: acts[name] for name in private})) == []
     assert stat.S_IMODE((folder / "runs").stat().st_mode) == 0o700
+
+
+@pytest.mark.long
+def test_who_may_not_read_the_files_of_an_experiment_in_a_shared_folder_is_told_so_by_check(
+    study: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert run(study).returncode == 0
+    folder = study / "results" / "private"
+    folder.chmod(0o777)
+    monkeypatch.chdir(study)
+    experiment = prepare(Path("private.py")).experiment
+    assert experiment is not None
+
+    def told() -> list[str]:
+        return [each.problem for each in folder_refusals(experiment)]
+
+    assert told() == []
+    assert as_stranger(told) == ["the file cannot be read: Permission denied"]
 
 
 def hold_all(folder: Path) -> list[str]:

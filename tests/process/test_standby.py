@@ -177,6 +177,35 @@ def test_where_the_standby_is_stopped_the_systems_are_made_safe_by_who_is_left(
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("stopped", ["keeper", "keeper and standby"])
+def test_where_the_keeper_is_stopped_and_the_run_is_killed_its_systems_are_made_safe_and_the_experiment_goes_on(
+    lamp: Callable[..., Any], stopped: str
+) -> None:
+    experiment = lamp(tasks='"Video", "Network"', mission=f"context.combination['Task'] == 'Network' or {LONG}")
+    processes = {"keeper": experiment.keeper(), "standby": experiment.standby()}
+    run = experiment.run_process()
+    for name in stopped.split(" and "):
+        os.kill(processes[name], signal.SIGSTOP)
+    kill(run)
+    assert experiment.end() == 1
+    assert experiment.statuses == ["Failed", "Done"]
+    assert not is_on(experiment)
+    assert [call[1:] for call in calls(experiment)] == [["r_1", "Video"]]
+    assert "MAY BE MOVING" not in experiment.output
+    assert experiment.nobody_is_left()
+
+
+@pytest.mark.long
+def test_a_run_whose_keeper_is_stopped_is_done_when_it_ends(lamp: Callable[..., Any]) -> None:
+    experiment = lamp(mission="[time.sleep(0.02) for _ in range(3000) if not (HERE / 'stopped').exists()]")
+    os.kill(experiment.keeper(), signal.SIGSTOP)
+    (experiment.config.parent / "stopped").touch()
+    assert experiment.end() == 0, experiment.output
+    assert experiment.statuses == ["Done"]
+    assert experiment.nobody_is_left()
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("stopped", ["standby", "keeper", "both"])
 def test_what_a_killed_execution_has_left_stopped_is_not_waited_for_by_the_next(
     lamp: Callable[..., Any], start: Start, stopped: str

@@ -40,8 +40,8 @@ class Nav:
     def close(self) -> None:
         self._server("close")()
 
-    def execute(self, *command: str) -> subprocess.CompletedProcess[str]:
-        words = [sys.executable, launched_parameters.__file__, "nav", *command]
+    def execute(self, *command: str, key: str = "nav") -> subprocess.CompletedProcess[str]:
+        words = [sys.executable, launched_parameters.__file__, key, *command]
         return subprocess.run(words, env=self._environment, check=False, capture_output=True, text=True)
 
     def set(self, name: str, value: object) -> None:
@@ -85,6 +85,40 @@ def test_what_a_killed_run_has_set_is_put_back_before_the_next_start(nav: Nav) -
     nav.execute()
     nav.execute()  # once more changes nothing
     assert nav.has() == {}
+
+
+@pytest.mark.long
+@needs_ros1
+@pytest.mark.parametrize("had", [0, None])
+@pytest.mark.parametrize("ending", ["abc", "acb", "bac", "bca", "cab", "cba"])
+def test_launches_that_set_the_same_end_in_any_order_and_none_takes_it_from_another(
+    nav: Nav, ending: str, had: int | None
+) -> None:
+    if had is not None:
+        nav.set("/nav/speed", had)
+    before = nav.has()
+    for value, key in enumerate("abc", start=1):
+        nav.execute(*dumping("/nav/speed"), key=key)
+        nav.set("/nav/speed", value)
+    left = "abc"
+    for key in ending:
+        assert nav.execute(key=key).returncode == 0
+        left = left.replace(key, "")
+        if left:
+            assert nav.has()["nav"] == {"speed": "abc".index(left[-1]) + 1}, (
+                "as the last of those that go on has set it"
+            )
+    assert nav.has() == before
+
+
+@pytest.mark.long
+@needs_ros1
+def test_what_an_earlier_version_has_kept_is_put_back(nav: Nav) -> None:
+    nav.set("/nav/speed", 2)
+    nav.set("/robot_runner_kept/nav", [["/nav/speed", [1]], ["/nav/turn", []]])
+    nav.set("/nav/turn", 0.5)
+    nav.execute()
+    assert nav.has() == {"nav": {"speed": 1}}
 
 
 @pytest.mark.long

@@ -51,14 +51,15 @@ def _execute(words: list[str]) -> int:
         print(f"robot-runner {_version()}")
         return 0
     command, rest = _command(words)
-    module = command_module(installed_commands()[command])
+    point = installed_commands()[command]
+    module = command_module(point)
     from robot_runner.cli.parser import parser_of  # noqa: PLC0415 - for a quick --help
 
     try:
-        arguments = parser_of(command, module).parse(rest)
+        arguments = point.called(lambda: parser_of(command, module)).parse(rest)
     except SystemExit as asked:  # argparse has printed the help that was asked for
         return int(asked.code or 0)
-    return module.execute(arguments)
+    return point.called(lambda: module.execute(arguments))
 
 
 def overview() -> str:

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from importlib import import_module
 
 TYPE_CHECKING = False  # `typing` takes longer to import than all of this
 if TYPE_CHECKING:
-    from typing import Any
+    from typing import Any, TypeVar
 
     from robot_runner.core.errors import PluginError
+
+    T = TypeVar("T")
 
 
 _PREFIX = "robot_runner."
@@ -88,12 +90,40 @@ class EntryPoint:
             raise self.refusal(f"cannot be imported: {type(error).__name__}: {error}") from error
         return found
 
+    def called(self, act: Callable[[], T]) -> T:
+        """Return what `act` returns, which calls code of this package; what that raises is told to be the package's.
+
+        Raises:
+            PluginError: it raised, and neither an error of ours nor in a package of ours.
+        """
+        try:
+            return act()
+        except Exception as error:
+            from robot_runner.core.errors import RobotRunnerError  # noqa: PLC0415 - for a quick --help
+
+            if self.is_own or isinstance(error, RobotRunnerError | BrokenPipeError | MemoryError):
+                raise
+            raise self.refusal(f"raised {type(error).__name__}: {error}") from error
+
     def refusal(self, problem: str) -> PluginError:
         """Return the error for an entry point that cannot be used; `problem` completes "the plugin ..."."""
         from robot_runner.core.errors import PluginError  # noqa: PLC0415 - for a quick --help
 
         fix = f"Install or repair the package {self.package}."
         return PluginError(f"the {self.kind.removesuffix('s')} {problem}", where=self.where, fix=fix)
+
+
+def instances_of(kind: type[T], returned: Iterable[T]) -> list[T]:
+    """Return as a list what another package's code has returned.
+
+    Raises:
+        TypeError: an element is of another type.
+    """
+    found = list(returned)
+    for each in found:
+        if not isinstance(each, kind):
+            raise TypeError(f"{each!r} is no {kind.__name__}")
+    return found
 
 
 #: Cache: for each entry of `sys.path`, the packages by normalised name with their entry points.

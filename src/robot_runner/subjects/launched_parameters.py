@@ -4,6 +4,9 @@ roslaunch leaves at the master whatever it has set. A later run whose launch doe
 there: it would depend on the order of runs. What was there is kept at the master itself, which forgets it together with
 the parameters. A run that was killed has put nothing back: the next start does so before it keeps what it will change.
 
+Two launches at one master may set the same, as `/use_sim_time`, and end in any order. A value stays as long as a launch
+that began later goes on: that one restores, in its place, what was there before both.
+
 Executed where the subject is, by its Python, of version 3.6 or later: `KEY [COMMAND...]`, where the command writes the
 parameters of the launch as `roslaunch --dump-params` does; without one, they are only put back.
 """
@@ -62,18 +65,34 @@ def names_of(command: "list[str]") -> "list[str]":
 
 
 def put_back(master: Master, key: str) -> None:
-    """Restore the saved values, if there are any."""
-    for name, before in (master.value(key) or ([],))[0]:
-        master.change(name, tuple(before))
-    if master.value(key):
-        master.change(key, ())
+    """Restore the saved values, if there are any, or have a launch that began later restore them."""
+    others = (master.value(KEPT) or ({},))[0]
+    own = others.pop(key, [])
+    for name, before, *number in own:
+        later = [
+            (each[2], other, each)
+            for other, kept in others.items()
+            for each in kept
+            if each[0] == name and each[2:] > number
+        ]
+        if later:
+            _, other, following = min(later)
+            following[1] = before
+            master.change("%s/%s" % (KEPT, other), (others[other],))
+        else:
+            master.change(name, tuple(before))
+    if own:
+        master.change("%s/%s" % (KEPT, key), ())
 
 
 def keep(master: Master, key: str, names: "list[str]") -> None:
-    """Save the present values of these parameters."""
+    """Save the present values of these parameters, with a number by which launches are ordered."""
     if names:
         everything = (master.value("/") or ({},))[0]
-        master.change(key, ([[name, list(found(everything, name))] for name in names],))
+        all_kept = (found(everything, KEPT) or ({},))[0].values()
+        number = 1 + max([0, *(one for kept in all_kept for each in kept for one in each[2:])])
+        kept = [[name, list(found(everything, name)), number] for name in names]
+        master.change("%s/%s" % (KEPT, key), (kept,))
 
 
 def found(tree: "Any", name: str) -> "tuple[Any, ...]":
@@ -93,13 +112,13 @@ def found(tree: "Any", name: str) -> "tuple[Any, ...]":
 def main(key: str, command: "list[str]") -> None:
     """Restore the saved values, then save those that the launch of this command will change, if there is one."""
     socket.setdefaulttimeout(PATIENCE)
-    master, kept = Master(os.environ.get("ROS_MASTER_URI") or "http://localhost:11311"), "%s/%s" % (KEPT, key)
+    master = Master(os.environ.get("ROS_MASTER_URI") or "http://localhost:11311")
     try:
-        put_back(master, kept)
+        put_back(master, key)
     except ConnectionRefusedError:
         return  # a launch that starts a master of its own takes the parameters along
     if command:
-        keep(master, kept, names_of(command))
+        keep(master, key, names_of(command))
 
 
 if __name__ == "__main__":

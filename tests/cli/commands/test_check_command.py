@@ -2,6 +2,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import pytest
+
+from robot_runner.core.storage.lock import ExperimentLock
+
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
@@ -103,3 +107,61 @@ def test_json_of_a_refused_config_has_its_findings(robot_runner: Callable, write
             "fix": "It must be a whole number, 1 or more.",
         }
     ]
+
+
+@pytest.fixture
+def executed(robot_runner: Callable, write_config: Callable[..., Path]) -> Path:
+    config = write_config("def populate_run_data(self, context): return {'Energy': 1.5}")
+    assert robot_runner("run", "config.py").code == 0
+    assert robot_runner("check", "config.py").code == 0, "which goes on where it was"
+    return config
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("was", "becomes"),
+    [
+        ('"Network"', '"Other"'),
+        ("repetitions=2", "repetitions=3"),
+        ("'Energy': 1.5", "'Energy': 1.6"),
+    ],
+)
+def test_a_changed_config_is_refused_as_its_execution_is(
+    robot_runner: Callable, executed: Path, was: str, becomes: str
+) -> None:
+    assert was in executed.read_text()
+    executed.write_text(executed.read_text().replace(was, becomes))
+    assert_refused_alike(robot_runner, executed)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["run_table.csv", "journal.jsonl", "manifest.json"])
+def test_an_experiment_whose_files_were_changed_by_hand_is_refused_as_its_execution_is(
+    robot_runner: Callable, executed: Path, name: str
+) -> None:
+    file = executed.parent / "results" / "trial" / name
+    edited = {"run_table.csv": file.read_text().replace("1.5", "1.7"), "manifest.json": '{"format": 1}'}
+    file.write_text(edited.get(name, "damaged\n"))
+    assert_refused_alike(robot_runner, executed)
+
+
+def assert_refused_alike(robot_runner: Callable, config: Path) -> None:
+    """Assert that `check` has each error of an execution, and has changed nothing."""
+    before = {path: path.read_bytes() for path in config.parent.rglob("*") if path.is_file()}
+    checked = robot_runner("check", "config.py")
+    assert before == {path: path.read_bytes() for path in config.parent.rglob("*") if path.is_file()}
+    refused = robot_runner("run", "config.py")
+    assert (checked.code, refused.code) == (2, 2)
+    errors = [line for line in refused.err.splitlines() if line.startswith("error:")]
+    assert errors
+    assert errors == [line for line in checked.out.splitlines() if line.startswith("error:")]
+
+
+@pytest.mark.long
+def test_of_an_experiment_that_is_being_executed_the_files_are_left_alone(
+    robot_runner: Callable, executed: Path
+) -> None:
+    folder = executed.parent / "results" / "trial"
+    with ExperimentLock(folder / ".lock"):
+        (folder / "run_table.csv").write_text("half writ")
+        assert robot_runner("check", "config.py").code == 0

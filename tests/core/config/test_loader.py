@@ -84,7 +84,7 @@ def test_a_missing_variable_of_the_environment_is_named(write_config: Write) -> 
     path = write_config(head="import os\nos.environ['NO_SUCH_NAME']\nclass RobotRunnerConfig:\n    pass\n")
     assert refused(path)[0].fix == "Set it in the environment: export NO_SUCH_NAME=... before the command."
     path = write_config(head="{}['NO_SUCH_NAME']\nclass RobotRunnerConfig:\n    pass\n")
-    assert refused(path)[0].fix == "Mend this line."
+    assert refused(path)[0].fix == "Correct this line."
 
 
 def test_a_missing_package_is_named(write_config: Write) -> None:
@@ -100,11 +100,11 @@ def test_a_missing_package_is_named(write_config: Write) -> None:
             "from robot_runner.plugins import PsUtil",
             "It is elsewhere: from robot_runner.plugins.profilers import PsUtil",
         ),
-        ("from robot_runner import Psutil", "Mend this line."),
+        ("from robot_runner import Psutil", "Correct this line."),
         ("from robot_runner.plugins.profilers import PsUtill", "Did you mean 'PsUtil'?"),
         ("from robot_runner.plugins import Factor", "It is elsewhere: from robot_runner import Factor"),
         ("from pathlib import Pth", "Did you mean 'Path'?"),
-        ("raise ImportError(\"cannot import name 'x' from 'no.such'\")", "Mend this line."),
+        ("raise ImportError(\"cannot import name 'x' from 'no.such'\")", "Correct this line."),
     ],
 )
 def test_where_a_name_is_imported_from_is_told(write_config: Write, line: str, fix: str) -> None:
@@ -206,7 +206,7 @@ def test_every_override_that_cannot_be_is_a_finding(write_config: Write) -> None
         ("plugins = [systems.BasicTurtlebot3(sped=0.2)]", "Did you mean 'speed'?"),
         ("plugins = [Robot(sped=0.2)]", "Did you mean 'speed'?"),
         ("made = Factor('Task', treatmnts=[1, 2])", "Did you mean 'treatments'?"),
-        ("made = int(bse=3)", "Mend this line."),
+        ("made = int(bse=3)", "Correct this line."),
     ],
 )
 def test_a_keyword_with_a_slip_names_the_one_that_was_meant(write_config: Write, line: str, fix: str) -> None:
@@ -229,7 +229,7 @@ def test_a_config_is_compiled_as_python_does_without_the_loaders_own_future_stat
     ("name", "line", "fix"),
     [
         ("robot", "os.environ['NO_SUCH_ROBOT']", "Set it in the environment: export NO_SUCH_ROBOT=... "),
-        ("plugins", "[1 / 0]", "Mend this line."),
+        ("plugins", "[1 / 0]", "Correct this line."),
         ("attempts", "self.atempts_of_mine + self.attempts_of_min", "Did you mean 'attempts_of_mine'?"),
     ],
 )

@@ -271,7 +271,7 @@ def test_systems_of_another_experiment_are_left_to_its_next_execution_and_its_ro
     assert heard.read_text() == "/cmd_vel"
     assert made_safe(experiment) == ""
     assert "its robot was told to stand still now" in found.problem
-    assert found.fix == "Look where it stands, and start that experiment again, which makes Lamp safe."
+    assert found.fix == "Check where it stands, and start that experiment again, which makes Lamp safe."
     assert see_to_what_others_left(other, [experiment.folder.root], claims) == [], "it is told once"
     assert len(may_be_moving(experiment.folder)) == 1
     assert len(see_to_what_is_left(experiment)) == 1
@@ -294,7 +294,7 @@ def test_of_a_killed_experiment_whose_folder_is_gone_the_robot_is_stopped_once_a
     assert see_to_what_others_left(experiment, [], ["robot:rosbridge localhost:2"]) == [], "that is another robot"
     (found,) = see_to_what_others_left(experiment, [], CLAIMED)
     assert "its robot was told to stand still now" in found.problem
-    assert found.fix == "Look where it stands, and see to Lamp by hand: the experiment's folder is gone."
+    assert found.fix == "Check where it stands, and see to Lamp by hand: the experiment's folder is gone."
     assert see_to_what_others_left(experiment, [], CLAIMED) == robots_left() == []
     assert not experiment.folder.root.exists(), "nothing is written where somebody has removed it"
 

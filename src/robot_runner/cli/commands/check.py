@@ -6,7 +6,7 @@ Each finding has its place and its fix. Exit code 0: the config can be executed;
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,8 @@ from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import Preparation, prepare
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.precision import rule_in_words
-from robot_runner.core.errors import errors_first
+from robot_runner.core.errors import Finding, errors_first
+from robot_runner.core.execution.begun_experiment import folder_refusals
 from robot_runner.core.execution.probe import Probe, probe_experiment
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.words import shown_value
@@ -48,8 +49,9 @@ def execute(arguments: Namespace) -> int:
     with quiet_loading():
         preparation = prepare(Path(arguments.config), parse_assignments(arguments.set))
         probe = probe_experiment(preparation.experiment) if arguments.probe and preparation.experiment else None
-    if probe is not None:
-        preparation = _judged(preparation, probe)
+        if preparation.experiment is not None:
+            of_probe = () if probe is None else probe.findings
+            preparation = _judged(preparation, (*folder_refusals(preparation.experiment), *of_probe))
     if arguments.json:
         print_json(_as_json(arguments.config, preparation, probe))
     else:
@@ -57,9 +59,9 @@ def execute(arguments: Namespace) -> int:
     return 0 if preparation.experiment else REFUSED
 
 
-def _judged(preparation: Preparation, probe: Probe) -> Preparation:
-    """Return the preparation with what a probe of the profilers found; one that is silent refuses the experiment."""
-    findings = errors_first([*preparation.findings, *probe.findings])
+def _judged(preparation: Preparation, found: Iterable[Finding]) -> Preparation:
+    """Return the preparation with what its folder, and a probe of its profilers, have shown; an error refuses it."""
+    findings = errors_first([*preparation.findings, *found])
     is_refused = any(finding.is_error for finding in findings)
     return Preparation(None if is_refused else preparation.experiment, tuple(findings))
 

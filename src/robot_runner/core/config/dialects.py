@@ -9,14 +9,16 @@ import json
 import os
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
 
 from robot_runner.core.config import loader
 from robot_runner.core.config.loader import LoadedConfig
-from robot_runner.core.entry_points import entry_points
+from robot_runner.core.entry_points import EntryPoint, entry_points
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.secret_names import is_secret_name
 
@@ -50,13 +52,25 @@ def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({}))
             that is to be set does not exist.
     """
     _tell_children(path, overrides)
-    dialects, unusable = _installed()
-    for dialect in dialects:
-        load = dialect.recognise(path)
+    unusable: list[Finding] = []
+    for point in entry_points("dialects"):
+        try:
+            load = point.called(partial(_recognised, point, path))
+        except PluginError as error:
+            unusable.append(Finding.warning(error.where, error.problem, error.fix))
+            continue
         if load is not None:
-            return load(overrides)
+            return point.called(partial(load, overrides))
     loaded = loader.load_config(path, overrides)
     return replace(loaded, findings=(*loaded.findings, *unusable)) if unusable else loaded
+
+
+def _recognised(point: EntryPoint, path: Path) -> Callable[[Mapping[str, str]], LoadedConfig] | None:
+    dialect: Dialect = point.load()
+    load = dialect.recognise(path)
+    if load is not None and not callable(load):
+        raise TypeError(f"{load!r}, which `recognise` returned, cannot be called")
+    return load
 
 
 def _tell_children(path: Path, overrides: Mapping[str, str]) -> None:
@@ -72,16 +86,8 @@ def _tell_children(path: Path, overrides: Mapping[str, str]) -> None:
 
 def stand_in_modules() -> frozenset[str]:
     """Return the top-level modules that config files of some dialect may import though no package has them."""
-    return frozenset().union(*(dialect.stand_in_modules() for dialect in _installed()[0]))
-
-
-def _installed() -> tuple[list[Dialect], tuple[Finding, ...]]:
-    """Return the dialects that can be used, and a warning for each that cannot; our own configs need none."""
-    dialects: list[Dialect] = []
-    unusable: list[Finding] = []
+    found: frozenset[str] = frozenset()
     for point in entry_points("dialects"):
-        try:
-            dialects.append(point.load())
-        except PluginError as error:
-            unusable.append(Finding.warning(error.where, error.problem, error.fix))
-    return dialects, tuple(unusable)
+        with suppress(PluginError):  # one that cannot be used reads no config, which says so when it is loaded
+            found |= point.called(lambda: frozenset(point.load().stand_in_modules()))  # noqa: B023 - called at once
+    return found

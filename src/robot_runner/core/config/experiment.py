@@ -12,11 +12,12 @@ from typing import Any
 
 from robot_runner.core.config.loader import LoadedConfig
 from robot_runner.core.config.parameters import Parameters
-from robot_runner.core.config.plugin_checks import instances_of, with_each_treatment
+from robot_runner.core.config.plugin_checks import with_each_treatment
 from robot_runner.core.design.asking import DECIDED
 from robot_runner.core.design.batches import EXTENDED, REPEATED, GrownRunTableModel, batches_of
 from robot_runner.core.design.columns import WARM_UP
 from robot_runner.core.design.run_table_model import RunTableModel
+from robot_runner.core.entry_points import instances_of
 from robot_runner.core.errors import ConfigError, Finding
 from robot_runner.core.events.manager import EventManager, OwnerKind, methods_of, no_context, takes_a_context
 from robot_runner.core.events.measure import CONFIG_OWNER, MeasureColumns

@@ -12,6 +12,7 @@ import threading
 import traceback
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -209,7 +210,7 @@ def raised_in(path: Path, when: str) -> Iterator[None]:
             or _fix_of_import(error)
             or _fix_of_method(error)
             or misspelt_keyword(path, error)
-            or "Mend this line.",
+            or "Correct this line.",
         ) from error
 
 
@@ -251,7 +252,7 @@ def _fix_of(error: BaseException) -> str:
     if isinstance(error, ImportError) and "relative import" in str(error):
         return "Import it by its name, without the dots: the folder of the config is searched for modules."
     if isinstance(error, ModuleNotFoundError) and error.name:
-        return f"Install the package that brings {error.name!r}, or mend the name."
+        return f"Install the package that brings {error.name!r}, or correct the name."
     if isinstance(error, KeyError) and traceback.extract_tb(error.__traceback__)[-1].filename in _OF_OS:
         return f"Set it in the environment: export {error.args[0]}=... before the command."
     if isinstance(error, AttributeError) and is_waiting(error.obj):
@@ -289,6 +290,14 @@ def importable(folder: Path) -> Iterator[None]:
     yield
 
 
+_loaded_now: ContextVar[Path | None] = ContextVar("_loaded_now", default=None)
+
+
+def file_being_loaded() -> Path | None:
+    """Return the config file whose code at the top level is being executed by this thread, if one is."""
+    return _loaded_now.get()
+
+
 def execute_source(source: ConfigSource) -> ModuleType:
     """Execute a config file as a module of its own.
 
@@ -303,9 +312,11 @@ def execute_source(source: ConfigSource) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules[CONFIG_MODULE] = module
     code = compile(source.text, str(source.path), "exec", dont_inherit=True)  # not the future statements of this module
+    token = _loaded_now.set(source.path)
     try:
         exec(code, module.__dict__)  # noqa: S102 - a config file is code
     finally:
+        _loaded_now.reset(token)
         # Imports pass over the None of `sys.path.append(os.getenv("UNSET"))`, and a `Path`: other readers do not.
         sys.path[:] = [each for each in sys.path if isinstance(each, str)]
     return module

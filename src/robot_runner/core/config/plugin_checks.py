@@ -14,7 +14,7 @@ from robot_runner.core.config.loader import LoadedConfig, place_in
 from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.design.run_table_model import RunTableModel
-from robot_runner.core.entry_points import EntryPoint, entry_points
+from robot_runner.core.entry_points import EntryPoint, entry_points, instances_of
 from robot_runner.core.errors import SLIP, Finding, RobotRunnerError, did_you_mean, nearest
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 from robot_runner.core.events.measure import Measure
@@ -57,7 +57,7 @@ def companions(parameters: Parameters, plugins: Sequence[Plugin]) -> tuple[tuple
     findings: list[Finding] = []
     for point in entry_points("companions"):
         try:
-            added += point.load()(parameters, plugins)
+            added += instances_of(Plugin, point.load()(parameters, plugins))
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
             findings.append(failed_check(point.where, error, "it"))
     return tuple(added), findings
@@ -113,19 +113,6 @@ def with_each_treatment(plugin: Plugin, model: RunTableModel | None) -> Iterator
         return
     planned = (run.combination for run in _some_of(model, factors_of(plugin)))
     yield from (built_with(plugin, combination) for combination in _distinct(planned, factors_of(plugin).values()))
-
-
-def instances_of(kind: type[T], returned: Iterable[T]) -> list[T]:
-    """Return as a list what another package's code has returned.
-
-    Raises:
-        TypeError: an element is of another type.
-    """
-    found = list(returned)
-    for each in found:
-        if not isinstance(each, kind):
-            raise TypeError(f"{each!r} is no {kind.__name__}")
-    return found
 
 
 def asked(where: str, check: Callable[[], Iterable[Finding]]) -> list[Finding]:

@@ -15,7 +15,7 @@ from robot_runner.core.design.batches import GrownRunTableModel, as_configured, 
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.design.run_table_model import RunTableModel
-from robot_runner.core.errors import ExecutionError, Finding
+from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.execution.circumstances import (
     change_findings,
     kept_manifest,
@@ -25,9 +25,12 @@ from robot_runner.core.execution.circumstances import (
 )
 from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.recovered_table import RecoveredTable
-from robot_runner.core.execution.recovery import ACCEPT, config_changes
+from robot_runner.core.execution.recovery import ACCEPT, Resumption, config_changes
+from robot_runner.core.execution.table_recovery import is_blank, recover_table
 from robot_runner.core.storage.guarded_files import make_experiment_folder, make_folder
 from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.lock import holder_of
+from robot_runner.core.storage.manifest import is_damaged
 from robot_runner.core.storage.system_refusals import fsync_folder, storage_errors
 from robot_runner.core.treatments import factors_of
 from robot_runner.core.words import counted, enumerated, listed
@@ -46,6 +49,22 @@ def made_folder(folder: ExperimentFolder) -> set[str]:
         left_behind = {path.name for path in folder.runs.iterdir()}
         fsync_folder(folder.root)
     return left_behind
+
+
+def folder_refusals(experiment: Experiment) -> tuple[Finding, ...]:
+    """Return the errors with which an execution would be refused for what is in its folder; nothing is changed.
+
+    There are none while it is executed, as its files change.
+    """
+    folder = experiment.folder
+    try:
+        if folder.root.exists() and holder_of(folder.lock) is None and not is_damaged(folder.manifest):
+            manifest, _ = begun_manifest(experiment, accept_changes=False)
+            if not is_blank(folder.run_table):  # such a one, as a damaged manifest, is made anew
+                recover_table(experiment, manifest, Resumption())
+    except (ExecutionError, StorageError) as error:
+        return error.findings
+    return ()
 
 
 def begun_manifest(experiment: Experiment, *, accept_changes: bool) -> tuple[dict[str, Any], tuple[Finding, ...]]:

@@ -17,8 +17,9 @@ from robot_runner.core.errors import PluginError, RobotRunnerError
 from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.execution.inherited import write_inherited
 from robot_runner.core.execution.interruption import InterruptGate
-from robot_runner.core.execution.keeper import Keeper, reap_keepers
+from robot_runner.core.execution.keeper import KEEPING, Keeper, reap_keepers
 from robot_runner.core.execution.places import Place, Places, RunInFlight, Watch
+from robot_runner.core.execution.processes import await_end
 from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.run_records import FINISHED, RecordReader, RecordWriter
 from robot_runner.core.execution.standby import Standby, standby_of
@@ -31,6 +32,8 @@ from robot_runner.core.storage.layout import LazyLog
 
 #: How long after the grace a keeper that should have ended its run is waited for, s.
 _KEEPER_MARGIN = 10.0
+#: How often a keeper is looked at whose run is dead, s: one that is stopped does not report that.
+_OFTEN = 0.5
 
 
 class LocalPlace:
@@ -250,7 +253,8 @@ class _Supervision:
         if self._end is not None:
             return self._look_at
         leave_by = None if self._leave_by is None or self._because else self._leave_by[0]
-        deadlines = (self._give_up_at, leave_by, *self._deadlines())
+        look_at = None if self._awaits_records else self._look_at
+        deadlines = (self._give_up_at, leave_by, look_at, *self._deadlines())
         return min((deadline for deadline in deadlines if deadline is not None), default=None)
 
     def advance(self) -> bool:
@@ -345,6 +349,11 @@ class _Supervision:
             )
         elif self._leave_by is not None and now >= self._leave_by[0] and not self._because:
             self.stop(f"{self._leave_by[1]}; {self._builder.event} had not ended grace_in_s = {self._grace:g} s later")
+        if not self._awaits_records and now >= self._look_at:
+            self._look_at = now + _OFTEN
+            if (run := self._keeper.run) is None or await_end(run, 0.0):  # else it has closed the pipe itself
+                self._keeper.wake()
+                self._give_up_at = self._give_up_at or now + KEEPING
         if self._give_up_at is not None and now >= self._give_up_at:
             self._give_up_at = None
             self._keeper.give_up()

@@ -34,7 +34,7 @@ from robot_runner.core.execution.left_over import RunMark, left_over_ended
 from robot_runner.core.execution.run_records import RecordWriter
 from robot_runner.core.execution.standby import Standby
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.outliving import is_spared, outliving
+from robot_runner.core.storage.outliving import is_spared, is_stopped, outliving
 
 _STOP, _KILL = b"s", b"k"
 _NUMBER_BYTES = 8
@@ -43,7 +43,7 @@ _PIPE_BYTES = 1 << 20
 #: How long the keeper waits for processes that it has killed, s: one that waits for a broken disk cannot be reaped.
 _REAPING = 5.0
 #: How long after the grace a run may take that nobody waits for any more, and then its keeper to end the rest, s.
-_MARGIN, _KEEPING = 10.0, 60.0
+_MARGIN, KEEPING = 10.0, 60.0
 #: How often it is checked whether a process has ended, where nothing can be polled, s.
 _LOOK = 0.01
 #: One poll waits no longer, s: its limit is 24 days.
@@ -128,8 +128,7 @@ class Keeper:
                 os.close(descriptor)
             raise
         if self._pid == 0:
-            for descriptor in (self._requests, self.told, self.records):
-                os.close(descriptor)
+            self.let_go()
             processes.leave_after(process.keep, report)
         for descriptor in (requests, tell, records):
             os.close(descriptor)
@@ -142,20 +141,18 @@ class Keeper:
     def __exit__(self, *raised: object) -> None:
         _in_flight.discard(self)
         self.look()
-        # A run that is still alive (the disk is full, say, and we cannot go on) must not wait for a reader.
-        os.close(self.records)
-        os.close(self._requests)  # and is ended by this
-        os.close(self.told)
+        # A run that is still alive (the disk is full, say) must not wait for a reader: this ends it.
+        self.let_go()
         if self._has_told:  # all that the run started has ended: nobody has to wait until the keeper is gone, too
             _leaving.append(self)
         else:
             await_end = processes.await_end
-            if not (await_end(self.run or self._pid, self.grace + _MARGIN) and await_end(self._pid, _KEEPING)):
+            if not (await_end(self.run or self._pid, self.grace + _MARGIN) and await_end(self._pid, KEEPING)):
                 self.give_up()  # stopped, say: the system asks its run to stop then
             self.reap()
 
     def let_go(self) -> None:
-        """Close what connects this process to the keeper: it was forked, and is not the orchestrator."""
+        """Close what connects this process to the keeper."""
         for descriptor in (self.records, self._requests, self.told):
             os.close(descriptor)
 
@@ -177,8 +174,12 @@ class Keeper:
 
     def give_up(self) -> None:
         """Kill the keeper itself: it does not answer."""
-        with suppress(ProcessLookupError):
-            os.kill(self._pid, signal.SIGKILL)
+        processes.try_kill(self._pid)
+
+    def wake(self) -> None:
+        """Have the keeper go on where somebody has stopped it."""
+        if is_stopped(self._pid):
+            os.kill(self._pid, signal.SIGCONT)
 
     def abandoned_run_ended(self, grace: float) -> Iterator[float]:
         """Do the work of a keeper that was killed: end the run, its process group, and what else it left alive.

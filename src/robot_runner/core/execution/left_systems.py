@@ -16,7 +16,7 @@ from pathlib import Path
 from robot_runner.core.config.claims import Claims, held_claims
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.plugin_checks import failed_check
-from robot_runner.core.entry_points import entry_points
+from robot_runner.core.entry_points import entry_points, instances_of
 from robot_runner.core.errors import (
     ExecutionError,
     Finding,
@@ -47,7 +47,7 @@ from robot_runner.core.execution.worker import task_of
 from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND
 from robot_runner.core.links.connect import is_simulated, robot_on_graph
 from robot_runner.core.plugin import System
-from robot_runner.core.storage.claim_locks import HeldClaims
+from robot_runner.core.storage.claim_locks import HeldClaims, claim_holders
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import ExperimentLock, holder_of
 from robot_runner.core.storage.shared_claims import may_be_one
@@ -99,7 +99,7 @@ def see_to_what_others_left(experiment: Experiment, roots: Iterable[Path], claim
             found = _left_in(ExperimentFolder.found_at(root))
         except OSError as error:  # a share that does not answer any more, say
             problem = f"whether a killed execution has left something there is not known: {error.strerror}"
-            findings.append(Finding.warning(str(root), problem, "Look whether its robot stands still."))
+            findings.append(Finding.warning(str(root), problem, "Check whether its robot stands still."))
             continue
         for slot, left in found:
             if left.robot is not None and may_command(left.robot) and not left.is_told:
@@ -137,11 +137,15 @@ def _left_elsewhere(known: Collection[Path]) -> Iterator[LeftCopy]:
 
 
 def robots_left(known: Collection[Path] = ()) -> list[Finding]:
-    """Return a warning for each robot that killed executions have left, perhaps moving; not of the known folders."""
+    """Return a warning for each robot that killed executions have left, perhaps moving; not of the known folders.
+
+    A robot that is claimed is in use: its experiment goes on in a folder that was renamed, or another has stopped it.
+    """
     fix = "Start an experiment that uses it, which stops it before anything else, or stop it by hand."
     return [
         Finding.warning(f"{each.original.parent}: {each.left.run_id}", f"{MAY_BE_MOVING}: {each.left.in_words}", fix)
         for each in _left_elsewhere(known)
+        if (claim := _claim_of(each.left.robot)) is None or not claim_holders([claim])
     ]
 
 
@@ -157,7 +161,7 @@ def _ended_by_rooms(root: Path, may_command: Callable[[str], bool]) -> list[Find
     found: list[Finding] = []
     for point in entry_points("left_behind"):
         try:
-            found += point.load()(root, may_command)
+            found += instances_of(Finding, point.load()(root, may_command))
         except Exception as error:  # noqa: BLE001 - another package's code; what it raises is a finding like others
             found.append(failed_check(point.where, error, "it"))
     return found
@@ -202,11 +206,11 @@ def _finding_of_other(standby: Standby, root: str, left: LeftSystems, *, is_gone
         reason = standby.state.reason or "the process that was to do it died"
         problem = f"{MAY_BE_MOVING}: {left.in_words}; it cannot be told to stand still now: {reason}"
         return Finding.error(where, problem, STOP_BY_HAND)
-    fix, systems = "Look where it stands.", sorted(left.systems)
+    fix, systems = "Check where it stands.", sorted(left.systems)
     if systems and is_gone:
-        fix = f"Look where it stands, and see to {enumerated(systems)} by hand: the experiment's folder is gone."
+        fix = f"Check where it stands, and see to {enumerated(systems)} by hand: the experiment's folder is gone."
     elif systems:
-        fix = f"Look where it stands, and start that experiment again, which makes {enumerated(systems)} safe."
+        fix = f"Check where it stands, and start that experiment again, which makes {enumerated(systems)} safe."
     done = f"its robot was told to stand still now{_as_far(standby.state.reason)}" if left.commanded else _TOLD_NOTHING
     return Finding.warning(where, f"{left.in_words}; {done}", fix)
 
@@ -254,7 +258,7 @@ def told_if_refused() -> Iterator[list[Finding]]:
 
 def _refused(experiment: Experiment, left: LeftSystems, held: ExitStack) -> Finding | None:
     """Claim the robot of that run, unless this execution has; return a finding where another experiment uses it."""
-    claim = None if left.robot is None else _claim_of(left.robot)
+    claim = _claim_of(left.robot)
     if claim is None:
         return None
     ours = held_claims(Claims(experiment.parameters, experiment.plugins, experiment.events), experiment.model)
@@ -264,15 +268,15 @@ def _refused(experiment: Experiment, left: LeftSystems, held: ExitStack) -> Find
     try:
         held.enter_context(HeldClaims([claim], experiment.parameters.experiment_name, experiment.folder.root))
     except ExecutionError as error:
-        fix = "Look where the robot stands, once that experiment has ended."
+        fix = "Check where the robot stands, once that experiment has ended."
         return Finding.warning(left.run_id, f"{left.in_words}; nothing was done now: {error.problem}", fix)
     return None
 
 
-def _claim_of(robot: str) -> str | None:
-    """Return the claim on a robot; None where it is simulated, or cannot be reached."""
+def _claim_of(robot: str | None) -> str | None:
+    """Return the claim on a robot; None where there is none, it is simulated, or it cannot be reached."""
     with suppress(LinkError):  # one that cannot be reached at all says so as it is made safe
-        return None if is_simulated(robot) else f"robot:{robot_on_graph(robot)}"
+        return None if robot is None or is_simulated(robot) else f"robot:{robot_on_graph(robot)}"
     return None
 
 
@@ -314,7 +318,7 @@ def _finding(standby: Standby, left: LeftSystems) -> Finding:
     gone = left.systems.difference(each.name for each in standby.systems)
     if standby.state.care is Care.MADE_SAFE and not gone:
         done = f"that was done now{_as_far(reason)}" if left.commanded or standby.systems else _TOLD_NOTHING
-        return Finding.warning(left.run_id, f"{left.in_words}; {done}", "Look where the robot stands.")
+        return Finding.warning(left.run_id, f"{left.in_words}; {done}", "Check where the robot stands.")
     if gone:
         reason = f"the config has no {enumerated(sorted(gone))} any more"
     reason = reason or "the process that was to do it died"

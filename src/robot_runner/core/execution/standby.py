@@ -58,8 +58,6 @@ _DYING = 5.0
 _DIGITS = 20
 #: How often it is checked whether another process has ended, and whether a standby that is awaited is stopped, s.
 _LOOK, _OFTEN = 0.02, 0.5
-#: How long a standby may take to die once it was killed, s.
-_DYING = 5.0
 #: How much longer than the grace a run may go on without an orchestrator, s: ending it is its keeper's work.
 _MARGIN = 2.0
 
@@ -153,7 +151,7 @@ class Standby:
             problem = f"the run died before it had made {names} safe; the process that stood by for this did it"
             if self.state.reason:
                 problem = f"{problem}, as far as it could: {self.state.reason}"
-            return {"owner": "standby", "problem": problem, "fix": "Look where the robot stands before you go on."}
+            return {"owner": "standby", "problem": problem, "fix": "Check where the robot stands before you go on."}
         reason = self.state.reason or "the process that stood by for this died, too"
         return {
             "owner": "standby",
@@ -353,7 +351,7 @@ def await_standby(folder: ExperimentFolder) -> Finding | None:
         return None
     waited = time.monotonic() - began
     problem = f"an earlier execution was killed; its systems were still being made safe, which took {waited:.1f} s"
-    return Finding.warning(str(folder.root), problem, "Look where the robot stands.")
+    return Finding.warning(str(folder.root), problem, "Check where the robot stands.")
 
 
 def await_standby_at(slot: ExperimentFolder) -> bool:

@@ -104,7 +104,7 @@ class _Recovery:
         self._is_known_to_be_reordered = bool(manifest["design"].get("is_reordered"))
 
     def recovered(self) -> RecoveredTable:
-        history, is_empty = self._history, not _has_content(self._path)
+        history, is_empty = self._history, not self._path.exists() or is_blank(self._path)
         if is_empty and history.has_ends:
             table = self._rebuilt(f"the run table is {'empty' if self._path.exists() else 'missing'}")
         elif is_empty:
@@ -367,10 +367,10 @@ def is_reordered(plan: RunTable, rows: RunTableRows) -> bool:
     return [each for each in planned if each in both] != [each for each in there if each in both]
 
 
-def _has_content(path: Path) -> bool:
-    """Return whether a file exists and has more than white space."""
+def is_blank(path: Path) -> bool:
+    """Return whether a file exists and has nothing but white space."""
     try:
-        return any(block.strip() for block in read_blocks(path))
+        return not any(block.strip() for block in read_blocks(path))
     except MissingFileError:
         return False
 

@@ -33,7 +33,7 @@ def link_findings(robot: str | None) -> list[Finding]:
         return []
     try:
         kind, name = resolved_robot(robot)
-        return kind.findings(name)
+        return kinds.findings_of(kind, name)
     except (LinkError, PluginError) as error:
         return [error.as_finding()]
 

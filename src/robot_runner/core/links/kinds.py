@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from robot_runner.core.entry_points import entry_points, named_entry_point
+from robot_runner.core.entry_points import entry_points, instances_of, named_entry_point
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.context import Clock
 from robot_runner.core.events.resources import Resources
@@ -184,6 +184,19 @@ def link_kind(link: str) -> RobotLinkKind | FindsRobot | None:
     if not isinstance(kind, RobotLinkKind | FindsRobot):
         raise point.refusal("does not keep to the protocol RobotLinkKind")
     return kind
+
+
+def findings_of(kind: RobotLinkKind, name: RobotName) -> list[Finding]:
+    """Return the findings of a kind of link on a robot.
+
+    Raises:
+        LinkError: the name is invalid.
+        PluginError: it is of another package, and failed.
+    """
+    point = named_entry_point(_GROUP, name.link)
+    if point is None:
+        return kind.findings(name)
+    return point.called(lambda: instances_of(Finding, kind.findings(name)))
 
 
 def link_key(what: str, namespace: str) -> str:
