@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import signal
 import socket
 import threading
 import time
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 
 import pytest
 from tests.ros.test_rosbridge_security import lab, served
@@ -13,6 +14,7 @@ from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.links.goals import GoalStatus
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros import rosbridge_actions, rosbridge_frames
@@ -113,31 +115,55 @@ def test_last_words_that_cannot_be_said_to_one_robot_are_said_to_the_others(serv
     assert [operation["topic"] for operation in link._transport._stops()] == ["/bob/cmd_vel"]
 
 
-@pytest.mark.parametrize("by_tls", [False, True])
-def test_a_server_that_takes_nothing_is_given_up_while_a_message_is_sent(by_tls, lab, monkeypatch):
-    monkeypatch.setattr(rosbridge_frames, "_SENDING", 0.5)
-    certificate = lab.certificate("slow", "127.0.0.1") if by_tls else None
-    with served(certificate) as server, ExitStack() as leaving:
+@contextmanager
+def network(server, before_each):
+    """Yield the address of a proxy that calls `before_each` before it hands on what a link has sent."""
+    with ExitStack() as leaving:
         listening = leaving.enter_context(socket.create_server(("127.0.0.1", 0)))
-        is_stopped = threading.Event()
+        leaving.callback(listening.shutdown, socket.SHUT_RDWR)  # wakes who accepts
 
-        def forward(source, target, *, stops):
+        def forward(source, target, look):
             with suppress(OSError):
-                while not (stops and is_stopped.is_set()) and (data := source.recv(1 << 16)):
+                while data := source.recv(1 << 16):
+                    look()
                     target.sendall(data)
 
         def take():
-            near = leaving.enter_context(listening.accept()[0])
-            far = leaving.enter_context(socket.create_connection(("127.0.0.1", server.port)))
-            threading.Thread(target=forward, args=(near, far), kwargs={"stops": True}, daemon=True).start()
-            threading.Thread(target=forward, args=(far, near), kwargs={"stops": False}, daemon=True).start()
+            with suppress(OSError):
+                while True:
+                    near = leaving.enter_context(listening.accept()[0])
+                    far = leaving.enter_context(socket.create_connection(("127.0.0.1", server.port)))
+                    threading.Thread(target=forward, args=(near, far, before_each), daemon=True).start()
+                    threading.Thread(target=forward, args=(far, near, lambda: None), daemon=True).start()
 
         threading.Thread(target=take, daemon=True).start()
-        address = f"127.0.0.1:{listening.getsockname()[1]}"
+        yield f"127.0.0.1:{listening.getsockname()[1]}"
+
+
+@contextmanager
+def link_behind(server, before_each, lab, *, by_tls):
+    with network(server, before_each) as address:
         url = f"rosbridge+tls://{address}?ca={lab.ca}" if by_tls else f"rosbridge://{address}"
         link = open_rosbridge_link(url, SystemClock())
+        try:
+            yield link
+        finally:
+            with suppress(LinkError):
+                link.close()
+
+
+def slow_server(lab, *, by_tls):
+    return served(lab.certificate("slow", "127.0.0.1") if by_tls else None)
+
+
+@pytest.mark.parametrize("by_tls", [False, True])
+def test_a_server_that_takes_nothing_is_given_up_while_a_message_is_sent(by_tls, lab, monkeypatch):
+    monkeypatch.setattr(rosbridge_frames, "_SENDING", 0.5)
+    goes_on = threading.Event()
+    goes_on.set()
+    with slow_server(lab, by_tls=by_tls) as server, link_behind(server, goes_on.wait, lab, by_tls=by_tls) as link:
         link.advertise("chatter", STRING)
-        is_stopped.set()
+        goes_on.clear()
         faults = []
 
         def send():
@@ -152,8 +178,39 @@ def test_a_server_that_takes_nothing_is_given_up_while_a_message_is_sent(by_tls,
         sending.join(20.0)
         assert faults
         assert "the connection is lost" in faults[0]
-        with suppress(LinkError):
-            link.close()
+    goes_on.set()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("by_tls", [False, True])
+def test_a_stop_command_after_a_message_whose_sending_was_interrupted_is_received(by_tls, lab, monkeypatch):
+    monkeypatch.setattr(rosbridge_frames, "_SENDING", PATIENCE)
+    is_large, goes_on, heard = threading.Event(), threading.Event(), []
+
+    def interrupt(*_):
+        raise RunInterrupted
+
+    def wait_in_the_midst():
+        if is_large.is_set():
+            is_large.clear()
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGUSR1)
+            goes_on.wait(PATIENCE)
+
+    with slow_server(lab, by_tls=by_tls) as server, ExitStack() as leaving:
+        leaving.callback(signal.signal, signal.SIGUSR1, signal.signal(signal.SIGUSR1, interrupt))
+        robot = leaving.enter_context(
+            closing(open_rosbridge_link(f"{server.url}?ca={lab.ca}" if by_tls else server.url, SystemClock()))
+        )
+        robot.subscribe("cmd_vel", TWIST, lambda message: heard.append(message["linear"]["x"]))
+        link = leaving.enter_context(link_behind(server, wait_in_the_midst, lab, by_tls=by_tls))
+        link.publish("cmd_vel", TWIST, {"linear": {"x": 0.2}})
+        link.advertise("chatter", STRING)
+        is_large.set()
+        with pytest.raises(RunInterrupted):
+            link.publish("chatter", STRING, {"data": "a" * 30_000_000})
+        goes_on.set()
+        link.publish("cmd_vel", TWIST, {})
+        wait_until(lambda: heard == [0.2, 0.0])
 
 
 def test_whether_a_goal_is_taken_may_be_asked_of_the_robot(server_of_ros2, opened):

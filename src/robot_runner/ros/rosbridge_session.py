@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import itertools
 import logging
+import os
 import queue
 import socket
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -35,8 +38,7 @@ _OTHERWISE = "/rosapi/get_time"
 
 #: How much may wait for callbacks, messages and bytes; beyond that the connection fails with an error, as dropping
 #: messages would falsify the results.
-_MOST_WAITING = 20_000
-_MOST_WAITING_BYTES = 4 * LARGEST_FRAME
+_MOST_WAITING, _MOST_WAITING_BYTES = 20_000, 4 * LARGEST_FRAME
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +95,7 @@ class Session:
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
         self._sending = threading.Lock()  # nothing may be sent after the last words
+        self._senders = defaultdict[int, ThreadPoolExecutor](lambda: ThreadPoolExecutor(1))  # by process
         self._pending: dict[str, _Pending] = {}
         self._complaints: dict[str, str] = {}
         self._waiting: set[threading.Event] = set()
@@ -134,7 +137,9 @@ class Session:
         try:
             with self._sending:
                 self.check_open(self.where)
-                self._connection.send(text)
+                # Not in this thread: a stop request, which may interrupt it, would leave a part of a message, and the
+                # server would take the stop command that follows for the rest of it.
+                self._senders[os.getpid()].submit(self._connection.send, text).result()
         except send_errors() as error:
             self._lose(str(error))
             raise (self._lost or self._loss(str(error))) from error
@@ -229,6 +234,7 @@ class Session:
         self._todo.put(None)
         with suppress(*send_errors()):
             self._closing.close()
+        self._senders.clear()
         for thread in self._threads:
             if thread is not threading.current_thread():
                 thread.join(ANSWER)
@@ -243,11 +249,9 @@ class Session:
             self.flush(where=self.where)
         except LinkError as error:
             self.close()
-            raise LinkError(
-                f"the rosbridge does not take our authentication by rosauth: {error.problem}",
-                where=self.where,
-                fix="See that the secret is the one of rosauth's file on the robot, and that both clocks agree to 5 s.",
-            ) from error
+            problem = f"the rosbridge does not take our authentication by rosauth: {error.problem}"
+            fix = "See that the secret is the one of rosauth's file on the robot, and that both clocks agree to 5 s."
+            raise LinkError(problem, where=self.where, fix=fix) from error
 
     def _greet(self, *, looks: bool) -> None:
         """Check that the server speaks the protocol, and find the service of its own node."""
@@ -265,11 +269,9 @@ class Session:
             if self._lost is not None:
                 fix = f"{error.fix} If it authenticates its clients by rosauth, name the secret: ?rosauth_env=VARIABLE."
                 raise LinkError(error.problem, where=self.where, fix=fix) from error
-            raise LinkError(
-                f"what listens there does not answer as a rosbridge within {ANSWER:g} s",
-                where=self.where,
-                fix="Name the port of the rosbridge server, or look at its log.",
-            ) from error
+            problem = f"what listens there does not answer as a rosbridge within {ANSWER:g} s"
+            fix = "Name the port of the rosbridge server, or look at its log."
+            raise LinkError(problem, where=self.where, fix=fix) from error
 
     def _ask(self, service: str, request: Mapping[str, Any]) -> str:
         name = self.fresh_id("call_service")
@@ -392,7 +394,7 @@ class Session:
             event.set()
 
     def _loss(self, reason: str) -> LinkError:
-        fix = "Look whether the robot is on and in this network, and whether its rosbridge server runs."
+        fix = "Check whether the robot is on and in this network, and whether its rosbridge server runs."
         if "message too big" in reason:  # as RFC 6455 calls code 1009
             fix = "Send less at once: a server of ROS 2 takes 10 MB, if its max_message_size is not another."
         return LinkError(f"the connection is lost: {reason}", where=self.where, fix=fix)
