@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import time
+from datetime import datetime
 
 import pytest
 from tests.analysis.report.agreement import disagreements
@@ -11,6 +13,8 @@ from tests.conftest import TABLE, written_config
 from robot_runner import AnalysisPlan, Hypothesis
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.figures.style import FigureFormat
+from robot_runner.analysis.report.material import Material
+from robot_runner.analysis.report.outcome_section import attempt_spans
 from robot_runner.analysis.report.writing import ReportFormat, write_report
 from robot_runner.cli.extension import ExtensionRequest, extend_experiment
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
@@ -52,6 +56,36 @@ def test_warm_up_runs_are_left_out_everywhere_unless_they_are_asked_for(folder):
     assert len(everything.runs) == 20
     assert list(everything.runs.loc[everything.runs["warm_up"], "Energy"]) == [1000.0] * 4
     assert len(everything.samples("config", runs=["w_1"])) == 2
+
+
+SET_BEFORE_THE_THIRD_RUN = """
+def before_run(self, context):
+    import time
+    if context.run_id == "r_3":
+        real = time.clock_gettime
+        time.clock_gettime = lambda clock: real(clock) + 3600.0 * (clock == time.CLOCK_REALTIME)
+        from robot_runner.core.storage import journal
+        from datetime import datetime, timedelta
+        class Later(datetime):
+            @classmethod
+            def now(cls, zone=None):
+                return datetime.now(zone) + timedelta(hours=1)
+        journal.datetime = Later
+"""
+
+
+@pytest.mark.long
+def test_a_clock_that_was_set_between_runs_leaves_no_gap_where_others_have_warmed_up(tmp_path, monkeypatch):
+    monkeypatch.setattr("time.clock_gettime", time.clock_gettime)  # what the experiment changes is put back
+    monkeypatch.setattr("robot_runner.core.storage.journal.datetime", datetime)
+    table = TABLE.replace("repetitions=2", 'repetitions=2, warm_up=WarmUp(1, per="Task")')
+    config = written_config(tmp_path, MEASURING + SET_BEFORE_THE_THIRD_RUN, table=table)
+    results = load_results(execute_experiment(prepare_or_refuse(config), SilentObserver()).folder)
+    began = results.attempts["started_at"]
+    assert (began.iloc[-1] - began.iloc[0]).total_seconds() > 3600.0
+    spans = attempt_spans(Material(results, analyse(results)))
+    assert [span.run_id for span in spans] == ["r_1", "r_2", "r_3", "r_4"]
+    assert spans[-1].end < 1800.0
 
 
 def test_the_batch_is_a_column_with_a_role_and_no_factor(folder):

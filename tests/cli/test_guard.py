@@ -40,8 +40,8 @@ def test_an_error_is_a_problem_a_place_and_a_fix(capsys: pytest.CaptureFixture[s
 def test_many_findings_are_all_shown_errors_first_and_counted(capsys: pytest.CaptureFixture[str]) -> None:
     findings = [
         Finding.warning("b.py", "odd", "Look."),
-        Finding.error("a.py", "wrong", "Mend it."),
-        Finding.error("a.py", "two\nlines \x1b[31mred", "Mend it."),
+        Finding.error("a.py", "wrong", "Correct it."),
+        Finding.error("a.py", "two\nlines \x1b[31mred", "Correct it."),
     ]
     assert guarded(raising(ConfigError.of_findings(findings))) == 2
     said = capsys.readouterr().err.splitlines()
@@ -124,6 +124,19 @@ def test_that_no_folder_takes_temporary_files_is_no_fault_of_ours(
     said = capsys.readouterr().err
     assert said.startswith("error: no folder takes temporary files: No usable temporary directory found in ['/proc']\n")
     assert "TMPDIR" in said
+
+
+def test_that_memory_is_lacking_is_no_fault_of_ours(capsys: pytest.CaptureFixture[str]) -> None:
+    def greedy() -> int:
+        return len(bytearray(sys.maxsize))
+
+    assert guarded(greedy) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: this machine: there is not enough memory for this\n  fix: ")
+    assert guarded(raising(MemoryError("Unable to allocate 8.00 GiB for an array"))) == 2
+    assert "for this: Unable to allocate 8.00 GiB for an array\n" in capsys.readouterr().err
+    assert guarded(greedy, show_traceback=True) == 2
+    assert "in greedy" in capsys.readouterr().err
 
 
 def test_a_fault_is_said_even_where_nothing_can_be_kept(

@@ -398,6 +398,32 @@ def test_a_real_robot_is_offered_by_the_command_that_is_told(lacking: Lacking, c
     assert place.claimed(["robot:dds:domain=7,namespace=a b"], {}) == frozenset({"robot:dds:domain=7,namespace=a b"})
 
 
+def test_claims_of_one_run_that_no_worker_offers_together_are_told_with_one_command(lacking: Lacking) -> None:
+    lacking.told.append(("joined", WORKER | {"address": "tcp://two:1", "worker": "2", "resources": ["serial:b"]}))
+    lacking.places.advance()
+    lacking.told = [("joined", WORKER | {"address": "tcp://three:1", "worker": "3", "resources": ["serial:a"]})]
+
+    def after(seconds: float) -> Sequence[str]:
+        lacking.now += seconds
+        said = lacking.places.advance(is_idle=True)
+        assert all(each.claimed(["serial:b", "serial:a"], {}) is None for each in lacking.places.all)
+        return said
+
+    assert after(0) == []
+    [said] = after(10)
+    assert "claims serial:a, serial:b: no worker offers them together as resources" in said
+    assert "--resources serial:a=1,serial:b=1" in said
+    assert after(10) == [], "said once"
+    with pytest.raises(ExecutionError, match="no worker that offers serial:a with serial:b has been there") as ended:
+        after(60)
+    assert "--resources serial:a=1,serial:b=1" in ended.value.fix
+    assert "together" not in ended.value.problem, "said once is enough"
+    offering = WORKER | {"address": "tcp://four:1", "worker": "4", "resources": ["serial:a", "serial:b"]}
+    lacking.told = [("joined", offering)]
+    lacking.places.advance()
+    assert lacking.places.all[-1].claimed(["serial:b", "serial:a"], {}) == frozenset({"serial:a", "serial:b"})
+
+
 def test_an_experiment_goes_on_where_a_worker_offers_what_was_claimed(lacking: Lacking) -> None:
     lacking.after(0)
     lacking.after(59)

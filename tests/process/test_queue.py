@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import random
 import signal
+import stat
 import subprocess
 import sys
 import time
@@ -19,6 +21,7 @@ import pytest
 
 from robot_runner.cli import queueing
 from robot_runner.cli.queued_experiments import ExperimentQueue
+from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.outliving import process_stat
 
 if TYPE_CHECKING:
@@ -362,3 +365,25 @@ def test_the_number_of_an_experiment_that_was_dropped_is_given_to_no_other() -> 
     assert queue.add(**facts).number == 12
     (queue.folder / "adding.lock").write_text("what is it")
     assert queue.add(**facts).number == 13
+
+
+@pytest.mark.parametrize("fails", ["pwrite", "fsync"])
+def test_an_experiment_that_is_refused_as_the_disk_fails_is_not_in_the_queue(
+    monkeypatch: pytest.MonkeyPatch, fails: str
+) -> None:
+    queue = ExperimentQueue()
+    kept = queue.add(**FACTS)
+    real = getattr(os, fails)
+
+    def failing(descriptor: int, *words: Any) -> Any:
+        # The last step of each: the folder is flushed after the file in it was renamed, and the number is written.
+        if fails == "fsync" and not stat.S_ISDIR(os.fstat(descriptor).st_mode):
+            return real(descriptor, *words)
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    with monkeypatch.context() as disk:
+        disk.setattr(os, fails, failing)
+        with pytest.raises(StorageError, match=os.strerror(errno.EIO)):
+            queue.add(**FACTS)
+    assert queue.read() == ([kept], [])
+    assert queue.add(**FACTS).number > kept.number

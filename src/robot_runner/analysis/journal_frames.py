@@ -11,7 +11,7 @@ from typing import Any
 import pandas as pd
 
 from robot_runner.core.events.manager import ORCHESTRATED_EVENTS, RobotRunnerEvents
-from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.storage.journal import read_journal, seconds_of
 
 #: The events of a run, in their order (paper, Fig. 2).
 EVENTS = tuple(event.value for event in RobotRunnerEvents if event.belongs_to_run)
@@ -33,8 +33,9 @@ class History:
 
     Attributes:
         attempts: `run_id`, `attempt`, `status` (done, failed, unfinished), `started_at`, `seconds`, `failure`, in the
-            order of their beginnings; `attrs["clock_was_set"]` says whether the clock was set, so that times may not
-            tell this order; `attrs["clock_set_by"]` has by how many seconds, in all, before each attempt, by its label.
+            order of their beginnings; `attrs["clock_was_set"]` says whether the clock was set, or differs from that of
+            another machine, so that times may not tell this order; `attrs["clock_set_by"]` has by how many seconds, in
+            all, before each attempt, by number, by run, and `attrs["clock_set_in"]` by how many in it.
         events: `run_id`, `event`, `at`, `clock_s`, `since_start_s`; of the last attempt at each run.
         published: `run_id`, `measure`, `value`, `owner`, `origin`; of the last attempt at each run.
         doubts: reasons why values are doubtful or missing, by measure, by run; of the last ended attempt at each run.
@@ -113,6 +114,19 @@ _STEP = 1.0
 _CENTURY = 100 * 365.25 * 86_400.0  # s
 
 
+def _is_after(stamp: str, other: str) -> bool:
+    """Return whether a stamp is later than another by more than `_STEP`; they have one format, as texts compare."""
+    return stamp > other and seconds_of(stamp) - seconds_of(other) > _STEP
+
+
+def _by_run(seconds: Mapping[Attempt, float]) -> dict[str, dict[int, float]]:
+    found: dict[str, dict[int, float]] = defaultdict(dict)
+    for (run, attempt), each in seconds.items():
+        if each:
+            found[run][attempt] = each
+    return dict(found)
+
+
 class _JournalReader:
     """The records read so far; only the needed parts of each, or a long journal would fill the memory."""
 
@@ -131,6 +145,8 @@ class _JournalReader:
         self.was_set = False
         self.set_by = 0.0
         self.begun_after: dict[Attempt, float] = {}
+        self.set_in: dict[Attempt, float] = {}
+        self._latest_events: dict[Attempt, str] = {}
         self._latest = ""
         self._known: dict[Any, Any] = {}
 
@@ -152,6 +168,8 @@ class _JournalReader:
         attempt, measures = self._attempt(record), record["measures"]
         self.ends[attempt] = self._interned(record["status"]), record["seconds"], record["failure"]
         self._look_at_clock(record["at"])
+        self.set_in.setdefault(attempt, self.set_by - self.begun_after.get(attempt, self.set_by))
+        self.was_set |= _is_after(self._latest_events.pop(attempt, ""), record["at"])
         # Where an attempt has two ends, the later one has what was published after the run.
         self.measures[attempt] = [
             (self._interned(name), each["value"], self._interned(each["owner"]), self._interned(each["origin"]))
@@ -185,7 +203,11 @@ class _JournalReader:
         if "run" in record:
             # The orchestrator stamps these by another clock than the run's.
             clock = None if record["event"] in _OF_ANOTHER_CLOCK else record.get("clock")
-            self.events[self._attempt(record)].append((self._interned(record["event"]), record["at"], clock))
+            attempt, at = self._attempt(record), record["at"]
+            self.events[attempt].append((self._interned(record["event"]), at, clock))
+            self._latest_events[attempt] = at
+            # Of an event another machine's clock may tell, of its attempt this one's.
+            self.was_set |= _is_after(self.begun.get(attempt, ""), at)
 
     def take_window(self, record: Mapping[str, Any]) -> None:
         self.windows[self._attempt(record)] = float(record["start"]), float(record["end"])
@@ -233,9 +255,8 @@ class _JournalReader:
         frame["started_at"] = pd.to_datetime(frame["started_at"], utc=True, format="ISO8601")
         frame["status"] = pd.Categorical(frame["status"], ["done", "failed", "unfinished"])
         frame.attrs["clock_was_set"] = self.was_set
-        frame.attrs["clock_set_by"] = {
-            place: by for place, each in enumerate(self.begun) if (by := self.begun_after[each])
-        }
+        frame.attrs["clock_set_by"] = _by_run(self.begun_after)
+        frame.attrs["clock_set_in"] = _by_run(self.set_in)
         return frame
 
     def _events(self, attempts: Iterable[Attempt], starts: Mapping[str, float]) -> pd.DataFrame:

@@ -43,6 +43,8 @@ def _executed(command: Callable[[], int], *, show_traceback: bool) -> int:
     except BrokenPipeError:  # `| head` has read enough
         let_go_of(sys.stdout)
         return BROKEN_PIPE
+    except MemoryError as error:
+        return _lacking_memory(error, show_traceback=show_traceback)
     except Exception as error:  # noqa: BLE001 - whatever it is, the user gets a line instead of a traceback
         return _explained(error, show_traceback=show_traceback)
     return code
@@ -83,6 +85,18 @@ def _kept(text: str) -> str:
     except OSError:
         return ""
     return file.name
+
+
+def _lacking_memory(error: MemoryError, *, show_traceback: bool) -> int:
+    """Say that there is not enough memory, with what is imported already: more may not fit into it."""
+    problem = f"there is not enough memory for this{f': {error}' if str(error) else ''}"
+    fix = "End other programs, raise the limit of memory (ulimit -v, a container's), or use a larger machine."
+    sys.stderr.write(f"error: this machine: {problem}\n  fix: {fix}\n")
+    if show_traceback:
+        import traceback  # noqa: PLC0415 - as above
+
+        traceback.print_exception(error)
+    return REFUSED
 
 
 def _explained(error: Exception, *, show_traceback: bool) -> int:

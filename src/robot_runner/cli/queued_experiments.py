@@ -26,12 +26,13 @@ from robot_runner.core.storage.declared_shapes import shape_findings
 from robot_runner.core.storage.file_shapes import QueuedFile
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.lock_files import is_held_exclusively, lock_exclusively, open_to_lock
+from robot_runner.core.storage.system_refusals import storage_errors
 
 _FILE = re.compile(r"([1-9][0-9]{0,8})\.json")
 _READ = tuple(QueuedFile.__annotations__)
 #: How long to wait for another process that is adding an experiment, and how often to look, s.
 _PATIENCE, _LOOK = 10.0, 0.02
-_ATTENDED = "attended.lock"
+_ATTENDED, _ADDING = "attended.lock", "adding.lock"
 _OWN = "Set XDG_STATE_HOME to a folder of your own."
 
 
@@ -111,9 +112,15 @@ class ExperimentQueue:
         with self._adding() as descriptor:
             last = os.pread(descriptor, 9, 0)  # the number of a dropped experiment is not given out again
             number = max(*self._numbers(), int(last) if last.isdigit() else 0, 0) + 1
+            with storage_errors(self.folder / _ADDING, "written"):
+                os.pwrite(descriptor, str(number).encode(), 0)
             added = QueuedExperiment(number, **facts)
-            self.write(added)
-            os.pwrite(descriptor, str(number).encode(), 0)
+            try:
+                self.write(added)
+            except StorageError:  # it may be there all the same; and who was refused adds it once more
+                with suppress(StorageError):
+                    guarded_files.remove(self._file(number), self.folder)
+                raise
         return added
 
     def read(self) -> tuple[list[QueuedExperiment], list[Finding]]:
@@ -214,7 +221,7 @@ class ExperimentQueue:
     @contextmanager
     def _adding(self) -> Iterator[int]:
         """Keep others from taking the same number; yield the descriptor of the file that holds the last one."""
-        path = self.folder / "adding.lock"
+        path = self.folder / _ADDING
         deadline = time.monotonic() + _PATIENCE
         while (descriptor := lock_exclusively(path)) is None:
             if time.monotonic() > deadline:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TextIO
 
 from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.system_refusals import storage_error
 
 _TEMPLATES = Path(__file__).parent / "templates"
 
@@ -27,9 +29,18 @@ def write_new_file(path: Path, text: str, *, instead: str) -> None:
     """
     try:
         with path.open("x", encoding="utf-8") as file:
-            file.write(text)
+            _fill(file, text, path)
     except FileExistsError as error:
         raise StorageError("there is a file of this name already", where=str(path), fix=instead) from error
     except OSError as error:
-        fix = "Name a file in a folder that exists and can be written."
-        raise StorageError(f"the file cannot be written: {error.strerror}", where=str(path), fix=fix) from error
+        raise storage_error(path, "written", error) from error
+
+
+def _fill(file: TextIO, text: str, path: Path) -> None:
+    """Write to a new file; where that fails, nothing is left of it."""
+    try:
+        file.write(text)
+        file.flush()
+    except OSError:
+        path.unlink(missing_ok=True)
+        raise

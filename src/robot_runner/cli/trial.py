@@ -279,7 +279,7 @@ def plugin_class(chosen: str) -> type[Plugin]:
         return _class_in(module, name, where=source)
     if name:
         return _class_in(_imported_module(source), name, where=source)
-    known = {plugin.name: plugin for plugin in installed_plugins()}
+    known = {plugin.name: plugin for plugin in reversed(installed_plugins())}  # of one name, the first counts: ours
     if chosen not in known:
         fix = f"{did_you_mean(chosen, known)} `robot-runner plugins` describes them."
         raise PluginError(f"no plugin named {chosen!r} is installed", where="try", fix=fix)
@@ -344,4 +344,4 @@ def parsed_value(text: str) -> Any:
 
 def _raised(where: str, when: str, error: BaseException) -> PluginError:
     problem = f"the code raised {type(error).__name__} {when}: {error}"
-    return PluginError(problem, where=where, fix="Mend it, or tell its author; --debug shows the traceback.")
+    return PluginError(problem, where=where, fix="Correct it, or tell its author; --debug shows the traceback.")

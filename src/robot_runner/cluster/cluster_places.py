@@ -33,6 +33,7 @@ _KILLING, _MAKING_SAFE = 2.0, 15.0
 #: Until the gateway tells what is set: its defaults, s.
 _LEASE, _PATIENCE = 30.0, 300.0
 _NOT_OFFERED = "no worker offers it as a resource, and a run needs it for itself"
+_NOT_TOGETHER = "no worker offers them together as resources, and a run needs them for itself"
 #: How long the gateway may take to say goodbye to the workers, s.
 _GOODBYE = 20.0
 #: How long no other worker is to have come until it is said that none offers what a run claims, s.
@@ -65,7 +66,7 @@ class ClusterPlaces:
         self._began = time.monotonic()
         self._alone_since: float | None = self._began
         self._joining: set[str] = set()
-        self._lacking: set[str] = set()
+        self._lacking: set[tuple[str, ...]] = set()  # the claims of a run, where no worker offers all of them
         self._changed = self._began
         self._idle_since: float | None = None
         self._is_gone = False
@@ -108,14 +109,16 @@ class ClusterPlaces:
         now = time.monotonic()
         self._idle_since = (self._idle_since or now) if is_idle else None
         if self._is_lack_untold and now >= self._changed + _JOINING:
-            for claim in sorted(self._lacking):
-                self._say(f"claim {claim}", _NOT_OFFERED, f"Start one that has it: {self._started_with(claim)}")
+            for claims in sorted(self._lacking):
+                has = "has it" if len(claims) == 1 else "has all of them"
+                self._say(*_lack_of(claims), f"Start one that {has}: {self._started_with(claims)}")
         said, self._said = self._said, []
         if self._lack_end is not None and now >= self._lack_end:
-            claims = sorted(self._lacking)
-            commands = " and ".join(f"`{self._started_with(each)}`" for each in claims)
+            groups = sorted(self._lacking)
+            commands = " and ".join(f"`{self._started_with(each)}`" for each in groups)
             fix = f"Start {commands}, and start the experiment again: it resumes."
-            raise self._refusal(f"no worker that offers {listed(claims)} has been there for {self._patience:g} s", fix)
+            claimed = listed([" with ".join(each) for each in groups])
+            raise self._refusal(f"no worker that offers {claimed} has been there for {self._patience:g} s", fix)
         if self._is_gone and not self._runs:
             raise self._refusal(self._end_of_gateway, "Start the experiment again: it resumes.")
         if self._patience_end is not None and time.monotonic() >= self._patience_end:
@@ -145,18 +148,19 @@ class ClusterPlaces:
         self._runs.pop(token, None)
 
     def miss(self, claims: Collection[str]) -> None:
-        """Take down that a worker does not offer what a run claims; what no other one offers is told in time."""
-        offered = {each for place in self._places if not place.is_unavailable for each in place.worker["resources"]}
-        self._lacking |= {each for each in claims if resource_of(each) not in offered}
+        """Take down that a worker does not offer all that a run claims; where no other one does, it is told in time."""
+        needed = set(map(resource_of, claims))
+        if not any(needed <= {*each.worker["resources"]} for each in self._places if not each.is_unavailable):
+            self._lacking.add(tuple(sorted(claims)))
 
-    def _started_with(self, claim: str) -> str:
-        return f"dask worker {self._address} --nthreads 1 --resources {resource_of(claim)}=1"
+    def _started_with(self, claims: Collection[str]) -> str:
+        resources = ",".join(f"{resource_of(each)}=1" for each in claims)
+        return f"dask worker {self._address} --nthreads 1 --resources {resources}"
 
     @property
     def _is_lack_untold(self) -> bool:
         """Whether no worker offers what a run claims, and none is about to join, and that is to be told yet."""
-        told = {where for where, problem in self._asides if problem == _NOT_OFFERED}
-        return not (self._joining or {f"claim {each}" for each in self._lacking} <= told)
+        return not (self._joining or set(map(_lack_of, self._lacking)) <= self._asides.keys())
 
     @property
     def _lack_end(self) -> float | None:
@@ -248,7 +252,7 @@ class ClusterPlaces:
         for place in self._places:
             if place.worker["worker"] == fields["worker"] and not place.is_unavailable:
                 place.is_unavailable = True
-                fix = "" if kind == "gone" else "Mend this there, and start the worker again."
+                fix = "" if kind == "gone" else "Correct this there, and start the worker again."
                 self._say(f"worker {place.worker['name']}", f"executes no more runs: {fields['because']}", fix)
                 self._changed = time.monotonic()
         if all(place.is_unavailable for place in self._places) and self._alone_since is None:
@@ -262,7 +266,7 @@ class ClusterPlaces:
     def _refusal(self, problem: str, fix: str) -> ExecutionError:
         alike: dict[tuple[str, str], list[str]] = {}
         for (where, each), mend in self._asides.items():
-            if each != _NOT_OFFERED:  # if that is why, it is the problem
+            if each not in {_NOT_OFFERED, _NOT_TOGETHER}:  # if that is why, it is the problem
                 alike.setdefault((each, mend), []).append(where)
         latest = list(alike.items())[-_MOST_KNOWN:]
         known = "; ".join(str(Finding.warning(listed(wheres), *each)) for each, wheres in latest)
@@ -305,6 +309,13 @@ def _closing_of(experiment: Experiment) -> float:
     return experiment.parameters.grace_in_s + _KILLING + making_safe
 
 
+def _lack_of(claims: Sequence[str]) -> tuple[str, str]:
+    """Return place and problem of claims of a run that no worker offers."""
+    if len(claims) == 1:
+        return f"claim {claims[0]}", _NOT_OFFERED
+    return f"claims {listed(claims)}", _NOT_TOGETHER
+
+
 def resource_of(claim: str) -> str:
     """Return the resource of Dask's that stands for a claim: `--resources` can have no space, comma or second `=`.
 
@@ -341,9 +352,9 @@ class ClusterPlace:
         """
         del combination
         offered = self.worker["resources"]
-        lacking = [claim for claim in claims if claim != THIS_MACHINE and resource_of(claim) not in offered]
-        if lacking:
-            self._places.miss(lacking)
+        needed = [claim for claim in claims if claim != THIS_MACHINE]
+        if not set(map(resource_of, needed)) <= {*offered}:
+            self._places.miss(needed)
             return None
         self._claims = tuple(map(resource_of, claims))  # the last one asked for before `begin` is the run's
         return frozenset(f"host:{self.worker['host']}" if claim == THIS_MACHINE else claim for claim in claims)

@@ -9,16 +9,19 @@ from dataclasses import replace
 from typing import Any, Protocol
 
 from robot_runner.core.config.experiment import Experiment
+from robot_runner.core.execution.clock_jumps import CLOCKS, ClockJumps
 from robot_runner.core.execution.places import Watch
 from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 from robot_runner.core.execution.worker import described_task
 from robot_runner.core.links.connect import is_simulated
+from robot_runner.core.storage.journal import seconds_of
+from robot_runner.core.words import shown_duration
 
 #: What is said of a run that is lost, and of which its worker has not told that it was stopped.
 _NOT_KNOWN = "whether its robot stands still is not known: the worker has fallen silent, and only that could have told"
 #: What is to be done about it.
 LOOK_AT_ROBOT = (
-    "Look where it stands: the worker's processes stop it, unless their machine has failed. A watchdog on the robot "
+    "Check where it stands: the worker's processes stop it, unless their machine has failed. A watchdog on the robot "
     "stops it in any case."
 )
 
@@ -27,6 +30,10 @@ def may_be_left_moving(experiment: Experiment) -> bool:
     """Return whether a run's robot goes on where the worker's machine fails: it is a real one."""
     robot = experiment.parameters.robot
     return robot is not None and not is_simulated(robot)
+
+
+#: By how much a worker's clock may differ from ours, s; runs of different workers are hardly told apart by less.
+_CLOCKS_DIFFER = 1.0
 
 
 class Orders(Protocol):
@@ -72,6 +79,8 @@ class RunAtWorker:
         self._token = os.urandom(8).hex()
         self._ended: dict[str, Any] | None = None
         self._lost: tuple[str, float] | None = None
+        self._began, self._jumps = time.time(), ClockJumps()
+        self._is_clock_told = False
         self._is_asked = self._is_interrupted = False
 
     def order(self, task: RunTask, claims: Collection[str]) -> None:
@@ -149,6 +158,23 @@ class RunAtWorker:
         for kind, fields in records:
             self._builder.take(kind, fields)
             self._watch.report(kind, fields)
+            if kind == "event" and not self._is_clock_told:
+                self._look_at_clock(seconds_of(fields["at"]))
+
+    def _look_at_clock(self, stamp: float) -> None:
+        """Tell that the worker's clock differs, where it stamps an event before the attempt, or later than now."""
+        now = time.time()
+        fits = self._began - _CLOCKS_DIFFER <= stamp <= now + _CLOCKS_DIFFER
+        if fits or self._jumps.was_set:  # which is told by itself
+            return
+        self._is_clock_told = True
+        differs = f"{shown_duration(stamp - now)} ahead of" if stamp > now else f"{shown_duration(now - stamp)} behind"
+        problem = (
+            f"the clock of worker {self._place.worker['name']} is {differs} this machine's: stamps of its runs and of "
+            "others do not fit together"
+        )
+        fix = "Let a time server set the clocks of all workers (chrony, systemd-timesyncd)."
+        self.take([["finding", {"owner": CLOCKS, "problem": problem, "fix": fix}]])
 
     def end(self, ended: dict[str, Any]) -> None:
         """Take how it ended."""

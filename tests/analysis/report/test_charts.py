@@ -88,6 +88,39 @@ def test_a_clock_that_was_set_between_runs_leaves_no_gap_among_them(tmp_path):
     assert [(each.run_id, each.start) for each in spans()] == [(each.run_id, each.start) for each in before]
 
 
+@pytest.mark.parametrize("hour", ["T11:", "T13:"])
+@pytest.mark.parametrize("since", ["start_measurement", "stop_measurement", "attempt_finished"])
+def test_a_clock_that_was_set_during_a_run_moves_no_bar_of_the_timeline(tmp_path, since, hour):
+    folder = two_tasks(tmp_path / "trial", PRESSURES, PRESSURES)
+
+    def spans():
+        results = load_results(folder.root)
+        return attempt_spans(Material(results, analyse(results)))
+
+    before = spans()
+    told = folder.files.journal.read_text().splitlines()
+    place = next(number for number, line in enumerate(told) if re.search(rf'(?=.*"{since}").*"r_3"', line))
+    end = next(number for number, line in enumerate(told) if re.search(r'attempt_finished.*"r_3"', line))
+    later = [line.replace("T12:", hour) for line in told[place:]]
+    seconds = 3600.0 if hour == "T13:" else -3600.0
+    later.insert(end - place, f'{{"kind":"clock_set","at":"2026-01-01{hour}00:00.000Z","seconds":{seconds}}}')
+    folder.files.journal.write_text("".join(f"{line}\n" for line in (*told[:place], *later)))
+    assert spans() == before
+
+
+def test_the_timeline_tells_no_measurement_outside_of_its_attempt(tmp_path):
+    folder = two_tasks(tmp_path / "trial", PRESSURES, PRESSURES)  # r_3 on a machine with another time
+    told = folder.files.journal.read_text().splitlines()
+    is_its = re.compile(r'"kind": ?"event".*"r_3"').search
+    folder.files.journal.write_text(
+        "".join(f"{each.replace('T12:', 'T13:') if is_its(each) else each}\n" for each in told)
+    )
+    results = load_results(folder.root)
+    found = {span.run_id: span.measured for span in attempt_spans(Material(results, analyse(results)))}
+    assert found.pop("r_3") is None
+    assert all(found.values())
+
+
 def test_a_course_is_rounded_by_its_spread():
     time = np.array([0.5, 1.5, 2.5])
     run = Course("r_1", time, *(np.array(PRESSURES[:3]) + shift for shift in (0.0, -0.001, 0.001)), runs=1)

@@ -10,6 +10,7 @@ from tests.analysis.made_experiment import make_experiment
 
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.recomputing.fact_finding import facts_of_study
+from robot_runner.analysis.statistics.execution_order import execution_order
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -50,6 +51,27 @@ def test_a_drift_is_looked_for_over_the_order_of_the_journal_where_the_clock_was
     assert drift.correlation == pytest.approx(1.0, abs=0.01)
     assert drift.run_ids == tuple(f"r_{number}" for number in range(1, RUNS + 1))
     assert "order of execution" in drift.warning
+
+
+@pytest.mark.parametrize("hour", ["T11:", "T13:"])
+def test_the_order_of_the_journal_counts_where_a_machine_that_executed_runs_has_another_time(
+    tmp_path: Path, hour: str
+) -> None:
+    values = iter(float(place) for place in range(RUNS))
+    folder = make_experiment(
+        tmp_path / "made", values=lambda *_: {"Energy": next(values)}, repetitions=RUNS // 2, analysis=PLAN
+    )
+    assert not [each for each in of_energy(folder).not_computed if "clock" in each.why]
+    for path in (folder.journal, folder.run_table):  # the stamps of a run's own events, and not those of its attempt
+        lines = path.read_text(encoding="utf-8").splitlines()
+        told = [line.replace("T12:", hour) if re.search(r'"kind": ?"event"|^r_', line) else line for line in lines]
+        both = [
+            line if "before_run" in line or _is_late(line) else other for line, other in zip(lines, told, strict=True)
+        ]
+        path.write_text("".join(f"{line}\n" for line in both), encoding="utf-8")
+    order = execution_order(load_results(folder.root))
+    assert (list(order.places), order.has_times) == (list(range(1, RUNS + 1)), False)
+    assert [each for each in of_energy(folder).not_computed if "clock" in each.why]
 
 
 def test_the_order_of_the_journal_counts_where_runs_lack_time_stamps(tmp_path: Path) -> None:

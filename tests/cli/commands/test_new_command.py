@@ -3,12 +3,15 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import resource
 import subprocess
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+
+from robot_runner.cli.main import main
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,6 +35,22 @@ def test_what_is_written_can_be_executed_as_it_is(
     assert "  ! " not in executed.out, "nothing looks odd"
     assert "EnergyPerMeter " in executed.out
     assert (tmp_path / "experiments" / "my_experiment" / "runs" / "r_1" / "log.txt").exists()
+
+
+def test_nothing_is_left_of_a_file_for_which_the_disk_has_no_room(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, unlimited[1]))  # as on a full disk
+    try:
+        assert main(["new"]) == 2
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
+    said = capsys.readouterr().err
+    assert "error: experiment.py: the file cannot be written: File too large" in said
+    assert "fix: Raise the limit of a file's size" in said
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_existing_file_is_never_overwritten(robot_runner: Callable, tmp_path: Path) -> None:
@@ -81,6 +100,23 @@ def test_a_command_works_as_it_is_printed_where_the_program_is_not_on_the_path(p
     told = subprocess.run(as_module, env=anywhere, cwd=tmp_path, capture_output=True, text=True, check=True)
     command = next(line for line in told.stdout.splitlines() if "Check" in line).partition("Check")[2].strip()
     subprocess.run(["sh", "-c", command], env=anywhere, cwd=tmp_path, capture_output=True, check=True)
+
+
+@pytest.mark.long
+def test_the_plugins_that_are_written_have_types_that_fit(robot_runner: Callable, tmp_path: Path) -> None:
+    for kind in ("profiler", "system"):
+        assert robot_runner("new", "--plugin", kind, str(tmp_path / f"lab_{kind}")).code == 0
+    files = sorted(str(path) for path in tmp_path.glob("lab_*/lab_*.py"))
+    assert len(files) == 2
+    told = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", "--cache-dir", "cache", *files],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=200,
+    )
+    assert told.returncode == 0, told.stdout
 
 
 @pytest.mark.long

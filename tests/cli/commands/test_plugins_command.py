@@ -1,16 +1,19 @@
 from __future__ import annotations
 
+import json
+import sys
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 import pytest
 
-from robot_runner.cli.commands import plugins
+from robot_runner.cli.commands import doctor, plugins
 from robot_runner.core.entry_points import EntryPoint
 from robot_runner.core.plugin import installed_plugins
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
 
 def _installed(name: str, value: str) -> EntryPoint:
@@ -87,3 +90,21 @@ def test_parameters_are_written_as_they_are_typed() -> None:
         def __init__(self, port: str, *rest: int, rate_hz: float = 10.0, **more: str) -> None: ...
 
     assert plugins._parameters(Meter) == ("port", "*rest", "rate_hz=10.0", "**more")
+
+
+def test_what_a_plugin_prints_at_its_import_is_no_part_of_the_json(
+    robot_runner: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "printing_meter.py").write_text(
+        "print('a driver was loaded')\nfrom robot_runner.plugins import Profiler\nclass Meter(Profiler): pass\n",
+        "utf-8",
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    printing = _installed("Meter", "printing_meter:Meter")
+    monkeypatch.setattr(plugins, "installed_plugins", lambda: (printing,))
+    monkeypatch.setattr(doctor, "installed_plugins", lambda *_: (printing,))
+    for command in ("plugins", "doctor"):
+        monkeypatch.delitem(sys.modules, "printing_meter", raising=False)
+        answer = robot_runner(command, "--json")
+        assert "Meter" in json.dumps(answer.json)
+        assert "a driver was loaded" in answer.err

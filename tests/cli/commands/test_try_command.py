@@ -9,6 +9,8 @@ import pytest
 from tests.event_deadline import enforce_deadline_in
 
 from robot_runner.cli import trial
+from robot_runner.core.entry_points import EntryPoint
+from robot_runner.core.plugin import installed_plugins
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -303,3 +305,9 @@ def test_an_installed_system_is_tried_on_the_embedded_robot_and_asked_for_on_a_r
     assert refused.code == 2
     assert "the plugin operates the robot 'ros1', which may move" in refused.err
     assert "--yes" in refused.err
+
+
+def test_no_package_can_take_the_name_of_a_plugin_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
+    strangers = EntryPoint("PsUtil", "robot_runner.profilers", "stranger:Meter", lambda: ("stranger", "2.1"))
+    monkeypatch.setattr(trial, "installed_plugins", lambda: (*installed_plugins(), strangers))
+    assert trial.plugin_class("PsUtil").__name__ == "PsUtil"

@@ -64,3 +64,10 @@ def test_each_gate_that_is_awaited_is_known_until_it_opens() -> None:
     for run, state in (("r_1", "waiting"), ("r_2", "waiting"), ("r_1", "open")):
         history.take({**gate, "run": run, "state": state})
     assert list(history.gates) == ["r_2"]
+
+
+def test_a_finding_of_no_run_is_told_by_its_owner() -> None:
+    history = ExperimentHistory()
+    history.take({"kind": "finding", "owner": "clocks", "problem": "it was set", "fix": ""})
+    history.take({"kind": "finding", "run": None, "owner": "clocks", "problem": "it was set again", "fix": ""})
+    assert [each.where for each in history.findings] == ["clocks", "clocks"]

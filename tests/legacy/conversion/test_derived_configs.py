@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import resource
 from typing import TYPE_CHECKING
 
 import pytest
@@ -307,6 +308,26 @@ def test_a_converted_base_is_kept_and_said_so_unless_it_is_to_be_written_anew(
     assert base.read_text() == written
     assert main(["convert", str(study), "--out", str(study), "--overwrite"]) == 2, "the old file is never written over"
     assert "EventManager" in (study.parents[2] / "BaseOfStudy.py").read_text()
+
+
+@pytest.mark.long
+def test_a_file_that_is_to_be_written_anew_is_kept_where_the_disk_has_no_room(
+    study: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["convert", str(study)]) == 0
+    mine = [study.with_name(f"{study.stem}_converted.py"), study.parents[2] / "BaseOfStudy_converted.py"]
+    for file in mine:
+        file.write_text("mine\n")
+    unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, unlimited[1]))  # as on a full disk
+    try:
+        assert main(["convert", str(study), "--overwrite"]) == 2
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
+    assert "the file cannot be written: File too large" in capsys.readouterr().err
+    assert [file.read_text() for file in mine] == ["mine\n"] * 2
+    assert main(["convert", str(study), "--overwrite"]) == 0
+    assert not [file for file in mine if file.read_text() == "mine\n"]
 
 
 def test_bases_of_the_same_name_are_not_taken_for_each_other(

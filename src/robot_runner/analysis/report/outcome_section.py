@@ -34,6 +34,8 @@ from robot_runner.core.words import counted, shown_duration
 
 _TONES = {RunStatus.DONE.value: Tone.GOOD, RunStatus.FAILED.value: Tone.BAD}
 _WORDS = {RunStatus.TODO.value: "To do"}
+#: Stamps and durations are rounded to milliseconds and taken one after the other: so much may be between them, s.
+_ROUNDED = 0.1
 
 
 def outcome_section(material: Material) -> Section:
@@ -200,29 +202,55 @@ def attempt_spans(material: Material) -> tuple[AttemptSpan, ...]:
     attempts = in_order_of_execution(material, material.results.attempts)
     if attempts.empty:
         return ()
-    set_by: Mapping[int, float] = material.results.attempts.attrs.get("clock_set_by", {})
-    began = attempts["started_at"].iloc[0] - pd.Timedelta(seconds=set_by.get(attempts.index[0], 0.0))
+    set_by, set_in = (_clock_set(material, name) for name in ("clock_set_by", "clock_set_in"))
+    first = attempts.iloc[0]
+    began = first["started_at"] - pd.Timedelta(seconds=set_by(first))
     earlier = AttemptSpan("", "", 0.0, 0.0, None, is_done=True)
     events = material.results.events()
-    stamps = {(run, str(event)): at for run, event, at in events[["run_id", "event", "at"]].itertuples(index=False)}
+    told = events[["run_id", "event", "at", "clock_s"]].itertuples(index=False)
+    stamps = {(run, str(event)): (at, clock) for run, event, at, clock in told}
     last = set(attempts.drop_duplicates("run_id", keep="last").index)
     spans = []
     for row in attempts.itertuples():
         label = material.labels.get(row.run_id, "")
         if not label:  # its run is no longer in the table
             continue
-        by = set_by.get(row.Index, 0.0)
+        by = set_by(row)
         start = (row.started_at - began).total_seconds() - by
         if start < earlier.start:  # the clock was set back: draw the attempt after the previous one
             began -= pd.Timedelta(seconds=earlier.end - start)
             start = earlier.end
         end = start + (0.0 if pd.isna(row.seconds) else float(row.seconds))
         edges = [stamps.get((row.run_id, name)) for name in ("start_measurement", "stop_measurement")]
-        known = [(edge - began).total_seconds() - by for edge in edges if edge is not None and row.Index in last]
-        measured = (known[0], known[1]) if len(known) == len(edges) else None
+        known = [((edge[0] - began).total_seconds() - by, edge[1]) for edge in edges if edge and row.Index in last]
+        measured = _measured(known, (start, end), set_in(row))
         earlier = AttemptSpan(row.run_id, label, start, end, measured, is_done=row.status == "done")
         spans.append(earlier)
     return tuple(spans)
+
+
+def _clock_set(material: Material, name: str) -> Callable[[Any], float]:
+    """Return what tells of an attempt by how many seconds the clock was set, as the attempts' attributes have it."""
+    told: Mapping[str, Mapping[int, float]] = material.results.attempts.attrs.get(name, {})
+    return lambda row: told.get(row.run_id, {}).get(row.attempt, 0.0)
+
+
+def _measured(
+    edges: Sequence[tuple[float, float]], attempt: tuple[float, float], set_by: float
+) -> tuple[float, float] | None:
+    """Return when a measurement began and ended; None where that is not known.
+
+    Args:
+        edges: both, by the time stamps in s, with the run's clock at each.
+        attempt: when the attempt began and ended, s.
+        set_by: by how much the clock of time stamps was set meanwhile, s: before, in or after the measurement.
+    """
+    if len(edges) != 2:  # noqa: PLR2004 - beginning and end
+        return None
+    (first, clock), (last, later) = edges
+    possible = dict.fromkeys([(first, last), (first, last - set_by), (first - set_by, last - set_by)])
+    fitting = [each for each in possible if attempt[0] - _ROUNDED <= each[0] <= each[1] <= attempt[1] + _ROUNDED]
+    return min(fitting, key=lambda each: abs(each[1] - each[0] - (later - clock)), default=None)
 
 
 #: Rows of the table; nobody would read more. Pairs whose runs all failed come first.

@@ -86,7 +86,8 @@ class CovariateDesign:
         """
         unknown = [name for name in data.covariates if not np.isfinite(data.covariate(name)).all()]
         if unknown:
-            why = "; time stamps lack, or the clock was set between runs" if ELAPSED in unknown else ""
+            lacking = "; time stamps lack, the clock was set between runs, or machines have different times"
+            why = lacking if ELAPSED in unknown else ""
             raise AdjustmentError(f"the covariate {enumerated(unknown)} has no number in any run{why}.")
         factors = data.treatments
         texts = data.frame[list(factors)].astype(str)

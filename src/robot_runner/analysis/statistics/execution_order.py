@@ -40,7 +40,8 @@ class ExecutionOrder:
     Attributes:
         places: the position of each run, from 1.
         is_known: whether it is known from time stamps or the journal; else it is the order of the table.
-        has_times: whether differences of time stamps are elapsed times; not so if the clock was set.
+        has_times: whether differences of time stamps are elapsed times; not so if the clock was set, or if machines
+            that executed runs have different times.
     """
 
     places: NDArray[np.int64]
@@ -49,7 +50,7 @@ class ExecutionOrder:
 
 
 def execution_order(results: Results) -> ExecutionOrder:
-    """Return the order by time stamps, or that of the journal if some are missing or the clock was set."""
+    """Return the order by time stamps, or that of the journal if some are missing or of another clock."""
     done = results.confirming.done
     is_stamped = STAMP in done and bool(done[STAMP].notna().all())
     attempts, is_imported = results.attempts, results.manifest.get("origin") == "imported"

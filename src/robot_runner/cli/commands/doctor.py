@@ -26,7 +26,15 @@ from pathlib import Path
 
 from rich.text import Text
 
-from robot_runner.cli.console import UserConsole, complaints, is_on_path, output, print_folded, print_json
+from robot_runner.cli.console import (
+    UserConsole,
+    complaints,
+    is_on_path,
+    output,
+    print_folded,
+    print_json,
+    quiet_loading,
+)
 from robot_runner.cli.findings import installed_here
 from robot_runner.cli.guard import SOME_FAILED
 from robot_runner.cli.parser import Parser, add_json
@@ -58,7 +66,8 @@ def add_arguments(parser: Parser) -> None:
 def execute(arguments: Namespace) -> int:
     """Ask about everything, and tell it."""
     console = complaints()
-    found = list(asked(questions(), tell=lambda text: console.print(text, style="dim")))
+    with quiet_loading():
+        found = list(asked(questions(), tell=lambda text: console.print(text, style="dim")))
     if arguments.json:
         print_json({"found": [asdict(each) for each in found]})
     else:
@@ -77,7 +86,7 @@ def _print(console: UserConsole, found: Sequence[Diagnosis]) -> None:
             if each.fix:
                 print_folded(console, " " * (width + 6), one_line(each.fix), style="")
     broken = [each.name for each in found if each.state == BROKEN]
-    verdict = f"To be mended: {', '.join(broken)}." if broken else "Whatever is here can be used."
+    verdict = f"To be fixed: {', '.join(broken)}." if broken else "Whatever is here can be used."
     console.tell(verdict, style="bold red" if broken else "bold green")
 
 

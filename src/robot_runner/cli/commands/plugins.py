@@ -15,7 +15,7 @@ from typing import Any
 
 from rich.text import Text
 
-from robot_runner.cli.console import UserConsole, output, print_facts, print_folded, print_json
+from robot_runner.cli.console import UserConsole, output, print_facts, print_folded, print_json, quiet_loading
 from robot_runner.cli.findings import as_json, print_findings
 from robot_runner.cli.parser import Parser, add_json
 from robot_runner.core.entry_points import EntryPoint
@@ -44,7 +44,8 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Print everything that is installed."""
-    plugins = [_described(installed) for installed in installed_plugins()]
+    with quiet_loading():
+        plugins = [_described(installed) for installed in installed_plugins()]
     if arguments.json:
         print_json(_as_json(plugins))
     else:

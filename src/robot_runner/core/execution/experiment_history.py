@@ -299,7 +299,7 @@ class ExperimentHistory:
         self.findings.append(self._set_aside[-1])
 
     def _take_finding(self, record: Mapping[str, Any]) -> None:
-        where = f"{record['run']}, {record['owner']}"
+        where = ", ".join(filter(None, [record.get("run"), record["owner"]]))
         self.findings.append(Finding.warning(where, record["problem"], record["fix"]))
 
     def _take_gate(self, record: Mapping[str, Any]) -> None:

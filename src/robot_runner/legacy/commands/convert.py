@@ -4,7 +4,7 @@ The earlier tools are Experiment Runner and the first versions of Robot Runner. 
 of a config's base class is converted with it. Each new config is loaded, and its run table is compared with the old
 one's.
 
-Exit code 0: both plan the same runs; 2: an old file is refused, or a new one has to be mended by hand.
+Exit code 0: both plan the same runs; 2: an old file is refused, or a new one has to be corrected by hand.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import Finding, RobotRunnerError, StorageError
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.events.measure import CONFIG_OWNER
+from robot_runner.core.storage.guarded_files import open_to_write
 from robot_runner.core.words import counted
 from robot_runner.legacy.conversion.bases import load_apart
 from robot_runner.legacy.conversion.callbacks import NOTHING, is_told_as_of_codecarbon
@@ -118,7 +119,7 @@ def _convert(old: Path, new: Path, folder: Path | None, written: set[Path], *, o
     console = output()
     if any(finding.is_error for finding in findings):
         show_findings(findings)
-        console.tell(f"{shown_path(new)} is written, and has to be mended by hand.")
+        console.tell(f"{shown_path(new)} is written, and has to be corrected by hand.")
         return REFUSED
     print_findings(console, (*conversion.findings, *findings))
     runs = counted(len(conversion.before.model.plan()), "run")
@@ -150,7 +151,9 @@ def _write(file: Path, text: str, kept: Collection[Path] | None, *, instead: str
         if file.read_text(encoding="utf-8", errors="replace") == text:
             return
         if kept is not None and file.resolve() not in kept:
-            file.unlink()
+            with open_to_write(file, mode=0o666) as written:
+                written.write(text.encode())
+            return
     write_new_file(file, text, instead=instead)
 
 
@@ -187,11 +190,11 @@ def _differences(before: Experiment, after: Experiment) -> Iterator[Finding]:
         for run, count in (Counter(more) - Counter(fewer)).items():
             shown = ", ".join(f"{name}={value}" for name, value in run)
             yield Finding.error(
-                "run table", f"{shown} is planned {count} times {change} than before", "Mend it by hand."
+                "run table", f"{shown} is planned {count} times {change} than before", "Correct it by hand."
             )
     is_random = before.model.shuffle or after.model.shuffle
     if Counter(old) == Counter(new) and old != new and not is_random:
-        yield Finding.error("run table", "the order of the runs is another", "Mend it by hand.")
+        yield Finding.error("run table", "the order of the runs is another", "Correct it by hand.")
     if before.model.shuffle and before.model.seed_is_given and old != new:
         seed = before.model.seed
         yield Finding.warning(
@@ -252,4 +255,4 @@ def _heard_otherwise(before: Experiment, after: Experiment) -> Iterator[Finding]
         is_added = event is RobotRunnerEvents.BEFORE_EXPERIMENT and RobotRunnerEvents.CONTINUE in old
         if new != old[event] and not (is_added and new > old[event]):
             problem = f"the config has {counted(new, 'callback')} of this event now, and had {old[event]} before"
-            yield Finding.error(event.callback_name, problem, "Mend it by hand.")
+            yield Finding.error(event.callback_name, problem, "Correct it by hand.")
