@@ -8,6 +8,7 @@ from tests.analysis.made_experiment import make_experiment
 
 from robot_runner.analysis.exporting import write_workbook
 from robot_runner.core.design.factor import Factor
+from robot_runner.core.errors import StorageError
 
 FORMULAS = [
     "=1+1",
@@ -87,6 +88,12 @@ def test_a_table_of_more_rows_than_a_sheet_holds_is_refused_once_all_else_is_exp
     assert "the table has 7 rows, and a workbook holds 1" in answer.err
     assert "without --spreadsheets" in answer.err
     assert (tmp_path / "out" / "datapackage.json").exists()
+
+
+def test_a_table_of_more_columns_than_a_sheet_holds_is_refused(tmp_path):
+    assert written(tmp_path, [[f"c{number}" for number in range(16_384)]])[0][-1] == "c16383"
+    with pytest.raises(StorageError, match="the table has 16,385 columns, and a workbook holds 16,384"):
+        written(tmp_path, [["Task"] * 16_385])
 
 
 def test_the_same_table_is_the_same_bytes(tmp_path):

@@ -173,16 +173,20 @@ def test_a_config_that_seeds_the_order_gets_the_order_of_the_earlier_tool(
 
 
 @pytest.mark.long
+@pytest.mark.parametrize(
+    "seeds",
+    ["random.seed(int((pathlib.Path(__file__).parent / 'clock').read_text()))", "random.seed(42)\nrandom.seed()"],
+    ids=["of a clock", "none in the end"],
+)
 def test_an_order_by_a_seed_that_differs_each_time_is_gone_on_with_as_it_began(
-    config: Callable[..., Path], execute: Callable[..., Executed]
+    seeds: str, config: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:
     methods = """
     def interact(self, context):
         assert (Path(__file__).parent / "mended").exists() or context.execute_run["n"] < 10
 """
     path = config(methods, table=SHUFFLED)
-    head = "import pathlib, random\nrandom.seed(int((pathlib.Path(__file__).parent / 'clock').read_text()))\n"
-    path.write_text(head + path.read_text(encoding="utf-8"), encoding="utf-8")
+    path.write_text(f"import pathlib, random\n{seeds}\n{path.read_text(encoding='utf-8')}", encoding="utf-8")
     (path.parent / "clock").write_text("1")
     begun = [row["n"] for row in execute(path).table]
     (path.parent / "clock").write_text("2")

@@ -195,7 +195,7 @@ def _resource(target: Path, path: Path) -> dict[str, Any]:
 
 
 #: The limits of a sheet and of a cell in Excel ("Excel specifications and limits").
-_MOST_ROWS, _LONGEST_TEXT = 1_048_576, 32_767
+_MOST_ROWS, _MOST_COLUMNS, _LONGEST_TEXT = 1_048_576, 16_384, 32_767
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 #: What XML cannot hold, and what would be read as one of these, is written by its number.
 _NO_XML = re.compile(r"[\x00-\x08\x0b-\x1f\ufffe\uffff]|_(?=x[0-9A-Fa-f]{4}_)")
@@ -226,12 +226,14 @@ def write_workbook(rows: Iterable[Sequence[str]], target: Path, numeric: Collect
     write another file each time.
 
     Raises:
-        StorageError: the workbook cannot be written, or the table has too many rows.
+        StorageError: the workbook cannot be written, or the table has too many rows or columns.
     """
     table = list(rows)
-    if len(table) > _MOST_ROWS:
-        problem = f"the table has {len(table):,} rows, and a workbook holds {_MOST_ROWS:,}"
-        raise StorageError(problem, where=str(target), fix="Export without --spreadsheets, and read the CSV file.")
+    sizes = ((len(table), _MOST_ROWS, "rows"), (max(map(len, table), default=0), _MOST_COLUMNS, "columns"))
+    for count, most, what in sizes:
+        if count > most:
+            problem = f"the table has {count:,} {what}, and a workbook holds {most:,}"
+            raise StorageError(problem, where=str(target), fix="Export without --spreadsheets, and read the CSV file.")
     is_numeric = [name in numeric for name in table[0]] if table else []
     written = "".join(
         f"<row>{''.join(map(_workbook_cell, row, chain(is_numeric, repeat(object=False))))}</row>"

@@ -74,8 +74,8 @@ def seeding_noted(session: Session) -> Iterator[None]:
     seed = random.seed
 
     def noted(a: Any = None, version: int = 2) -> None:
-        if isinstance(a, int) and not session.is_begun:
-            session.own_seed = abs(a)  # which yields the same
+        if not session.is_begun:
+            session.own_seed = abs(a) if isinstance(a, int) else None  # a negative one yields the same
         seed(a, version)
 
     random.seed = noted

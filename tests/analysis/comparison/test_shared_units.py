@@ -21,6 +21,7 @@ from robot_runner.analysis.comparison.matching import match_runs
 from robot_runner.analysis.comparison.shared_units import estimate_of
 from robot_runner.analysis.results import load_results
 from robot_runner.core.design.factor import Factor
+from robot_runner.core.storage.table_columns import ColumnRole
 from robot_runner.core.storage.table_schema import read_schema, write_schema
 from robot_runner.designs import Blocks, Crossover, LatinSquare, SplitPlot
 
@@ -270,3 +271,27 @@ def test_the_level_holds_where_days_differ_much(made):
     assert differs <= 0.09
     assert is_same <= 0.09
     assert differs_by_run > 0.12  # what counts each run by itself finds differences that are none
+
+
+@pytest.mark.parametrize("later", [2, 1])
+def test_runs_of_several_batches_are_told_to_be_compared_as_one(made, later):
+    def in_batches(last: int) -> Path:
+        def values(of: dict[str, Any], repetition: int) -> dict[str, Any]:
+            return {"Energy": 100.0 + repetition % 4 + last, "batch": last if repetition > 3 else 1}
+
+        folder = made([TASK], None, values=values, repetitions=6, measures=["Energy", "batch"])
+        columns = read_schema(folder.schema)
+        extended = [replace(each, role=ColumnRole.BATCH) if each.name == "batch" else each for each in columns]
+        write_schema(folder.schema, extended)
+        return folder.root
+
+    comparison = compare(in_batches(later), in_batches(1))
+    told = [note for note in comparison.notes if "was extended" in note]
+    assert told == ([] if later == 1 else [f"{comparison.first.name}{WAS_EXTENDED}"])
+
+
+WAS_EXTENDED = (
+    " was extended: runs of its batches 1 and 2, which were executed at other times, are compared as one. What changed "
+    "between these is taken for chance between runs, and may pass for a difference of the experiments. Tests of "
+    "treatments, in the reports, are within batches."
+)

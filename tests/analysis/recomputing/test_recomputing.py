@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 from tests.analysis.experiment_folders import searched
 from tests.analysis.made_experiment import make_experiment
+from tests.conftest import TABLE, written_config
 from tests.long_cases import long_but
 
 from robot_runner import AnalysisPlan, Estimand
@@ -31,8 +32,13 @@ from robot_runner.analysis.recomputing.recomputations import Recomputation, r_sc
 from robot_runner.analysis.recomputing.recomputations import notebook as notebook_of
 from robot_runner.analysis.report.document import plain
 from robot_runner.analysis.statistics.outcome import Description
+from robot_runner.cli.extension import ExtensionRequest, extend_experiment
+from robot_runner.core.config.preparation import prepare, prepare_or_refuse
 from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.growing import Additions, NewFactor
 from robot_runner.core.design.numeric_range import Range
+from robot_runner.core.execution.notices import SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.designs import (
     Blocks,
     CentralComposite,
@@ -319,6 +325,40 @@ SHARED = {
         Crossover(unit="Driver", period="Period", washout_in_s=60),
     ),
 }
+
+
+IN_ROOMS = """
+def populate_run_data(self, context):
+    import random
+    shift = 3.0 if context.run_number > 10 else 0.0
+    return {"Energy": 50.0 + shift + random.Random(context.run_seed).gauss(0.0, 1.0)}
+"""
+
+#: What is added to five rooms with one run of each task; it takes both batches, one of two, and one alone.
+ADDED = {
+    "repetitions": Additions(3),
+    "a factor": Additions(3, factors={"Floor": NewFactor("carpet", ("wood",))}),
+    "treatments": Additions(treatments={"Task": ("Idle", "Audio")}),
+}
+
+
+@pytest.mark.long
+@needs_r
+@pytest.mark.parametrize("name", ADDED)
+def test_blocks_of_an_extended_experiment_are_computed_again(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rooms = TABLE.replace('[Factor("Task"', '[Factor("Room", range(5)), Factor("Task"')
+    rooms = rooms.replace("repetitions=2", 'repetitions=1, shuffle=True, blocks="Room"')
+    config = written_config(tmp_path, IN_ROOMS, table=rooms)
+    execute_experiment(prepare_or_refuse(config), SilentObserver())
+    grown = ExtensionRequest(added=ADDED[name], seed=2)
+    extend_experiment(prepare(config, is_for_here=False).experiment, grown)
+    folder = execute_experiment(prepare_or_refuse(config), SilentObserver()).folder
+    notebook, script = write_recomputations(folder, list(Recomputation))
+    assert "numbers agree" in executed(notebook, monkeypatch)
+    finished = rscript(script)
+    assert finished.returncode == 0, finished.stdout[-3000:] + finished.stderr
 
 
 @pytest.mark.long

@@ -105,6 +105,23 @@ def test_blocks_that_go_on_across_batches_stay_one_unit_each():
     assert before > 0.3
 
 
+def test_runs_whose_batch_lacks_a_treatment_of_their_block_are_named_for_that():
+    random = np.random.default_rng(1)
+    held = {"a": (1, 2), "b": (0, 2)}  # the second batch completes each room
+    rows = [
+        (batch, random.normal(), each, f"room {room}")
+        for room in range(6)
+        for each, counts in held.items()
+        for batch, count in enumerate(counts, start=1)
+        for _ in range(count)
+    ]
+    data = measure(rows, in_blocks=True)
+    found = carry_out(data, model_of(data, Estimand.MEAN), CHOICES)
+    (told,) = [note for note in found.notes if "left out" in note]
+    assert told.startswith("What their batch has of their block lacks some combinations, so these runs are left out of")
+    assert "r_1" in told
+
+
 def blocks_of(kinds, per_batch):
     """Return rows of blocks that lie within batches; each has all of `a` and `b`, and one of `kinds`."""
     return [

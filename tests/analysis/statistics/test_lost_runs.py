@@ -136,6 +136,21 @@ def test_missions_that_did_not_succeed_are_counted_by_treatment(tmp_path: Path, 
     assert [each for each in statistics.warnings if each.startswith("Missions did not succeed: ")]
 
 
+def test_missions_that_did_not_succeed_are_counted_where_success_has_no_column(tmp_path: Path) -> None:
+    rows = [(planner, min(seconds, TIMEOUT)) for planner, seconds in PLACES]
+    folder = Folder(tmp_path / "success", {"Planner": list(DURATIONS)}, rows, {"Duration": "s"})
+    folder.write()
+    ended: dict[str, Any] = {"attempt": 1, "is_last": True, "status": "done", "seconds": 3.0, "stamps": {}}
+    with Journal(folder.files.journal) as journal:
+        for place, (_, seconds) in enumerate(PLACES):
+            success = {"value": seconds <= TIMEOUT, "owner": "Reach", "origin": "measured"}
+            run = folder.run_id(place)
+            journal.append("attempt_finished", run=run, **ended, measures={"Success": success}, failure=None)
+    assert threats(folder.root)[1]["Missions did not succeed"].startswith(
+        "Success is no in 5 of 12 runs. By Planner: B 4 of 6 runs, A 1 of 6 runs. Their durations, energies and"
+    )
+
+
 @pytest.mark.parametrize("measures", [{"Duration": "s", "Success": ""}, {"Success": ""}], ids=["all", "nothing else"])
 def test_missions_that_all_succeeded_or_of_which_nothing_else_is_known_are_no_threat(
     tmp_path: Path, measures: dict[str, str]

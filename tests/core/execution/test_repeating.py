@@ -139,6 +139,19 @@ def test_at_most_is_the_end_and_is_told(execute: Execute) -> None:
     assert told.startswith("not as precise as wanted after 5 repetitions, which is at_most. Energy: ± ")
 
 
+def test_of_several_rules_each_is_told_with_its_own_at_most(execute: Execute) -> None:
+    longer = 'repeat_until = [Precision("Energy", half_width=0.001, at_most=5, of="differences"), Precision('
+    executed = execute(
+        noisy(spread=40, at_most=4).replace("repeat_until = Precision(", longer).replace("=4)", "=4)]"), table=TABLE
+    )
+    assert len(executed.table) == 10
+    told = [each for each in problems(executed.finished.findings) if "not as precise as wanted" in each]
+    assert [each.partition(". ")[0] for each in told] == [
+        "not as precise as wanted after 5 repetitions, which is at_most",
+        "not as precise as wanted after 5 repetitions, and at_most is 4",
+    ]
+
+
 @pytest.mark.parametrize(
     ("returned", "told"),
     [

@@ -16,7 +16,7 @@ from robot_runner.analysis.run_frame import several
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.secret_names import shown_settings
-from robot_runner.core.words import combination_label, listed, shown_commit
+from robot_runner.core.words import combination_label, enumerated, listed, shown_commit
 
 if TYPE_CHECKING:
     from robot_runner.analysis.results import Results
@@ -103,6 +103,9 @@ def match_runs(first: Results, second: Results, *, is_paired: bool) -> Matching:
             pair = _paired(first, second, rows, theirs[key], blocks) if is_paired else (rows, theirs[key])
             units = Units.of(pair, columns)
             groups.append(MatchedRuns(dict(zip(factors, _treatments(rows, factors), strict=True)), *pair, units))
+    if not is_paired:
+        for place, (name, each) in enumerate(zip(names, (first, second), strict=True)):
+            notes += _notes_on_batches(name, each, [(group.first, group.second)[place] for group in groups], blocks)
     told = [name for name in blocks if name in (*first.factors, *second.factors)]
     notes[:0] = [*_notes_on_blocks(told, groups), *([] if is_paired else _notes_on_same_units(first, second, groups))]
     return Matching(first, second, factors, tuple(groups), tuple(notes), blocks)
@@ -186,6 +189,23 @@ def _notes_on_robots(first: Results, second: Results) -> Iterator[str]:
         yield (
             f"Both experiments used {listed(robots)}, which are taken for the same robots. Where they are others, name "
             'Robot as the blocks of the analysis: AnalysisPlan(blocks="Robot").'
+        )
+
+
+def _notes_on_batches(
+    name: str, results: Results, groups: Sequence[pd.DataFrame], blocks: Sequence[str]
+) -> Iterator[str]:
+    """Yield a note where runs of a combination are of several batches, of which there are too few to be units."""
+    batch = results.batch
+    if batch is None or batch in blocks or results.is_adaptive:
+        return
+    several = [set(rows[batch].fillna(1).astype(int)) for rows in groups]
+    if found := set().union(*(each for each in several if len(each) > 1)):
+        which = enumerated(map(str, sorted(found)))
+        yield (
+            f"{name} was extended: runs of its batches {which}, which were executed at other times, are compared as "
+            "one. What changed between these is taken for chance between runs, and may pass for a difference of the "
+            "experiments. Tests of treatments, in the reports, are within batches."
         )
 
 

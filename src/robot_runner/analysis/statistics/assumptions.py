@@ -107,7 +107,7 @@ def equal_variances(groups: Sequence[Group], alpha: float, within: Sequence[str]
 
 
 def quantile_pairs(residuals: Floats, run_ids: Sequence[str]) -> QuantilePairs | None:
-    """Return the points of a normal Q-Q plot, as R's `qqnorm` and `qqline`; None for fewer than three values."""
+    """Return the points of a normal Q-Q plot, as R's `qqnorm` and `qqline`; None for too few or equal values."""
     count = len(residuals)
     if count < _LEAST or np.ptp(residuals) == 0:
         return None

@@ -8,7 +8,7 @@ down as if it were how long the run took, or the time at which a mission failed 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -144,10 +144,8 @@ def unsuccessful_in_words(results: Results, design: DesignSummary) -> Iterator[s
     dtypes = [done[name].dtype for name in results.measures]
     if not any(pd.api.types.is_numeric_dtype(each) and not pd.api.types.is_bool_dtype(each) for each in dtypes):
         return
-    for name in results.measures:
-        if name.rpartition(".")[2] != _SUCCESS or not pd.api.types.is_bool_dtype(done[name].dtype):
-            continue
-        known = done[name].dropna()
+    for name, values in _successes(results):
+        known = done[RUN_ID].map(values).dropna()
         failed = done.loc[known.index[~known.astype(bool)], RUN_ID]
         if len(failed):
             yield (
@@ -157,6 +155,17 @@ def unsuccessful_in_words(results: Results, design: DesignSummary) -> Iterator[s
                 "and frugal, and one whose missions end at a deadline less slow than it is. Means and tests are of all "
                 f"runs: compare {name} first."
             )
+
+
+def _successes(results: Results) -> Iterator[tuple[str, pd.Series[Any]]]:
+    """Yield the name of each measure of success, with or without a column, and its values by run id."""
+    runs, published = results.done.set_index(RUN_ID), results.published
+    names = dict.fromkeys((*results.measures, *published["measure"].unique()))
+    for name in (each for each in names if each.rpartition(".")[2] == _SUCCESS):
+        values = published[published["measure"] == name].set_index(RUN_ID)["value"]
+        known = (runs[name] if name in results.columns else values).dropna().infer_objects()
+        if pd.api.types.is_bool_dtype(known):
+            yield name, known
 
 
 def _by_treatment(runs: pd.DataFrame, lost: set[str], design: DesignSummary) -> str:

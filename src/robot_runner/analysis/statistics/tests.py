@@ -357,7 +357,12 @@ def _notes(data: MeasureData, model: AnyModel) -> Iterator[str]:
             yield f"Interactions of more than {MOST_FACTORS} factors are left out."
         if layout.left_out:
             runs = listed(data.frame[RUN_ID].iloc[list(layout.left_out)])
-            yield f"Their blocks do not hold all combinations, so these runs are left out of the tests: {runs}."
+            lacking = (
+                "What their batch has of their block lacks some combinations"
+                if data.is_extended
+                else "Their blocks do not hold all combinations"
+            )
+            yield f"{lacking}, so these runs are left out of the tests: {runs}."
         if layout.is_replicated:
             yield "Runs of one combination in the same block are reduced to their mean: chance is how blocks differ."
     if data.known.is_plain and len({len(each.values) for each in data.groups(data.factors)}) > 1 < len(data.factors):

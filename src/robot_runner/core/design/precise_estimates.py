@@ -317,10 +317,12 @@ def _ending_findings(judgement: Judgement) -> Iterator[tuple[str, str]]:
         yield f"{measure}: {problem}", _SEE_WHY
     for each in judgement.known:
         if each.oddity:
-            yield f"{measure} of {each.of}: {each.oddity}", "Look whether it is resolved."
+            yield f"{measure} of {each.of}: {each.oddity}", "Check whether it is resolved."
     if not judgement.is_precise and not judgement.problems:
-        often = counted(judgement.repetitions, "repetition")
-        problem = f"not as precise as wanted after {often}, which is at_most. {judgement.in_words()}"
+        often, most = counted(judgement.repetitions, "repetition"), judgement.rule.at_most
+        # Another rule may go on for longer.
+        which = "which is at_most" if judgement.repetitions == most else f"and at_most is {most}"
+        problem = f"not as precise as wanted after {often}, {which}. {judgement.in_words()}"
         yield problem, "Report the interval that there is: more was not planned."
 
 

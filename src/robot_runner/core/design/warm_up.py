@@ -32,7 +32,7 @@ class WarmUp:
             is done is not executed again.
 
     Raises:
-        DesignError: an attribute is of a wrong type, or there is less than one run.
+        DesignError: an attribute is of a wrong type, or there is less than one run, or more than 10,000.
 
     Example:
         >>> WarmUp(2, per="Task").per
