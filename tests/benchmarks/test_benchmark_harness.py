@@ -49,3 +49,15 @@ def test_a_figure_is_judged_by_its_bounds_and_by_the_products_own_tests() -> Non
     missed = _false_positives(replace(design, bounds=(20.0, 30.0), why="a joke"), np.random.default_rng(1), 1000)
     assert not missed.holds
     assert (missed.row.ratio, missed.row.bound) == ("DOES NOT HOLD", "20 to 30 %: a joke")
+
+
+@pytest.mark.long
+def test_the_packing_that_is_measured_packs_all_files_of_a_sound_experiment(tmp_path: Path) -> None:
+    from benchmarks.packing import make_folder, packed
+
+    from robot_runner.replication.opening import open_package
+
+    folder = make_folder(tmp_path / "packing", 1_000, runs=3)
+    assert packed(folder, tmp_path / "packed.zip") > 0
+    with open_package(tmp_path / "packed.zip") as package:
+        assert [package.sizes[f"runs/r_{number}/Meter/samples.csv"] for number in (1, 2, 3)] == [1_000] * 3

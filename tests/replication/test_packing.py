@@ -26,7 +26,7 @@ from robot_runner.analysis.importing.understanding import understand
 from robot_runner.core.config.authors import Author
 from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.lock import ExperimentLock
-from robot_runner.replication.contents import choose_contents, fault_of_name
+from robot_runner.replication.contents import Contents, choose_contents, fault_of_name
 from robot_runner.replication.opening import open_package
 from robot_runner.replication.packing import pack
 from robot_runner.replication.sealing import Packing
@@ -326,6 +326,51 @@ def test_a_folder_is_not_taken_for_a_file_to_be_removed(copied, tmp_path):
     with pytest.raises(PackageError, match="is a folder") as refused:
         _pack(copied, tmp_path / "packages")
     assert refused.value.fix == f"Name a file in it: {tmp_path / 'packages' / 'small.zip'}"
+
+
+@pytest.mark.long
+def test_more_files_than_a_reader_takes_are_refused_before_any_is_packed(copied, tmp_path, monkeypatch):
+    target = tmp_path / "small.zip"
+    room = 1 << 16  # for what packing itself adds to the directory
+    for number in range(1000):
+        (copied / "runs" / "r_1" / "Ina219" / f"{number:0100d}.csv").write_text("time_s\n", encoding="utf-8")
+    needed = 1000 * (46 + len("runs/r_1/Ina219/") + 104)
+    for module in ("packing", "opening"):
+        monkeypatch.setattr(f"robot_runner.replication.{module}.LARGEST_DIRECTORY", needed)
+    with pytest.raises(PackageError, match=r"would have 1,0\d\d files and folders, more than verify") as refused:
+        _pack(copied, target)
+    assert "--raw none" in refused.value.fix
+    assert not target.exists()
+    for module in ("packing", "opening"):
+        monkeypatch.setattr(f"robot_runner.replication.{module}.LARGEST_DIRECTORY", needed + room + 8192)
+    _pack(copied, target)
+    with open_package(target) as package:
+        assert sum("Ina219/0" in name for name in package.sizes) == 1000
+
+
+@pytest.mark.long
+def test_sizes_are_added_up_once_whatever_the_number_of_files(copied, tmp_path, monkeypatch):
+    looks = []
+
+    class Counted(tuple):
+        __slots__ = ()
+
+        def __iter__(self):
+            looks.append(1)
+            return super().__iter__()
+
+    def choose(*given):
+        chosen = choose_contents(*given)
+        return Contents(Counted(chosen.files), chosen.left_out)
+
+    monkeypatch.setattr("robot_runner.replication.packing.choose_contents", choose)
+    _pack(copied, tmp_path / "small.zip")
+    few = len(looks)
+    looks.clear()
+    for number in range(50):
+        (copied / "runs" / "r_1" / "Ina219" / f"{number}.csv").write_text("time_s\n", encoding="utf-8")
+    _pack(copied, tmp_path / "small.zip")
+    assert len(looks) == few
 
 
 @pytest.mark.long

@@ -19,11 +19,9 @@ from robot_runner.core.errors import Finding, PackageError
 from robot_runner.core.storage.guarded_files import open_to_read, read_bytes
 from robot_runner.core.storage.system_refusals import storage_error, storage_errors
 from robot_runner.replication.contents import DESCRIPTION, DESKTOP_FILES, SUMS, fault_of_name
-from robot_runner.replication.plain_zip import Progress
+from robot_runner.replication.plain_zip import LARGEST_DIRECTORY, Progress
 from robot_runner.replication.redaction import chunks_of
 
-#: The directory of about 100,000 files has this size, bytes.
-_LARGEST_READ = 12 << 20
 #: The compression ratio of a zip bomb: Deflate reaches up to about 1000, and measured data stays far below this.
 _MOST_TIMES_SMALLER = 200
 _SMALL = 64 << 20
@@ -95,8 +93,8 @@ class _BoundedReads(io.FileIO):
             zipfile.BadZipFile: the size exceeds the limit.
         """
         wanted = os.fstat(self.fileno()).st_size - self.tell() if size is None or size < 0 else size
-        if wanted > _LARGEST_READ:
-            raise zipfile.BadZipFile(f"its directory has more than {_LARGEST_READ:,} bytes")
+        if wanted > LARGEST_DIRECTORY:
+            raise zipfile.BadZipFile(f"its directory has more than {LARGEST_DIRECTORY:,} bytes")
         return super().read(size)
 
 

@@ -27,14 +27,17 @@ from robot_runner.core.words import listed
 from robot_runner.replication.about import About, missing_text
 from robot_runner.replication.cleaning import Replaced
 from robot_runner.replication.code_secrets import secrets_in_code
-from robot_runner.replication.contents import DESCRIPTION, LICENCE, LeftOut, choose_contents
+from robot_runner.replication.contents import DESCRIPTION, LICENCE, Contents, LeftOut, choose_contents, folders_of
 from robot_runner.replication.crate import require_rocrate
 from robot_runner.replication.environment import record_environment
 from robot_runner.replication.index_hashes import findings_of_hashes, with_known_hashes
-from robot_runner.replication.plain_zip import Progress, written_beside
+from robot_runner.replication.plain_zip import LARGEST_DIRECTORY, Progress, directory_size, written_beside
 from robot_runner.replication.redaction import Redactor
 from robot_runner.replication.run_by_run import statuses_that_count
 from robot_runner.replication.sealing import Packing, Sealing
+
+#: Bytes of the directory that are left for the files that packing adds.
+_ADDED = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +101,9 @@ def pack(
     runs_folder = f"{files.runs_name}/" if files.runs_name else ""
     about = About.of_manifest(manifest, authors=asked.authors, licence=asked.licence, citation=asked.citation)
     recorded = record_environment(manifest, files.config)
+    run_folders = {f"{runs_folder}{each}/": each for each in run_ids}
     chosen, secrets = choose_contents(files, run_ids, asked.raw), _known_secrets(files, manifest)
+    _refuse_too_many(files.root, chosen, run_folders)
     with written_beside(target) as archive:
         sealing = Sealing(
             asked=asked,
@@ -106,7 +111,7 @@ def pack(
             manifest=manifest,
             columns=columns,
             rows=rows,
-            run_folders={f"{runs_folder}{each}/": each for each in run_ids},
+            run_folders=run_folders,
             chosen=chosen,
             environment=recorded,
             redactor=Redactor.knowing(secrets, home=home_folder(), replaces_doubtful=asked.doubtful == "replace"),
@@ -166,6 +171,16 @@ def _refuse(files: ExperimentFolder, target: Path) -> None:
     if target.exists() and not _is_package(target):
         fix = "Name another file, or remove that one."
         raise PackageError("a file of this name exists, and is not a package", where=str(target), fix=fix)
+
+
+def _refuse_too_many(root: Path, chosen: Contents, run_folders: Container[str]) -> None:
+    """Refuse more files than `verify` and `replicate` read."""
+    names = {file.name for file in chosen.files}
+    entries = names | folders_of(names, run_folders)
+    if directory_size(entries, sum(file.size for file in chosen.files)) > LARGEST_DIRECTORY - _ADDED:
+        problem = f"the package would have {len(entries):,} files and folders, more than verify and replicate read"
+        fix = "Leave raw data out, --raw none, or name the plugins whose raw data others need, and archive the rest."
+        raise PackageError(problem, where=str(root), fix=fix)
 
 
 def _is_package(path: Path) -> bool:

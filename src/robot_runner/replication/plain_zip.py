@@ -17,6 +17,12 @@ from robot_runner.core.storage.system_refusals import fsync_file, fsync_folder, 
 #: Called with the number of processed bytes and the total.
 Progress: TypeAlias = "Callable[[int, int], None]"
 
+#: The size limit of the directory of a zip file that is read, bytes: about 100,000 files.
+LARGEST_DIRECTORY = 12 << 20
+#: The entry of a file in the directory, without its name, and its extra field in a large zip file (APPNOTE.TXT, 4.3.12
+#: and 4.5.3).
+_ENTRY, _EXTRA = 46, 28
+
 #: The time of every file in a package: the earliest that a zip file can hold.
 _STAMP = (1980, 1, 1, 0, 0, 0)
 _LEVEL = 6
@@ -88,6 +94,17 @@ class PlainZip:
     def close(self) -> None:
         """Write the directory of the zip file, and close it."""
         self._archive.close()
+
+
+def directory_size(names: Iterable[str], size: int) -> int:
+    """Return at most how many bytes the directory of a zip file takes.
+
+    Args:
+        names: those of its files and folders.
+        size: of its files, bytes.
+    """
+    around = _ENTRY + (_EXTRA if size > zipfile.ZIP64_LIMIT else 0)
+    return sum(around + len(name.encode()) for name in names)
 
 
 def looks_like_a_bomb(path: Path, size: int) -> bool:

@@ -101,9 +101,11 @@ class Sealing:
     left_out: list[LeftOut] = field(init=False)
     cleaning: Cleaning = field(init=False)
     wheels: dict[str, str] = field(init=False, default_factory=dict)
+    _total: int = field(init=False)
     _done: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
+        self._total = sum(file.size for file in self.chosen.files)
         self.left_out = list(self.chosen.left_out)
         self.cleaning = Cleaning(self.redactor, self.asked.keep, self.left_out)
 
@@ -133,9 +135,8 @@ class Sealing:
                 self._advance(len(block))
 
     def _advance(self, count: int) -> None:
-        total = sum(file.size for file in self.chosen.files)
-        self._done = min(total, self._done + count)
-        self.progress(self._done, total)
+        self._done = min(self._total, self._done + count)
+        self.progress(self._done, self._total)
 
     def _add_wheel(self, distribution: InstalledDistribution) -> None:
         secrets, wheel = Counter[str](), io.BytesIO()

@@ -62,6 +62,24 @@ def test_a_finding_that_holds_a_picture_leaves_a_schema_that_can_be_read(tmp_pat
     assert read.doubts == {"r_1": ("y" * 10_000 + "… (8,990,000 more characters)",)}
 
 
+def test_a_study_whose_every_run_is_doubtful_leaves_a_schema_that_can_be_read(tmp_path: Path) -> None:
+    runs = [f"r_{number}" for number in range(1, 2001)]
+    reason = "the meter was silent for a while: " + "z" * 1_000
+    doubts = dict.fromkeys(runs, (reason,))
+    doubted = replace(ENERGY, findings=tuple(f"{run_id}: {reason}" for run_id in runs), doubts=doubts)
+    good = replace(ENERGY, name="CPU", findings=())
+    columns = [good, *(replace(doubted, name=f"Energy {number}") for number in range(10))]
+    write_schema(tmp_path / "schema.json", columns)
+    fields = json.loads((tmp_path / "schema.json").read_text(encoding="utf-8"))["fields"]
+    assert "robot_runner:left_out" not in fields[0]
+    for column, field, read in zip(columns[1:], fields[1:], read_schema(tmp_path / "schema.json")[1:], strict=True):
+        told = len(read.findings), len(read.doubts)
+        assert min(told) > 100
+        assert read.findings == column.findings[: told[0]]
+        assert list(read.doubts.items()) == list(doubts.items())[: told[1]]
+        assert field["robot_runner:left_out"] == 2 * len(runs) - sum(told)
+
+
 def test_the_file_is_a_table_schema_with_our_own_keys_beside(tmp_path: Path) -> None:
     write_schema(tmp_path / "schema.json", [ENERGY])
     schema = json.loads((tmp_path / "schema.json").read_text(encoding="utf-8"))

@@ -16,7 +16,7 @@ import tarfile
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from importlib.resources import files
 from itertools import chain
 from typing import TYPE_CHECKING, Any
@@ -44,6 +44,8 @@ _INTERVAL, _UNBROKEN = re.compile(r"\[[^\[\]]*\]"), "\N{NO-BREAK SPACE}"
 #: Invisible characters that are kept on a page: line breaks, and joiners of letters and of parts of a character.
 _KEPT = "\n\u200c\u200d"
 _BLANK_LINES = re.compile(r"\n{3,}")
+#: How many texts are remembered as LaTeX: the table of many runs says few different ones over and over.
+_REMEMBERED = 10_000
 #: Characters with a meaning anywhere in Markdown, and those that begin a list or underline a heading.
 _MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#|~$!&]|(?:^|(?<=^[0-9])|(?<=^[0-9]{2}))[-+=.)](?=[-=\s]|$))")
 
@@ -180,6 +182,7 @@ def _signs() -> Iterator[tuple[str, str]]:
 _LATEX = dict(_signs())
 
 
+@lru_cache(_REMEMBERED)
 def latex_text(text: str) -> str:
     r"""Escape a text for LaTeX.
 
@@ -218,6 +221,7 @@ def latex_of(table: Table, labels: Callable[[str], str]) -> str:
     return template.render(table=table, caption=caption, label=labels(table.name), star=star, cell_text=cell_text)
 
 
+@lru_cache(_REMEMBERED)
 def _in_lines(text: str) -> Markup:
     """Return the text of a cell as LaTeX, broken into lines; each item of an enumeration begins a line."""
     whole = _INTERVAL.sub(lambda found: found[0].replace(" ", _UNBROKEN), text)

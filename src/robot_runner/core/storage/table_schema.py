@@ -11,16 +11,17 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import accumulate, takewhile
 from numbers import Integral
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.cells import RunStatus, are_stamps
 from robot_runner.core.storage.declared_shapes import shape_findings, with_short_texts
 from robot_runner.core.storage.file_shapes import Schema
-from robot_runner.core.storage.guarded_files import DamagedFileError, read_json
+from robot_runner.core.storage.guarded_files import JSON_LIMIT, DamagedFileError, read_json
 from robot_runner.core.storage.guarded_files import replace as replace_file
 from robot_runner.core.storage.run_table_rows import RunTableRows
 from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, ColumnRole, FactorColumn
@@ -29,17 +30,24 @@ _OWN = "robot_runner:"
 _PROFILE = "https://specs.frictionlessdata.io/schemas/table-schema.json"
 _SCHEMA_FIX = "Restore it from a backup, or delete it: it is written anew."
 _STAMP_FORMAT = "%Y-%m-%dT%H:%M:%S.%fZ"
+#: Bytes for the findings and doubts of all columns, which many runs may have: readers take no larger file.
+_ROOM = JSON_LIMIT // 2
+#: Blanks, marks and the run's id around a text.
+_AROUND = 100
+
+Entry = TypeVar("Entry")
 
 
 def write_schema(path: Path, fields: Sequence[ColumnDescription]) -> None:
-    """Write the schema beside `path` and rename it.
+    """Write the schema beside `path` and rename it; findings and doubts that readers have no room for are only counted.
 
     Raises:
         StorageError: it cannot be written.
     """
+    room = _ROOM // max(1, 2 * sum(bool(field.findings or field.doubts) for field in fields))
     schema = {
         "$schema": _PROFILE,
-        "fields": list(map(_field, fields)),
+        "fields": [_field(field, room) for field in fields],
         "missingValues": [""],
         "primaryKey": [next((field.heading or RUN_ID for field in fields if field.name == RUN_ID), RUN_ID)],
     }
@@ -66,7 +74,9 @@ def read_schema(path: Path) -> tuple[ColumnDescription, ...]:
     return columns
 
 
-def _field(column: ColumnDescription) -> dict[str, Any]:
+def _field(column: ColumnDescription, room: int) -> dict[str, Any]:
+    findings = _fitting(column.findings, room)
+    doubts = {run_id: list(reasons) for run_id, reasons in _fitting(list(column.doubts.items()), room)}
     field: dict[str, Any] = {"name": column.heading or column.name, "type": column.type}
     if column.type == "datetime":
         field["format"] = _STAMP_FORMAT
@@ -74,12 +84,21 @@ def _field(column: ColumnDescription) -> dict[str, Any]:
     field[f"{_OWN}role"] = column.role.value
     field[f"{_OWN}owner"] = column.owner
     field[f"{_OWN}origin"] = column.origin
-    field[f"{_OWN}findings"] = list(column.findings)
-    if column.doubts:
-        field[f"{_OWN}doubts"] = {run_id: list(reasons) for run_id, reasons in column.doubts.items()}
+    field[f"{_OWN}findings"] = findings
+    if doubts:
+        field[f"{_OWN}doubts"] = doubts
+    if left_out := len(column.findings) + len(column.doubts) - len(findings) - len(doubts):
+        field[f"{_OWN}left_out"] = left_out
     if column.heading:
         field[f"{_OWN}column"] = column.name
     return field
+
+
+def _fitting(entries: Sequence[Entry], room: int) -> list[Entry]:
+    """Return the first entries that have room in the file, bytes."""
+    texts = (json.dumps(with_short_texts(entry), ensure_ascii=False) for entry in entries)
+    sizes = accumulate(_AROUND + len(text.encode("utf-8", "backslashreplace")) for text in texts)
+    return list(entries[: sum(1 for _ in takewhile(lambda size: size <= room, sizes))])
 
 
 def _description(path: Path, place: int, field: Mapping[str, Any]) -> ColumnDescription:
