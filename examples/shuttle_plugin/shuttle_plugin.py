@@ -1,3 +1,5 @@
+from typing import Any
+
 from robot_runner.plugins import Circumstances, Finding, LinkError, Measure, RobotRunnerContext, System, connect_robot
 
 TWIST, ODOMETRY = "geometry_msgs/Twist", "nav_msgs/Odometry"
@@ -16,15 +18,13 @@ class Shuttle(System):
         self.distance, self.speed, self.namespace = distance, speed, namespace
 
     def check(self, circumstances: Circumstances) -> list[Finding]:
-        finding = Finding.error(f"plugin {self.name}", "the experiment names no robot", "Name one: robot = 'ros1'.")
-        return [] if circumstances.robot else [finding]
+        return [] if circumstances.robot else [Finding.error(self.name, "no robot is named", "Say robot = 'ros1'.")]
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        self.link = connect_robot(context, namespace=self.namespace)
-        self.x, self.is_located = 0.0, False
+        self.link, self.x, self.is_located = connect_robot(context, namespace=self.namespace), 0.0, False
         self.link.subscribe("odom", ODOMETRY, self.locate)
 
-    def locate(self, message: dict) -> None:
+    def locate(self, message: Any) -> None:
         self.x, self.is_located = message["pose"]["pose"]["position"]["x"], True
 
     def launch_mission(self, context: RobotRunnerContext) -> None:

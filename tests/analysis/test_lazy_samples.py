@@ -40,6 +40,24 @@ def results(tmp_path_factory):
     return load_results(made.root)
 
 
+@pytest.mark.parametrize(
+    "chosen",
+    [*(kind(["Video", "Video"]) for kind in (np.array, pd.Index, pd.Series, pd.Categorical)), np.str_("Video")],
+    ids=lambda each: type(each).__name__,
+)
+def test_treatments_may_be_given_as_pandas_and_numpy_hold_them(results, chosen):
+    found = results.lazy_samples("Host", treatments={"Task": chosen}).frame()
+    assert set(found["Task"]) == {"Video"}
+
+
+def test_a_column_that_is_named_twice_comes_once(results):
+    assert list(results.samples("Host", columns=["cpu_percent"] * 2).columns)[-1:] == ["cpu_percent"]
+    assert list(results.lazy_samples("Host", columns=["cpu_percent"] * 2).frame().columns).count("cpu_percent") == 1
+    aligned = results.aligned_samples({"Host": ["cpu_percent"] * 2}, period=1.0)
+    assert [column.name for column in aligned.columns] == ["Host.cpu_percent"]
+    assert list(aligned.frame.columns)[-2:] == ["time_s", "Host.cpu_percent"]
+
+
 @pytest.mark.long
 def test_batches_hold_what_the_whole_table_holds(results):
     whole = results.samples("Meter")

@@ -6,6 +6,7 @@ from itertools import accumulate
 
 import pytest
 
+from robot_runner.core.events.measure import Measure, Over
 from robot_runner.meters.electrical import ElectricalProfiler
 from robot_runner.meters.electrical_readings import ElectricalReading
 from robot_runner.testing import FakeClock, make_context, rehearse
@@ -46,6 +47,27 @@ def test_what_the_energy_was_taken_from_is_told_of_the_mission_and_not_of_the_ti
     facts = json.loads((context.raw_data_folder / "quality.json").read_text())
     assert [finding.problem for finding in context.broker.findings] == []
     assert facts["energy_from"] == {"": "counter"}
+
+
+class MeterOfTwo(ScriptedMeter):
+    """Has measures of its own, of which one of the base's is no part."""
+
+    def __init__(self):
+        super().__init__(lambda time: ElectricalReading(6.0 + wobbling(time), 12.0, 0.5))
+        peak = Measure("PeakPower", "W", "Largest power of the mission.", over=Over.MAXIMUM)
+        self.measures = (peak, *self.measures[:2])
+
+    def values(self, sampling):
+        return {**super().values(sampling), "PeakPower": max(reading[0].power for reading in sampling.readings)}
+
+
+def test_a_meter_may_have_measures_of_its_own_and_leave_out_those_of_the_base(tmp_path):
+    clock, plugin = FakeClock(), MeterOfTwo()
+    context = make_context(tmp_path, plugin, robot=None, clock=clock)
+    measures = rehearse(context, plugin, mission=lambda: clock.sleep(10.0))
+    assert list(measures) == ["PeakPower", "Energy", "MeanPower"]
+    assert measures["Energy"] == pytest.approx(10 * measures["MeanPower"])
+    assert measures["PeakPower"] >= measures["MeanPower"]
 
 
 @pytest.fixture

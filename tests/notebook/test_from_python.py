@@ -411,3 +411,43 @@ def test_an_interrupt_while_much_is_being_printed_tears_no_line() -> None:
     with pytest.raises(ExecutionError, match="KeyboardInterrupt"):
         apart.execute_forked(work, say)
     assert said == [33, 2_000_000]
+
+
+def test_a_file_that_executes_its_class_while_it_is_loaded_is_refused_and_nothing_is_executed(tmp_path: Path) -> None:
+    config = written_config(tmp_path, "")
+    line = len(config.read_text("utf-8").splitlines()) + 1
+    with config.open("a", encoding="utf-8") as file:
+        file.write("run_experiment(RobotRunnerConfig)\n")
+    for given in (config, str(config)):
+        with pytest.raises(ConfigError) as refused:
+            run_experiment(given)
+        (finding,) = refused.value.findings
+        assert finding.where == f"{config}:{line}, run_experiment"
+        assert "while it is loaded" in finding.problem
+        assert "__main__" in finding.fix
+    assert [each.name for each in tmp_path.iterdir()] == [config.name]
+
+
+def test_a_class_whose_file_imports_relative_to_its_package_is_executed_and_told_not_to_be_replicable(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "relative_study"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "speeds.py").write_text("SPEEDS = [0.1, 0.2]\n", "utf-8")
+    (package / "study.py").write_text(
+        "from robot_runner import *\n"
+        "from .speeds import SPEEDS\n\n\n"
+        "class Relative(ExperimentConfig):\n"
+        "    experiment_name = 'relative'\n"
+        "    watch_machines = False\n\n"
+        "    def create_run_table(self):\n"
+        "        return RunTableModel([Factor('Speed', SPEEDS)])\n",
+        "utf-8",
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    results = run_experiment(import_module("relative_study.study").Relative)
+    assert results.done_count == 2
+    (told,) = [each for each in results.findings if "relative" in each.problem]
+    assert "study.py, line 2," in told.problem
+    assert "a replication package of it cannot be executed" in told.problem

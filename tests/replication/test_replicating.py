@@ -230,6 +230,29 @@ def test_modules_in_a_folder_that_the_config_adds_to_the_path_are_none_that_have
     assert "of_nobody" in finding.problem
 
 
+@pytest.mark.parametrize(
+    ("packed", "fix"),
+    [
+        (None, "pip install Lab.Watt==2.3"),
+        ("lab_watt-2.3-py3-none-any.whl", "pip install '{wheel}'"),
+        ("lab_watt-2.2-py3-none-any.whl", "pip install Lab.Watt==2.3"),
+    ],
+)
+def test_a_plugin_that_is_missing_is_installed_from_the_package_where_that_has_it(
+    tmp_path: Path, packed: str | None, fix: str
+) -> None:
+    root = tmp_path / "a package"
+    (root / "config").mkdir(parents=True)
+    wheel = root / "environment" / "wheels" / str(packed)
+    if packed:
+        wheel.parent.mkdir(parents=True)
+        wheel.touch()
+    plugin = {"name": "B", "class": "lab_watt_of_ours:LabWatt", "package": "Lab.Watt", "version": "2.3"}
+    (finding,) = missing_modules(root, {"plugins": [plugin]})
+    assert finding.problem == "LabWatt, of Lab.Watt, is not installed"
+    assert fix.format(wheel=wheel) in finding.fix
+
+
 def test_a_module_that_is_not_installed_is_named_before_anything_is_executed(unpacked, tmp_path):
     path = unpacked / "config" / "packed_paces.py"
     path.write_text(f"open({str(tmp_path / 'executed')!r}, 'w')\nimport no_such_module\n", encoding="utf-8")

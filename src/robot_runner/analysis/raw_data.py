@@ -116,7 +116,7 @@ class RawData:
         return SampleRequest(
             kind,
             run_ids,
-            tuple(kind.columns if columns is None else several(columns)),
+            tuple(kind.columns if columns is None else dict.fromkeys(several(columns))),
             starts={**self.history.starts, **{run: start for run, (start, _) in windows.items()}},
             windows=windows if with_window else None,
             phases=self.phase_spans if with_phases else None,
@@ -139,7 +139,8 @@ class RawData:
                 fix = did_you_mean(factor, self.factors)
                 raise AnalysisError(f"there is no factor {factor!r}", where="samples", fix=fix)
             all_of = list(table[factor].cat.categories)
-            chosen = wanted if isinstance(wanted, list | tuple | set | frozenset) else [wanted]
+            given = wanted.tolist() if hasattr(wanted, "tolist") else wanted  # of NumPy and pandas
+            chosen = given if isinstance(given, list | tuple | set | frozenset) else [given]
             words = {str(next((known for known in all_of if known == each), each)) for each in chosen}  # 1.0 means 1
             known = list(map(str, all_of))
             for word in words.difference(known):
@@ -239,7 +240,7 @@ class _Source:
     def of(cls, kinds: Sequence[SampleFile], label: str, names: Sequence[str]) -> _Source:
         """Return the source of a plugin, or of plugin and file as in `Meter/packets.csv`."""
         plugin, _, file = label.partition("/")
-        return cls(choose_file(kinds, plugin, file or None), tuple(names))
+        return cls(choose_file(kinds, plugin, file or None), tuple(dict.fromkeys(names)))
 
     def heading(self, name: str) -> str:
         return f"{self.kind.plugin}.{name}"

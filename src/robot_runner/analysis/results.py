@@ -231,7 +231,7 @@ class Results(ExperimentFacts):
             file: the name of the file, such as `samples.csv`; optional where the plugin has only one kind.
             runs: ids of the runs; None for all that have samples.
             columns: the value columns; None for all. Fewer columns are read faster.
-            with_factors: whether to add the treatments of each run (and the repetition).
+            with_factors: whether to add the treatments of each run, those of a factor that counts repetitions, too.
             with_phases: whether to add the phase of each sample.
             with_window: whether to add `in_window`.
 

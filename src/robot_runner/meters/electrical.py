@@ -133,7 +133,8 @@ class ElectricalProfiler(PolledProfiler[Readings]):
             watts = joules / window.duration if joules is not None and window.duration else None
             means = [self._mean(sampling, place, each) for each in ("voltage", "current")]
             values += (joules, watts, *means)
-        return dict(zip((measure.name for measure in self.measures), values, strict=True))
+        # A subclass may have set other measures: more than these, or fewer.
+        return dict(zip((measure.name for measure in electrical_measures(self.channels)), values, strict=True))
 
     def doubts(self, sampling: Sampling[Readings]) -> Iterator[str]:
         """Yield doubts, such as a meter that is stuck or connected backwards, or a counter that power contradicts."""

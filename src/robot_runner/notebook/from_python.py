@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config import preparation
+from robot_runner.core.config.loader import file_being_loaded
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import AnalysisError, ConfigError, ExecutionError, Finding, PluginError, RobotRunnerError
 from robot_runner.core.execution import notices
@@ -122,6 +123,12 @@ def run_experiment(  # noqa: PLR0913 - one keyword for each thing that the comma
         >>> [row["Way"] for row in results.rows]
         [1.0, 2.0]
     """
+    if file_being_loaded() is not None:  # `check` loads it, too, and touches nothing
+        raise ConfigError(
+            "the file executes an experiment while it is loaded",
+            where="run_experiment",
+            fix="Put the call below `if __name__ == '__main__':`, so that only `python FILE` executes it.",
+        )
     texts = as_texts(settings or {})
     if folder is not None:
         texts["results_output_path"] = str(Path(folder).expanduser().absolute())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 import linecache
 import sys
@@ -16,12 +17,13 @@ from typing import Any
 from robot_runner.core.config.loader import LoadedConfig, apply_overrides, raised_in
 from robot_runner.core.config.local_modules import local_modules_among
 from robot_runner.core.config.parameters import RunProcess, StaticParameters
-from robot_runner.core.config.source import ConfigSource, read_source
+from robot_runner.core.config.source import ConfigSource, parsed, read_source
 from robot_runner.core.errors import ConfigError, Finding
 from robot_runner.core.events.manager import recorded_subscriptions
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.vain_parameters import parameters_guarded
 
+_NOT_REPLICABLE = "a replication package of it cannot be executed"
 _NO_FILE = "Write the class to a file and give its path: then all of it is kept."
 
 
@@ -132,8 +134,9 @@ def _source(kind: type, folder: Path) -> tuple[ConfigSource, str, list[Finding]]
         file = Path()
     if file.is_file():
         path = file.resolve()
-        findings = [] if _is_loaded_from(path, kind) else [_not_executable(where, path)]
-        return ConfigSource(path, decode_source(path.read_bytes()), kind.__name__), "file", findings
+        text = decode_source(path.read_bytes())
+        findings = _unloadable(where, path, kind, text)
+        return ConfigSource(path, text, kind.__name__), "file", findings
     text = _cell(kind)
     if text:
         kept, problem = "cell", "it stands in no file: its cell is kept, and not what it uses of other cells"
@@ -166,9 +169,18 @@ def _is_loaded_from(path: Path, kind: type) -> bool:
         return False
 
 
-def _not_executable(where: str, path: Path) -> Finding:
-    problem = f"robot-runner would not find it in {path.name}: a replication package of it cannot be executed"
-    return Finding.warning(where, problem, "Give it a file of its own, at the top level, to have it replicated.")
+def _unloadable(where: str, path: Path, kind: type, text: str) -> list[Finding]:
+    """Return a warning where `robot-runner` could not load the class from its file, as a replication has to."""
+    if not _is_loaded_from(path, kind):
+        problem = f"robot-runner would not find it in {path.name}: {_NOT_REPLICABLE}"
+        return [Finding.warning(where, problem, "Give it a file of its own, at the top level, to have it replicated.")]
+    for node in ast.walk(parsed(text)):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            line = f"{path.name}, line {node.lineno},"
+            problem = f"{line} imports relative to a package, in which robot-runner does not load it: {_NOT_REPLICABLE}"
+            fix = "Import it by its name, without the dots: the folder of the file is searched for modules."
+            return [Finding.warning(where, problem, fix)]
+    return []
 
 
 def _process_findings(config: Any, kind: type, *, is_class: bool, kept: str) -> list[Finding]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import shlex
 import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping
@@ -16,7 +17,13 @@ from robot_runner.core.config.dialects import stand_in_modules
 from robot_runner.core.errors import Finding
 from robot_runner.core.plugin import described_circumstances
 from robot_runner.core.storage.manifest import describe_host, describe_system, described_programs
-from robot_runner.replication.distributions import InstalledDistribution, distributions_in, installed_distributions
+from robot_runner.replication.contents import WHEELS
+from robot_runner.replication.distributions import (
+    InstalledDistribution,
+    canonical,
+    distributions_in,
+    installed_distributions,
+)
 from robot_runner.replication.environment import imported_names, importers
 
 _GIBIBYTE = 1 << 30
@@ -196,7 +203,7 @@ def missing_modules(root: Path, manifest: Mapping[str, Any]) -> list[Finding]:
         module, _, kind = str(plugin.get("class", "")).partition(":")
         top, package, release = module.partition(".")[0], plugin.get("package"), plugin.get("version")
         if top not in {*local, "robot_runner_config"} and not _is_installed(module):
-            fix = f"Install it: pip install {package}=={release}" if package else f"Install what brings {module}."
+            fix = _installing(root, str(package), str(release)) if package else f"Install what brings {module}."
             problem = f"{kind}, of {package or module}, is not installed"
             findings.append(Finding.error(f"plugin {plugin.get('name')}", problem, fix))
         seen.add(top)
@@ -205,6 +212,15 @@ def missing_modules(root: Path, manifest: Mapping[str, Any]) -> list[Finding]:
             fix = "Install the package that brings it, or have the environment made: --environment venv"
             findings.append(Finding.error("config", f"the config imports {name}, which is not installed", fix))
     return findings
+
+
+def _installing(root: Path, package: str, release: str) -> str:
+    """Return how to install a package: what was made from a folder of the original's machine is in no index."""
+    for wheel in sorted((root / WHEELS).glob("*.whl")):
+        name, _, tags = wheel.name.partition("-")
+        if (canonical(name), tags.partition("-")[0]) == (canonical(package), release):
+            return f"Install it from the package: pip install {shlex.quote(str(wheel))}"
+    return f"Install it: pip install {package}=={release}"
 
 
 def _is_installed(module: str) -> bool:

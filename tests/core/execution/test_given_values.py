@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.conftest import written_config
 
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError
@@ -247,3 +250,69 @@ def test_a_replication_is_told_what_the_original_was_given_otherwise_but_for_pla
     assert given_elsewhere(experiment, manifest_of(config), ()) == ["Meter.gain (1.0, here 5.0)"]
     assert given_elsewhere(experiment, manifest_of(config), {"Meter.gain"}) == []
     assert given_elsewhere(experiment, {"executions": [{}]}, ()) == []
+
+
+def test_constants_of_a_module_that_is_found_by_a_relative_path_are_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for folder in ("study", "shared"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "shared" / "levels_shared.py").write_text('import os\nLEVEL = os.environ["OF_TEST_N"]\n', "utf-8")
+    config = written_config(
+        tmp_path / "study", head='import sys\nsys.path.insert(0, "../shared")\nimport levels_shared\n' + METER
+    )
+    monkeypatch.chdir(tmp_path / "study")
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    found = []
+    for value in ("1", "2"):
+        monkeypatch.setenv("OF_TEST_N", value)
+        monkeypatch.delitem(sys.modules, "levels_shared", raising=False)
+        found.append(given(config).get("levels_shared.py: LEVEL"))
+    assert found == ["1", "2"]
+
+
+OF_SCRIPT = """\
+import os
+from pathlib import Path
+from robot_runner import *
+
+HERE = Path(__file__).parent
+LEVELS = [1, 2]
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = Path("results")
+    attempts = int(os.environ["OF_TEST_N"])
+    limits = {"low": 1}
+
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", LEVELS)])
+
+
+if __name__ == "__main__":
+    run_experiment(RobotRunnerConfig, only=["r_1"])
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("is_script_first", [True, False])
+def test_a_script_that_executes_its_own_class_and_the_command_go_on_with_each_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_script_first: bool
+) -> None:
+    config = tmp_path / "study.py"
+    config.write_text(OF_SCRIPT, "utf-8")
+    monkeypatch.setenv("OF_TEST_N", "1")
+    script = [sys.executable, str(config)]
+    command = [sys.executable, "-m", "robot_runner", str(config), "--plain"]
+    first, second = (script, command) if is_script_first else ([*command, "--only", "r_1"], [*script])
+    subprocess.run(first, check=True, capture_output=True, timeout=60)
+    experiment = prepare_or_refuse(config)
+    assert not config_changes(experiment)
+    assert given_elsewhere(experiment, manifest_of(config), ()) == []
+    monkeypatch.setenv("OF_TEST_N", "2")
+    (changed,) = config_changes(prepare_or_refuse(config))
+    assert changed.where.endswith(", attempts")
+    monkeypatch.setenv("OF_TEST_N", "1")
+    subprocess.run(second, check=True, capture_output=True, timeout=60)
+    assert len(manifest_of(config)["executions"]) == 2

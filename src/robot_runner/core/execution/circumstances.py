@@ -13,7 +13,7 @@ from robot_runner.core.config.local_modules import editable_code
 from robot_runner.core.design.batches import as_configured, described_design
 from robot_runner.core.design.precision import rules_as_mapping
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
-from robot_runner.core.execution.given_values import changed_values, given_values, is_reordered
+from robot_runner.core.execution.given_values import changed_values, given_values, is_from_file, is_reordered
 from robot_runner.core.execution.recovery import config_files
 from robot_runner.core.plugin import Plugin, described_circumstances, installed_plugins
 from robot_runner.core.secret_names import hidden_settings
@@ -281,6 +281,8 @@ def _repeat_until(experiment: Experiment) -> dict[str, Any] | None:
 def _execution(experiment: Experiment) -> dict[str, Any]:
     execution = {"started_at": utc_now(), "pid": os.getpid(), "deviations": hidden_settings(experiment.overrides)}
     execution["given"] = given_values(experiment)
+    if not is_from_file(experiment):
+        execution["config_is_object"] = True
     state = repository_state(experiment.config_path.parent)
     return execution if state is None else execution | {"repository": state.facts()}
 

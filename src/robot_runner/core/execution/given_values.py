@@ -22,6 +22,7 @@ from datetime import UTC, date, datetime, timedelta
 from enum import Enum
 from numbers import Number
 from pathlib import Path, PurePath
+from types import ModuleType
 from typing import Any
 
 from robot_runner.core.config.experiment import Experiment
@@ -54,6 +55,8 @@ _LOGIN = re.compile(r"(?<=://)[^/\s@]+(?=@)|(?<=\bBearer )\S+|(?<=\bBasic )[A-Za
 _ASSIGNED = re.compile(r"(\w+)['\"]?\s*[=:]")
 #: A set of texts, which has another order in each process.
 _SET = re.compile(r"\{(['\"][^:{}]*)\}")
+#: Ends the name of a value whose part is named: `gates[0].timeout_s`.
+_PLACE = re.compile(r"[.\[]")
 _DAY_S = 86_400
 _SCALAR = (str, Number, PurePath, Enum)
 
@@ -88,7 +91,7 @@ def _static(experiment: Experiment) -> Iterator[tuple[str, Any]]:
 
 def _attributes(experiment: Experiment) -> Iterator[tuple[str, Any]]:
     config = experiment.config
-    if not _is_from_file(experiment):  # an object in memory may have been changed by callbacks of an earlier execution
+    if not is_from_file(experiment):  # an object in memory may have been changed by callbacks of an earlier execution
         yield from own_parameters(type(config)).items()
         return
     found = {name: value for kind in reversed(type(config).__mro__) for name, value in vars(kind).items()}
@@ -96,20 +99,27 @@ def _attributes(experiment: Experiment) -> Iterator[tuple[str, Any]]:
     yield from ((name, value) for name, value in _data_of(found) if name not in PARAMETERS)
 
 
-def _is_from_file(experiment: Experiment) -> bool:
-    """Whether the config was loaded from its file: one that is an object of a script has executed more than itself."""
+def is_from_file(experiment: Experiment) -> bool:
+    """Return whether the config was loaded from its file: of an object of a script, callbacks may have changed more."""
     loaded = sys.modules.get(CONFIG_MODULE)
     return experiment.kept == "file" and getattr(loaded, "__file__", None) == str(experiment.config_path)
 
 
 def _of_modules(experiment: Experiment) -> Iterator[tuple[str, Any]]:
     """Yield the names of the config file that hold data, and the constants of the modules that it imports."""
-    if _is_from_file(experiment):
+    if is_from_file(experiment):
         yield from ((f"top level: {name}", value) for name, value in _data_of(vars(sys.modules[CONFIG_MODULE])))
-    local = set(map(str, experiment.local_modules))
-    for module in [each for each in list(sys.modules.values()) if getattr(each, "__file__", None) in local]:
+    for module in _local_modules(experiment).values():
         constants = ((name, value) for name, value in _data_of(vars(module)) if name.isupper())
         yield from ((f"{Path(str(module.__file__)).name}: {name}", value) for name, value in constants)
+
+
+def _local_modules(experiment: Experiment) -> dict[str, ModuleType]:
+    """Return the config's modules that are imported, by name; `sys.path` may have shown the way to them relatively."""
+    local = {os.path.realpath(each): each.name for each in experiment.local_modules}
+    files = {name: getattr(module, "__file__", None) for name, module in list(sys.modules.items())}
+    near = {name: file for name, file in files.items() if isinstance(file, str) and file.endswith((*local.values(),))}
+    return {name: sys.modules[name] for name, file in near.items() if os.path.realpath(file) in local}
 
 
 def _plugins(experiment: Experiment) -> Iterator[tuple[str, Any]]:
@@ -255,8 +265,8 @@ def changed_values(experiment: Experiment, manifest: Mapping[str, Any]) -> dict[
 
     What differs at each loading of the config, such as a random number, is left out.
     """
-    before, now = last_given(manifest), given_values(experiment)
-    changed = dict(_differing(before, now)) if before is not None else {}
+    now = given_values(experiment)
+    changed = _changed_since(manifest, experiment, now)
     return _steady(experiment, now, changed) if changed else {}
 
 
@@ -271,9 +281,9 @@ def given_elsewhere(experiment: Experiment, original: Mapping[str, Any], setting
 
     Left out are files of the same name in another folder, and the `settings` that were made on purpose.
     """
-    before, now = last_given(original), given_values(experiment)
+    now = given_values(experiment)
     told: list[str] = []
-    changed = dict(_differing(before, now)) if before is not None else {}
+    changed = _changed_since(original, experiment, now)
     for name, pair in _steady(experiment, now, changed).items() if changed else ():
         texts = [str(pair.get(each, "not given")) for each in ("was", "is")]
         is_hidden = any(REDACTED in text or "~" in text for text in texts)
@@ -291,6 +301,26 @@ def accept_given(experiment: Experiment, manifest: dict[str, Any]) -> None:
     settings = last_execution(manifest).get("deviations") or {}
     is_set_alike = settings.keys() == experiment.overrides.keys()
     manifest["given_to_extension"] = given_values(experiment) if is_set_alike else None
+
+
+def _changed_since(
+    manifest: Mapping[str, Any], experiment: Experiment, now: Mapping[str, Any]
+) -> dict[str, dict[str, Any]]:
+    """Return what differs between the values now and those in a manifest; nothing where that has none.
+
+    A class that a script executes shows fewer names than its file (`is_from_file`): one that only the file shows is no
+    change where the other of two executions was of such a class.
+    """
+    before = last_given(manifest)
+    if before is None:
+        return {}
+    was_from_file = "given_to_extension" in manifest or not last_execution(manifest).get("config_is_object")
+    is_alike = was_from_file == is_from_file(experiment)
+    return {
+        name: pair
+        for name, pair in _differing(before, now)
+        if is_alike or len(pair) > 1 or _PLACE.split(name)[0] in PARAMETERS
+    }
 
 
 def _differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -312,7 +342,7 @@ def is_reordered(pair: Mapping[str, Any]) -> bool:
 def _steady(
     experiment: Experiment, now: Mapping[str, Any], changed: dict[str, dict[str, Any]]
 ) -> dict[str, dict[str, Any]]:
-    if not _is_from_file(experiment):
+    if not is_from_file(experiment):
         return changed
     again = None
     with _loaded_anew(experiment), suppress(RobotRunnerError, OSError):
@@ -327,12 +357,9 @@ def _steady(
 @contextmanager
 def _loaded_anew(experiment: Experiment) -> Iterator[None]:
     """Take the config's local modules out of `sys.modules` for a while, so that importing executes them again."""
-    local = set(map(str, experiment.local_modules))
-    before = {
-        name: module
-        for name, module in list(sys.modules.items())
-        if name == CONFIG_MODULE or getattr(module, "__file__", None) in local
-    }
+    before = _local_modules(experiment)
+    if (config := sys.modules.get(CONFIG_MODULE)) is not None:
+        before[CONFIG_MODULE] = config
     for name in before:
         del sys.modules[name]
     try:
