@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 from contextlib import ExitStack, closing, contextmanager, suppress
@@ -211,6 +213,31 @@ def test_a_stop_command_after_a_message_whose_sending_was_interrupted_is_receive
         goes_on.set()
         link.publish("cmd_vel", TWIST, {})
         wait_until(lambda: heard == [0.2, 0.0])
+
+
+_SCRIPT = """
+import atexit, os, sys
+from robot_runner.core.events.context import SystemClock
+from robot_runner.ros.rosbridge_link import open_rosbridge_link
+
+link = open_rosbridge_link(sys.argv[1], SystemClock())
+link.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
+if sys.argv[2] == "fork":
+    if (child := os.fork()) == 0:
+        link.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.1}})
+        os._exit(0)
+    os.waitpid(child, 0)
+atexit.register(link.close)
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("way", ["fork", "no fork"])
+def test_a_script_stops_the_robot_as_its_interpreter_exits(way, server_of_ros2, opened):
+    heard = []
+    opened(server_of_ros2).subscribe("cmd_vel", TWIST, lambda message: heard.append(message["linear"]["x"]))
+    subprocess.run([sys.executable, "-c", _SCRIPT, server_of_ros2.url, way], check=True, timeout=PATIENCE)
+    wait_until(lambda: heard == ([0.2, 0.1, 0.0] if way == "fork" else [0.2, 0.0]))
 
 
 def test_whether_a_goal_is_taken_may_be_asked_of_the_robot(server_of_ros2, opened):

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import itertools
 import logging
-import os
 import queue
 import socket
 import threading
 import time
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.ros.graph_transport import link_closed, service_timeout
-from robot_runner.ros.rosbridge_frames import LARGEST_FRAME, FrameReader, as_json, connect, send_errors
+from robot_runner.ros.rosbridge_frames import LARGEST_FRAME, FrameReader, Sender, as_json, connect, send_errors
 
 if TYPE_CHECKING:
     from robot_runner.ros.graph_addresses import RosbridgeAddress
@@ -38,7 +35,8 @@ _OTHERWISE = "/rosapi/get_time"
 
 #: How much may wait for callbacks, messages and bytes; beyond that the connection fails with an error, as dropping
 #: messages would falsify the results.
-_MOST_WAITING, _MOST_WAITING_BYTES = 20_000, 4 * LARGEST_FRAME
+_MOST_WAITING = 20_000
+_MOST_WAITING_BYTES = 4 * LARGEST_FRAME
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +93,6 @@ class Session:
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
         self._sending = threading.Lock()  # nothing may be sent after the last words
-        self._senders = defaultdict[int, ThreadPoolExecutor](lambda: ThreadPoolExecutor(1))  # by process
         self._pending: dict[str, _Pending] = {}
         self._complaints: dict[str, str] = {}
         self._waiting: set[threading.Event] = set()
@@ -106,6 +103,7 @@ class Session:
         self._size, self._waiting_bytes = 0, 0
         self._closing = ExitStack()
         self._connection = connect(address, ANSWER, self._closing, where=self.where)
+        self._sender = Sender(self._connection)
         self._threads = [
             threading.Thread(target=target, name=f"rosbridge {name}", daemon=True)
             for name, target in (
@@ -137,9 +135,7 @@ class Session:
         try:
             with self._sending:
                 self.check_open(self.where)
-                # Not in this thread: a stop request, which may interrupt it, would leave a part of a message, and the
-                # server would take the stop command that follows for the rest of it.
-                self._senders[os.getpid()].submit(self._connection.send, text).result()
+                self._sender.send(text)
         except send_errors() as error:
             self._lose(str(error))
             raise (self._lost or self._loss(str(error))) from error
@@ -234,7 +230,7 @@ class Session:
         self._todo.put(None)
         with suppress(*send_errors()):
             self._closing.close()
-        self._senders.clear()
+        self._sender.close()
         for thread in self._threads:
             if thread is not threading.current_thread():
                 thread.join(ANSWER)
