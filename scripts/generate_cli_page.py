@@ -39,7 +39,7 @@ _HEAD = """\
 | 70 | a fault of Robot Runner itself; the traceback is kept in a file that is named |
 | 130 | interrupted by Ctrl-C: what was open was closed, and the experiment can be resumed |
 
-Errors go to stderr: one problem, where it is, and beneath it how to mend it. With `--json`, nothing but JSON goes to
+Errors go to stderr: one problem, where it is, and beneath it how to correct it. With `--json`, nothing but JSON goes to
 stdout. Colours are used on a terminal only, and never where the environment variable `NO_COLOR` is set.
 """
 

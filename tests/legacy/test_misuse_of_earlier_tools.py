@@ -173,7 +173,7 @@ def test_a_missing_package_is_named_with_its_line(config: Callable[..., Path]) -
     assert only_problem(path) == (
         f"{path}:7: the config raised ModuleNotFoundError while it was loaded: "
         "No module named 'rospy_that_is_not_there' → "
-        "Install the package that brings 'rospy_that_is_not_there', or mend the name."
+        "Install the package that brings 'rospy_that_is_not_there', or correct the name."
     )
 
 
@@ -200,7 +200,7 @@ except ImportError: ...
 def test_a_config_that_ends_its_program_ends_only_itself(config: Callable[..., Path]) -> None:
     end = "import os\nif not os.environ.get('A_VARIABLE_THAT_NOBODY_HAS'): os._exit(3)\n"
     path = config(head=RUNNER.replace("from pathlib", f"{end}from pathlib", 1))
-    assert only_problem(path) == f"{path}:8: the config raised SystemExit while it was loaded: 3 → Mend this line."
+    assert only_problem(path) == f"{path}:8: the config raised SystemExit while it was loaded: 3 → Correct this line."
 
 
 def test_a_process_that_a_config_forks_while_it_is_loaded_ends_by_itself(config: Callable[..., Path]) -> None:

@@ -148,7 +148,7 @@ def test_nothing_compared_is_never_a_success(replicated, monkeypatch):
         raise MissingLibraryError("pandas is not installed", where="here", fix="")
 
     def fail(folder):
-        raise PackageError("the environment cannot be made", where=str(folder), fix="Mend it.")
+        raise PackageError("the environment cannot be made", where=str(folder), fix="Correct it.")
 
     monkeypatch.setattr(replication_verdict, "require_libraries", absent)
     monkeypatch.setattr(replication_verdict.Comparing, "prepare", lambda *_, **__: None)
@@ -166,7 +166,7 @@ def test_an_environment_that_cannot_be_made_is_found_before_a_robot_moves(replic
         raise MissingLibraryError("pandas is not installed", where="here", fix="")
 
     def fail(folder):
-        raise PackageError("the environment cannot be made", where=str(folder), fix="Mend it.")
+        raise PackageError("the environment cannot be made", where=str(folder), fix="Correct it.")
 
     monkeypatch.setattr(replication_verdict, "require_libraries", absent)
     monkeypatch.setattr(replication_verdict, "make_comparison_environment", fail)

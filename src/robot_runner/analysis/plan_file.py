@@ -39,7 +39,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise storage_error(path, "read", error) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise AnalysisError(f"the file is not TOML: {error}", where=str(path), fix="Mend this line.") from error
+        raise AnalysisError(f"the file is not TOML: {error}", where=str(path), fix="Correct this line.") from error
 
 
 def read_plan(path: Path) -> PlanFile:

@@ -313,7 +313,7 @@ class _Reader:
             return self._parsed(run_id, types)
         except pa.ArrowInvalid as error:
             if not types:
-                fix = "Mend it, or move it away."
+                fix = "Correct it, or move it away."
                 raise AnalysisError(f"the file is no table of samples: {error}", where=str(path), fix=fix) from error
         except OSError as error:
             raise storage_error(path, "read", error) from error

@@ -75,7 +75,7 @@ def _names_in(folder: Path) -> list[str]:
         return [each.name for each in folder.iterdir()]
     except OSError as error:
         problem = f"the folder cannot be read: {error.strerror}"
-        raise StorageError(problem, where=str(folder), fix="Mend its permissions, or name another one.") from error
+        raise StorageError(problem, where=str(folder), fix="Correct its permissions, or name another one.") from error
 
 
 def _named_experiments(folder: Path) -> Iterator[str]:

@@ -101,7 +101,7 @@ def why_unanswered(member: Member, lease: float, error: Exception) -> str:
 def refusal_of(member: Member, lease: float, error: Exception) -> list[dict[str, str]]:
     """Return, as plain findings, that a worker cannot join: so the user learns why nothing is executed there."""
     because = str(error) if isinstance(error, UnansweredError) else why_unanswered(member, lease, error)
-    fix = "Mend this there; it is asked again until it joins."
+    fix = "Correct this there; it is asked again until it joins."
     return [_plain(Finding.warning(f"worker {member.name}", f"cannot join: {because}", fix))]
 
 
@@ -133,7 +133,7 @@ async def joined(client: Client, member: Member, facts: Mapping[str, Any]) -> li
     await answer_of(client, member, lease, _settle, facts["session"], is_shared)
     if unfitness := await _unfitness(client, member, facts):  # found now, so that it does not cost a run an attempt
         await answer_of(client, member, lease, on_worker.leave, facts["session"])
-        fix = "Mend this there, and start the worker again."
+        fix = "Correct this there, and start the worker again."
         return [_plain(Finding.warning(f"worker {member.name}", f"executes no runs: {unfitness}", fix))]
     member.has_joined = True
     return []

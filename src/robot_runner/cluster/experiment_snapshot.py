@@ -116,7 +116,7 @@ def _loaded(path: Path, settings: Mapping[str, str]) -> Experiment:
 
 
 def _refuse_unfit(experiment: Experiment, revisions: Sequence[Sequence[str]]) -> None:
-    """Look whether this machine has what the experiment needs.
+    """Check whether this machine has what the experiment needs.
 
     Raises:
         ConfigError: it has not; carries every finding.

@@ -152,7 +152,7 @@ class Gateway:
             raise TimeoutError(f"it has not answered for {2 * lease:g} s") from error
 
     async def _look_at_scheduler(self, client: Client) -> None:
-        """Look whether the scheduler can unpickle our tasks: else each of them would fail, and with it each run.
+        """Check whether the scheduler can unpickle our tasks: else each of them would fail, and with it each run.
 
         Raises:
             UnansweredError: it cannot.

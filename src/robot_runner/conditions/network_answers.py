@@ -110,7 +110,7 @@ class _PortOpen(Condition):
             socket.getaddrinfo(self.host, self.port, type=socket.SOCK_STREAM)
         except OSError as error:
             problem = f"the name {self.host!r} is not known on this network: {error.strerror}"
-            fix = "Look whether the name is right, or give the computer's address."
+            fix = "Check whether the name is right, or give the computer's address."
             yield Finding.warning(f"port_open({self.port}, host={self.host!r})", problem, fix)
 
     def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:

@@ -75,7 +75,7 @@ def errors_first(findings: Iterable[Finding]) -> list[Finding]:
 
 
 class RobotRunnerError(Exception):
-    """The base of all errors of Robot Runner: a problem, where it is, and how to mend it.
+    """The base of all errors of Robot Runner: a problem, where it is, and how to correct it.
 
     Where there are several, `findings` lists them all and the three parts are those of the first.
 

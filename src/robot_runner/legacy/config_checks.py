@@ -205,7 +205,7 @@ def check_packages(recognised: Recognised) -> Iterator[Finding]:
             yield Finding.error(
                 f"{recognised.path}:{each.line}",
                 f"there is no module {package!r}",
-                f"Install the package that brings {package!r}, or mend the name.",
+                f"Install the package that brings {package!r}, or correct the name.",
             )
 
 

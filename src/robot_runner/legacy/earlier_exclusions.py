@@ -251,7 +251,9 @@ def _is_among(value: Any, treatments: Iterable[Any]) -> bool:
 def _warn_of_idle(session: Session, named: Sequence[NamedExclusion], combinations: Sequence[Sequence[Any]]) -> None:
     for place, exclusion in enumerate(named):
         if not any(exclusion.matches(combination) for combination in combinations):
-            session.warn(_WHERE, f"exclusion {place + 1} matches no combination", "Remove it, or mend what it names.")
+            session.warn(
+                _WHERE, f"exclusion {place + 1} matches no combination", "Remove it, or correct what it names."
+            )
 
 
 def _warn_of_overlap(session: Session, named: Sequence[NamedExclusion], combinations: Sequence[Sequence[Any]]) -> None:

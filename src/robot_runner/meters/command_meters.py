@@ -270,7 +270,7 @@ class PowerJoular(CommandProfiler):
         if any(powers) and (silent := powers.count(0.0)):
             # PowerJoular adds 0 W if nvidia-smi fails, or has no number for one of several GPUs (src/nvidia_smi.adb).
             problem = f"the GPU told no power in {silent} of {len(powers)} rows, which lack it"
-            context.doubt(problem, fix="Look what `nvidia-smi` says.", measures=_OF_ENERGY)
+            context.doubt(problem, fix="Check what `nvidia-smi` says.", measures=_OF_ENERGY)
         super().populate_run_data(context)
 
     def _misread(self) -> list[str]:

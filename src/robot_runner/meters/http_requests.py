@@ -151,10 +151,10 @@ class HttpDevice:
             fix = "Look at its address, whether it is switched on, and at the network."
             raise LinkError(f"{self.url} does not answer: {said}", where=self._where, fix=fix) from error
         if len(body) > _MOST_BYTES:
-            fix = "Look whether the address is right."
+            fix = "Check whether the address is right."
             raise LinkError(f"{self.url} sends more than {_MOST_BYTES >> 20} MiB", where=self._where, fix=fix)
         if answer.length:  # missing bytes of the announced length; a read with a size raises no error for them
-            fix = "Look whether the device was restarted, and at the network."
+            fix = "Check whether the device was restarted, and at the network."
             problem = f"the answer of {self.url} breaks off {answer.length} bytes before its end"
             raise LinkError(problem, where=self._where, fix=fix)
         return body

@@ -162,7 +162,7 @@ class _Exporter(Meter[Scrape]):
         text = self._page.get(Accept=_TEXT_FORMAT).decode("utf-8", errors="replace")
         if text and not text.endswith("\n"):
             # The format requires a line feed after the last line; unchecked, half a number would be taken for one.
-            fix = "Look whether the exporter was restarted, and that the address is its page, as a rule /metrics."
+            fix = "Check whether the exporter was restarted, and that the address is its page, as a rule /metrics."
             raise LinkError(f"the page of {self._page.url} breaks off within a line", where=self._where, fix=fix)
         try:
             return list(self._families(text))

@@ -37,7 +37,7 @@ _REMEDIES = (
     (_REFUSED, "Look the command up in the instrument's programming manual."),
     (
         "VI_ERROR_RSRC_NFOUND",
-        "Look whether it is switched on and its address is right: `pyvisa-shell` lists what is there.",
+        "Check whether it is switched on and its address is right: `pyvisa-shell` lists what is there.",
     ),
     ("VI_ERROR_TMO", "Look at its terminator (terminator=...), and whether its remote interface is on."),
     (
@@ -47,7 +47,7 @@ _REMEDIES = (
     ("ermission", "Give yourself the right to open its device (group dialout, or a rule of udev)."),
 )
 _FIX_SURPLUS = "Use its port for programs instead of that for people (5025, not 5024), and switch its echo off."
-_REMEDY = "Look whether it is switched on, its address, and whether its remote interface is on."
+_REMEDY = "Check whether it is switched on, its address, and whether its remote interface is on."
 
 
 class OverloadError(ValueError):

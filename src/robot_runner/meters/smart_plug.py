@@ -165,7 +165,7 @@ class SmartPlug(ElectricalProfiler):
         watts = [power for (reading,) in sampling.readings if (power := reading.power)]
         is_whole = len(watts) >= _COARSE_READINGS and all(power == round(power) for power in watts)
         if is_whole and sum(watts) / len(watts) < 1 / _COARSE_SHARE:
-            remedy = " (Tasmota's command `WattRes 2` mends that)" if self.kind == "tasmota" else ""
+            remedy = " (Tasmota's command `WattRes 2` corrects that)" if self.kind == "tasmota" else ""
             yield f"the plug tells its power in whole watts, at {sum(watts) / len(watts):.0f} W{remedy}"
 
     def details(self) -> Mapping[str, Any]:
@@ -180,7 +180,7 @@ class SmartPlug(ElectricalProfiler):
             plug.read()
         except ValueError as error:
             plug.close()
-            fix = f"Look whether it is a plug of the kind {self.kind!r} that measures power, and at its channel."
+            fix = f"Check whether it is a plug of the kind {self.kind!r} that measures power, and at its channel."
             raise LinkError(str(error), where=self.name, fix=fix) from error
         except LinkError:
             plug.close()

@@ -60,7 +60,7 @@ def make_environment(root: Path, folder: Path, environment: Mapping[str, Any]) -
         return program_in(folder)
     python, wanted = _python(environment), _wanted_python(environment)
     own = "take your own environment: --environment here"
-    fix = f"Mend what is said there, or {own}."
+    fix = f"Correct what is said there, or {own}."
     asked = ["--find-links", str(root / WHEELS)] if (root / WHEELS).is_dir() else []
     if any("--hash=" in line.partition("#")[0] for line in read_text(root / REQUIREMENTS, root).splitlines()):
         # With hashes the list is complete. Pip before 23.3 refuses such a list if a package is needed with an extra
@@ -95,7 +95,7 @@ def make_comparison_environment(folder: Path) -> Path:
         with storage_errors(wheel, "written"):
             folder.parent.mkdir(parents=True, exist_ok=True)
             write_wheel(wheel_of(ours), wheel)
-        fix = "Mend what is said there, or install the extra yourself: pip install 'robot-runner[analysis]'. "
+        fix = "Correct what is said there, or install the extra yourself: pip install 'robot-runner[analysis]'. "
         fix += "Then repeat the command: no run is executed again."
         try:
             _make(folder, sys.executable, [f"{_OUR_NAME}[analysis] @ {wheel.resolve().as_uri()}"], fix)

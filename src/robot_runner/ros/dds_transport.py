@@ -197,7 +197,7 @@ class _Publisher:
         # A process of Fast DDS may be matched here seconds before it discovers us; then it gets what was sent since.
         seconds = max(seconds, LONGEST_DISCOVERY)
         if not self._is_acknowledged(seconds):
-            fix = "Look whether the robot is on and in this network."
+            fix = "Check whether the robot is on and in this network."
             raise LinkError(f"a subscriber does not take it within {seconds:g} s", where=self._topic, fix=fix)
 
     def _is_acknowledged(self, seconds: float) -> bool:

@@ -54,6 +54,6 @@ class FirstMessage:
             raise self._fault
         if self._found is None:
             what = "no message" if self._condition is None else "no message that satisfies the condition"
-            fix = explain() or "Look whether the topic's node is alive, or give a longer timeout."
+            fix = explain() or "Check whether the topic's node is alive, or give a longer timeout."
             raise LinkError(f"{what} came within {self._timeout:g} s", where=topic, fix=fix)
         return self._found

@@ -92,7 +92,7 @@ class GraphClock:
                     raise LinkError(
                         f"the graph's clock has stood still at {shown:.3f} s for {_PATIENCE:g} s",
                         where=_TOPIC,
-                        fix="Look whether the simulation goes on.",
+                        fix="Check whether the simulation goes on.",
                     )
 
     def close(self) -> None:

@@ -396,5 +396,5 @@ class GraphLink:
     def _raise_fault(self) -> None:
         if self._first_fault is not None:
             name, fault = self._first_fault
-            fix = "Mend the callback; the run's log has the traceback."
+            fix = "Correct the callback; the run's log has the traceback."
             raise LinkError(f"a callback raised {type(fault).__name__}: {fault}", where=name, fix=fix) from fault

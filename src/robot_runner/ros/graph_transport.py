@@ -223,7 +223,7 @@ def check_type(topic: str, wanted: str, found: Iterable[str], *, owner: str = ""
 
 def silent_publishers(names: Iterable[str]) -> str:
     """Return the advice where these nodes publish a topic and no message came."""
-    return f"Look whether {', '.join(sorted(set(names)))}, which publishes it, is alive and reachable from here."
+    return f"Check whether {', '.join(sorted(set(names)))}, which publishes it, is alive and reachable from here."
 
 
 def nobody_publishes(topic: str, known: Iterable[str]) -> str:
@@ -251,5 +251,5 @@ def already_offered(name: str, owner: str = "another node", *, what: str = "serv
 
 def service_timeout(service: str, timeout: float) -> LinkError:
     """Return the error that a service did not answer in time."""
-    fix = "Look whether its node is alive and did not fail, or give a longer timeout."
+    fix = "Check whether its node is alive and did not fail, or give a longer timeout."
     return LinkError(f"the service does not answer within {timeout:g} s", where=service, fix=fix)

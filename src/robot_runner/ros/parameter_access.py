@@ -27,7 +27,7 @@ from robot_runner.ros.parameter_values import (
 
 #: The range of whole numbers in XML-RPC, and so in ROS 1.
 _INT32 = range(-(2**31), 2**31)
-_DECLARED = "Look what it has: ros2 param list."
+_DECLARED = "List its parameters: ros2 param list."
 
 
 @runtime_checkable

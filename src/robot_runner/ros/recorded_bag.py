@@ -23,7 +23,7 @@ _METADATA = "metadata.yaml"
 _POINTER = b"version https://git-lfs"
 #: So many topics are written out in a fix at most.
 _FEW = 8
-_LOOK = "Record it anew, or look at it with `ros2 bag info` or `rosbag info`; `rosbag reindex` mends some."
+_LOOK = "Record it anew, or look at it with `ros2 bag info` or `rosbag info`; `rosbag reindex` repairs some."
 #: The fields of a header in ROS 1; ROS 2 has no `seq`.
 _ROS1_HEADER = frozenset({"seq", "stamp", "frame_id"})
 

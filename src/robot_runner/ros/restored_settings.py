@@ -146,7 +146,7 @@ class RestoredSettings(OfTheRobot, System):
         for kept in left_settings(self.kind, context.robot):
             problems = list(self._restore(link, kept, None))
             kept.remove()
-            context.warn(f"{_left(kept)}; that was done before this run", fix="Look how that run ended.")
+            context.warn(f"{_left(kept)}; that was done before this run", fix="Check how that run ended.")
             for problem, fix in problems:
                 context.warn(problem, fix=fix)
 
@@ -184,7 +184,7 @@ class RestoredSettings(OfTheRobot, System):
             for name, value in now.items():
                 if self._is_set and not same_value(value, wanted[name]):
                     problem = f"{name} of {node} was set to {wanted[name]!r}, and is {value!r} after the mission"
-                    context.broker.doubt_run(context.owner, problem, "Look who else sets it.")
+                    context.broker.doubt_run(context.owner, problem, "Find out what else sets it.")
         else:
             for name, value in odd.items():
                 problem = f"{name} of {node} is {value!r} and not {wanted[name]!r}, as a run set it that died"

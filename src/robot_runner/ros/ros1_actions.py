@@ -144,7 +144,7 @@ class _Client:
         if not self._heard.is_set():
             self.close()
             problem = f"the action server does not tell its states within {timeout:g} s"
-            raise LinkError(problem, where=self._action, fix="Look whether its node is alive and reachable from here.")
+            raise LinkError(problem, where=self._action, fix="Check whether its node is alive and reachable from here.")
 
     def send(self, goal: Message, sent: SentGoal, timeout: float) -> None:
         check_one_server(self._action, self._transport.publishers(self._action + _STATUS))
@@ -163,7 +163,7 @@ class _Client:
             self._publish_cancel(sent)  # a goal without a caller must not begin later
             is_waiting = sent.status is GoalStatus.ACCEPTED
             problem = "leaves the goal waiting" if is_waiting else "does not answer"
-            fix = "Look whether it is busy with another goal, or give a longer timeout."
+            fix = "Check whether it is busy with another goal, or give a longer timeout."
             raise LinkError(f"the action server {problem} for {timeout:g} s", where=self._action, fix=fix)
 
     def cancel(self, sent: SentGoal, timeout: float) -> None:

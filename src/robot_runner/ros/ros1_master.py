@@ -187,7 +187,7 @@ class Master:
                 code, status, value = getattr(server, method)(caller, *arguments)
         except TimeoutError as error:
             problem = f"the ROS master at {self.uri} does not answer within {self._timeout:g} s"
-            fix = "Look whether the robot is on and in this network, or correct ROS_MASTER_URI."
+            fix = "Check whether the robot is on and in this network, or correct ROS_MASTER_URI."
             raise LinkError(problem, where=_URI, fix=fix) from error
         except (socket.gaierror, UnicodeError) as error:  # a part of the name is empty, or has more than 63 characters
             problem = f"the host of the ROS master, {self._host!r}, is not known"

@@ -87,7 +87,7 @@ def within(action: Callable[[], T], *, where: str, doing: str, timeout: float = 
     if faults:
         raise faults[0]
     if not outcome:
-        fix = "Look whether the ROS master is alive."
+        fix = "Check whether the ROS master is alive."
         raise LinkError(f"{doing} took longer than {timeout:g} s", where=where, fix=fix)
     return outcome[0]
 

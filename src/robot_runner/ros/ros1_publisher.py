@@ -134,7 +134,7 @@ class Publisher:
         return time.monotonic() - self._arrivals.last >= _SETTLING
 
     def _not_taken(self, problem: str) -> LinkError:
-        return LinkError(problem, where=self._topic, fix="Look whether the robot is on and in this network.")
+        return LinkError(problem, where=self._topic, fix="Check whether the robot is on and in this network.")
 
 
 class _Arrivals:

@@ -173,7 +173,7 @@ class _Publisher:
             case None:
                 time.sleep(min(seconds, _UNTOLD))
             case False:
-                fix = "Look whether the robot is on and in this network."
+                fix = "Check whether the robot is on and in this network."
                 raise LinkError(f"a subscriber does not take it within {seconds:g} s", where=self._topic, fix=fix)
 
     def _is_taken(self, seconds: float) -> bool | None:

@@ -182,7 +182,7 @@ class _Client:
                 self.cancel(sent, timeout)
             complaint = connection.complaint(sent.key)
             problem = complaint or f"the action server does not accept the goal within {timeout:g} s"
-            hint = "" if complaint else "Look whether its node is busy or rejects it: servers of 2.x do not tell. "
+            hint = "" if complaint else "Check whether its node is busy or rejects it: servers of 2.x do not tell. "
             fix = f"{hint}{_REMEDY}"
             fault = LinkError(problem, where=self._action, fix=fix)
         if fault is not None:

@@ -94,7 +94,7 @@ class SentGoal:
             raise LinkError(
                 f"the goal does not end within {timeout:g} s after it was asked to: it is {self._status}",
                 where=self.action,
-                fix="Look whether its server looks for cancel requests, or give a longer timeout.",
+                fix="Check whether its server looks for cancel requests, or give a longer timeout.",
             )
 
     def ask_for_end(self, timeout: float) -> None:

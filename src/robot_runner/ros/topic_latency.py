@@ -28,7 +28,7 @@ _EARLY = 0.001
 #: machine are received together, in any order.
 _TOGETHER = 0.05
 _KEEP_STAMPS = "Have the node give its output the stamp of the input that it was made from."
-_LOOK_AT_GRAPH = "Look whether the node is alive and publishes there: ros2 topic info, or rostopic info."
+_LOOK_AT_GRAPH = "Check whether the node is alive and publishes there: ros2 topic info, or rostopic info."
 
 _KINDS: Mapping[str, tuple[str, str, Over | None]] = {
     "Latency": ("s", "From a message on {cause} to the one on {topic} with its stamp: mean.", None),

@@ -296,11 +296,11 @@ class TransformBuffer:
     def _doubt(self, problem: str) -> None:
         known = {finding.problem.partition(" jump back")[0] for finding in self.findings}
         if problem.partition(" jump back")[0] not in known:
-            fix = "Look who publishes it: ros2 run tf2_tools view_frames, or rosrun tf2_tools view_frames.py."
+            fix = "Find out who publishes it: ros2 run tf2_tools view_frames, or rosrun tf2_tools view_frames.py."
             self.findings.append(Finding.warning(_WHERE, problem, fix))
 
 
 def _unknown(frame: str, known: Sequence[str]) -> LinkError:
     there = f"frames are {enumerated(known)}" if known else "nobody has told of any frame yet"
-    told = f"Look what is published on /tf and /tf_static, or in the robot's namespace: {there}."
+    told = f"Check what is published on /tf and /tf_static, or in the robot's namespace: {there}."
     return LinkError(f"there is no frame {frame!r}", where=_WHERE, fix=did_you_mean(frame, known, told))

@@ -205,7 +205,7 @@ def _message(rosbags: Any, name: str, text: str, where: str) -> dict[str, Any]:
         raise LinkError(
             f"the definition of {name} cannot be read: {str(error).splitlines()[-1][:120]!r}",
             where=where,
-            fix="Mend the definition.",
+            fix="Correct the definition.",
         ) from error
     return {name: (fields[0], [(field, _of_action(kind)) for field, kind in fields[1]])}
 
@@ -225,7 +225,7 @@ def _check_references(found: Mapping[str, Any], store: Typestore, definitions: M
                 raise LinkError(
                     f"field {field!r} of {name} is of the type {referred!r}, which is not known",
                     where=_file_of(name, definitions),
-                    fix="Name the folder that defines it too." if "/msg/" in referred else "Mend the definition.",
+                    fix="Name the folder that defines it too." if "/msg/" in referred else "Correct the definition.",
                 )
 
 
@@ -273,7 +273,7 @@ def field_defaults(text: str, *, where: str) -> dict[str, Any]:
                 found[name] = _default(kind, written, is_array=array is not None)
             except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError) as error:  # all of `literal_eval`
                 problem = f"the default of the field {name!r} cannot be read: {written[:80]!r}"
-                raise LinkError(problem, where=where, fix="Mend the definition.") from error
+                raise LinkError(problem, where=where, fix="Correct the definition.") from error
     return found
 
 

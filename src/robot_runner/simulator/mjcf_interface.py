@@ -115,7 +115,8 @@ def read_model(path: Path, obstacles: Iterable[Obstacle] = ()) -> mujoco.MjModel
         mujoco.mj_forward(model, mujoco.MjData(model))
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         problem = f"MuJoCo does not take the model: {' '.join(str(error).split())}"
-        raise LinkError(problem, where=str(path), fix="Mend the MJCF; `python -m mujoco.viewer` shows it.") from error
+        fix = "Correct the MJCF; `python -m mujoco.viewer` shows it."
+        raise LinkError(problem, where=str(path), fix=fix) from error
     step = 1 / STEPS_PER_SECOND
     model.opt.timestep = step / math.ceil(step / model.opt.timestep - 1e-9)
     return model

@@ -102,7 +102,7 @@ class ComposeProject(Subject):
         if config.code != 0:
             said = _gist(config.complaint or config.said)
             lacking = _UNKNOWN_COMMAND.search(config.complaint + config.said)
-            fix = "Install the Compose plugin of Docker." if lacking else "Mend the Compose file."
+            fix = "Install the Compose plugin of Docker." if lacking else "Correct the Compose file."
             yield Finding.error(where, f"docker compose refuses {self.file}{on}: {said}", fix)
         daemon = self.surroundings.ask(("docker", "version", "--format", "{{.Server.Version}}"))
         if daemon.code != 0:

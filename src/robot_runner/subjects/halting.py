@@ -205,7 +205,7 @@ def end_left_subjects(root: Path, may_command: Callable[[str], bool]) -> Iterato
             yield error.as_finding()
         else:
             what = f"while {folder.name} commanded the robot; it was commanded to stand still now"
-            yield Finding.warning(str(root), f"an earlier execution was killed {what}", "Look where the robot stands.")
+            yield Finding.warning(str(root), f"an earlier execution was killed {what}", "Check where the robot stands.")
 
 
 class _CommandedRobots:

@@ -216,7 +216,7 @@ class Subject(System):
         self._robot.look()
 
     def start_measurement(self) -> None:
-        """Look whether it commands the robot already."""
+        """Check whether it commands the robot already."""
         if self._robot is not None:
             self._robot.look()
 

@@ -271,7 +271,7 @@ class SupervisedProgram(Start):
 
         def wait() -> None:
             if time.monotonic() > deadline:
-                fix = f"Look who has this file open, and end it: lsof {self._task.lock}"
+                fix = f"Find the process that has this file open, and end it: lsof {self._task.lock}"
                 raise PluginError("an earlier start of it goes on", where=self._name, fix=fix)
             time.sleep(_LOOK)
 

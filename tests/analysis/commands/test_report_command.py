@@ -147,7 +147,7 @@ def test_a_plan_in_a_file_is_followed_and_all_is_exploratory(robot_runner, exper
         (PLAN.replace('"order"', '"ordr"'), "there is no measure 'ordr' that could be a covariate", "'order'"),
         (PLAN.replace("doubtful", "doubtfull"), "there is no choice 'doubtfull'", "'doubtful'"),
         (PLAN.replace("= 3", "= -3"), "median_deviations is -3", "above 0"),
-        ("measures = ", "the file is not TOML", "Mend this line."),
+        ("measures = ", "the file is not TOML", "Correct this line."),
         (None, "cannot be read", ""),
     ],
 )

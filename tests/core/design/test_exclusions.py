@@ -87,7 +87,7 @@ def test_a_predicate_cannot_change_a_combination() -> None:
             lambda run: int(run["Task"]),
             (
                 "the predicate raised ValueError: invalid literal for int() with base 10: 'Video' for the combination "
-                "Task='Video', Speed=0.1 → Mend it."
+                "Task='Video', Speed=0.1 → Correct it."
             ),
         ),
     ],
@@ -134,7 +134,7 @@ def test_excluding_everything_is_refused() -> None:
 def test_an_exclusion_that_removes_nothing_is_a_warning() -> None:
     model = RunTableModel([TASK, SPEED], [{"Task": []}, {"Task": "Video"}, {"Task": "Video", "Speed": 0.1}])
     assert [str(warning) for warning in model.warnings] == [
-        "exclude_combinations[0]: the exclusion matches no combination → Remove it, or mend what it names.",
+        "exclude_combinations[0]: the exclusion matches no combination → Remove it, or correct what it names.",
         "exclude_combinations[2]: the exclusion removes nothing: what it matches is excluded already → Remove it.",
     ]
     assert not any(warning.is_error for warning in model.warnings)

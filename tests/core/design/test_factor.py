@@ -173,7 +173,7 @@ def test_a_name_may_hold_blanks_and_letters_of_any_language() -> None:
             [Broken()],
             (
                 "a treatment of type Broken has no text: its str() raised RuntimeError: no text → "
-                "Mend the __str__ of its class."
+                "Correct the __str__ of its class."
             ),
         ),
     ],

@@ -144,11 +144,11 @@ def test_a_measure_or_time_stamp_of_another_kind_is_kept_with_a_warning(tmp_path
         ),
         (
             "run_table.csv, line 2, column 'Energy': 'n/a' is no number, as the column's other values → "
-            "Mend the cell, or leave it empty where there is no value."
+            "Correct the cell, or leave it empty where there is no value."
         ),
         (
             "run_table.csv, line 2, column 'Lost': 'yes' is no boolean, as the column's other values → "
-            "Mend the cell, or leave it empty where there is no value."
+            "Correct the cell, or leave it empty where there is no value."
         ),
     ]
 
@@ -326,7 +326,7 @@ def test_lines_are_counted_across_chunks(tmp_path: Path) -> None:
 
 
 def test_a_file_that_cannot_be_opened_is_named_with_a_fix(tmp_path: Path) -> None:
-    with pytest.raises(StorageError, match="the file cannot be read: No such file or directory → Mend the path"):
+    with pytest.raises(StorageError, match="the file cannot be read: No such file or directory → Correct the path"):
         read_run_table(tmp_path / "run_table.csv", LAYOUT)
     with pytest.raises(StorageError, match="the folder cannot be read: Is a directory → Move the folder"):
         read_run_table(tmp_path, LAYOUT)

@@ -85,12 +85,12 @@ def test_a_symbolic_link_stays_and_its_target_is_replaced(tmp_path: Path) -> Non
     ("number", "fix"),
     [
         (errno.ENOSPC, "Make room on the disk, then try again."),
-        (errno.EACCES, "Mend the permissions of the file and its folder."),
+        (errno.EACCES, "Correct the permissions of the file and its folder."),
         (errno.EROFS, "Choose a folder on a file system that can be written."),
         (errno.EFBIG, "Raise the limit of a file's size (ulimit -f), or choose a file system for larger files."),
         (errno.EMFILE, "Raise the limit of open files (ulimit -n)."),
         (errno.ENOTCONN, "See that its disk or network folder is there again, and sound; then try again."),
-        (errno.ENOSPC + 1000, "Mend what the system names, then try again."),
+        (errno.ENOSPC + 1000, "Correct what the system names, then try again."),
     ],
 )
 def test_where_the_system_refuses_the_old_file_is_intact(tmp_path: Path, number: int, fix: str) -> None:
@@ -134,7 +134,7 @@ def test_an_error_of_the_writer_goes_through_and_leaves_nothing_behind(tmp_path:
 
 
 def test_a_folder_that_is_missing_or_a_file_is_named_with_a_fix(tmp_path: Path) -> None:
-    with pytest.raises(StorageError, match="Mend the path, or make the folder first"):
+    with pytest.raises(StorageError, match="Correct the path, or make the folder first"):
         write_beside_and_rename(tmp_path / "nowhere" / "table.csv", lambda file: file.write("x"))
     (tmp_path / "file").write_text("", encoding="utf-8")
     with pytest.raises(StorageError, match="a part of it is a file"):
@@ -178,12 +178,12 @@ def test_what_another_user_keeps_from_us_is_told_with_the_user(tmp_path: Path) -
     below = storage_error(path / "report" / "figures", "made", PermissionError(errno.EACCES, "Permission denied"))
     assert "user 54321" in below.fix  # of that neither, the next folder above does
     os.chown(path, os.geteuid(), -1)
-    assert storage_error(path, "read", PermissionError(errno.EACCES, "Permission denied")).fix.startswith("Mend")
+    assert storage_error(path, "read", PermissionError(errno.EACCES, "Permission denied")).fix.startswith("Correct")
 
 
 def test_an_error_without_a_number_is_said_as_it_is() -> None:
     error = storage_error(Path("table.csv"), "read", OSError("odd"))
-    assert str(error) == "table.csv: the file cannot be read: odd → Mend what the system names, then try again."
+    assert str(error) == "table.csv: the file cannot be read: odd → Correct what the system names, then try again."
 
 
 def test_a_name_that_is_too_long_is_told_as_what_it_is(tmp_path: Path) -> None:

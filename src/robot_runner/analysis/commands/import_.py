@@ -39,7 +39,7 @@ def add_arguments(parser: Parser) -> None:
     )
     parser.add_argument("--description", metavar="FILE", help="a TOML file that describes the results")
     parser.add_argument(
-        "--save-description", metavar="FILE", help="write what was understood to a TOML file, to mend it"
+        "--save-description", metavar="FILE", help="write what was understood to a TOML file, to correct it"
     )
     parser.add_argument("--name", help="the experiment's name; the folder's name if left out")
     parser.add_argument("--table", metavar="FILE", help="the run table, below the folder; run_table.csv if left out")
@@ -212,5 +212,5 @@ def _make_sure(arguments: Namespace, understanding: Understanding) -> None:
         raise UsageError("nobody can be asked whether that is right", where="robot-runner import", fix=fix)
     answer = input("Is that right, and shall it be written? [y/N] ").strip().casefold()
     if answer not in {"y", "yes"}:
-        fix = "Say what is otherwise by options, or mend a file made with --save-description."
+        fix = "Say what is otherwise by options, or correct a file made with --save-description."
         raise UsageError("nothing was written", where="robot-runner import", fix=fix)

@@ -164,7 +164,7 @@ def _repetitions(
         if None in numbers:
             place = numbers.index(None)
             where = f"{table.path}:{table.lines[place]}, column {roles.repetition!r}"
-            fix = "Mend it, or name the column a factor: --factor."
+            fix = "Correct it, or name the column a factor: --factor."
             raise AnalysisError(f"{cells[place]!r} is not a repetition number", where=where, fix=fix)
     if 0 in numbers:
         notes.append("repetitions are numbered from 1 here, not from 0")

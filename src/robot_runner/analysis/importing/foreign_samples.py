@@ -231,7 +231,7 @@ def read_run_samples(samples: ForeignSamples, path: Path) -> RunSamples:
         fix = "Describe the file, or leave it out."
         raise AnalysisError(f"the file has no column {samples.time!r}", where=str(path), fix=fix)
     if not samples.is_of_kind(table.column(samples.time)):
-        fix = "Mend the file, or leave it out."
+        fix = "Correct the file, or leave it out."
         problem = f"times are of another kind than in other runs, which have {samples.time_unit}"
         raise AnalysisError(problem, where=str(path), fix=fix)
     times, valid = nanoseconds_of(table.column(samples.time), samples.time_unit, str(path))
@@ -279,7 +279,7 @@ def _read(path: Path, types: Mapping[str, pa.DataType] | None = None, left_out: 
             skipped.clear()
             return _read(path, None, skipped)
         problem = f"the file is not a table: {str(error).partition(chr(10))[0]}"
-        raise AnalysisError(problem, where=str(path), fix="Leave it out, or mend it.") from error
+        raise AnalysisError(problem, where=str(path), fix="Leave it out, or correct it.") from error
     table = table.rename_columns([name.lstrip("\ufeff").strip() for name in table.column_names])
     for name in filter(None, table.column_names):
         if table.column_names.count(name) > 1:

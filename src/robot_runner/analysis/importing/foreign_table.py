@@ -161,7 +161,7 @@ def read_foreign_table(path: Path, decimal: str | None = None) -> ForeignTable:
         raise storage_error(path, "read", error) from error
     except csv.Error as error:
         where = f"{path}:{before + 1}"
-        raise AnalysisError(f"the file is not CSV: {error}", where=where, fix="Mend the quotes in it.") from error
+        raise AnalysisError(f"the file is not CSV: {error}", where=where, fix="Correct the quotes in it.") from error
     if not filled:
         raise AnalysisError("the table is empty", where=str(path), fix="Name the file that holds the runs.")
     return _table(path, dialect, filled, decimal)

@@ -145,7 +145,7 @@ def nanoseconds_of(column: pa.ChunkedArray, unit: str, where: str) -> tuple[NDAr
     try:
         moments = pd.to_datetime(texts, utc=True, format="ISO8601" if unit == "iso" else unit)
     except ValueError as error:
-        fix = "Give another time_unit, or mend the file."
+        fix = "Give another time_unit, or correct the file."
         problem = f"the times cannot be read: {str(error).partition(chr(10))[0]}"
         raise AnalysisError(problem, where=where, fix=fix) from error
     stamps = moments.dt.tz_localize(None).to_numpy("datetime64[ns]")

@@ -168,7 +168,7 @@ def _notes(data: MeasureData, effects: Sequence[Effect]) -> Iterator[str]:
         # In 10 to 34 %, by simulation: 4 to 10 blocks of 5 to 20 runs, log-odds that differ by a deviation of 1.
         yield (
             f"Runs of one {data.block or 'block'} count as independent of each other: where blocks respond differently "
-            "to a treatment, a difference of all of them is found too often. Look whether it is that of each."
+            "to a treatment, a difference of all of them is found too often. Check whether it is that of each."
         )
     if any(len(data.levels(factor)) > _PAIR for factor in data.factors):
         yield f"p-values of three and more treatments are shares of tables dealt by chance: {_FEWEST_DRAWS:,} and more."

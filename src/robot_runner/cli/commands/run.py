@@ -99,7 +99,7 @@ def apply_shortcuts(arguments: Namespace) -> None:
 
 
 def under_given_names(findings: Sequence[Finding], arguments: Namespace) -> tuple[Finding, ...]:
-    """Return findings about what such an option set under the option's name: the config is not where to mend it."""
+    """Return findings about what such an option set under the option's name: the config is not where to correct it."""
 
     def named(finding: Finding) -> Finding:
         name = finding.where.removeprefix("--set ").partition("=")[0].rpartition(".")[2]

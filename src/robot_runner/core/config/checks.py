@@ -261,7 +261,7 @@ def check_results_path(loaded: LoadedConfig, parameters: Parameters) -> list[Fin
     if not existing.is_dir():
         return [Finding.error(where, f"{existing} is no folder", "Name a folder, or move this file away.")]
     if not os.access(existing, os.W_OK | os.X_OK):
-        fix = "Mend its permissions, or name another folder: --set results_output_path=..."
+        fix = "Correct its permissions, or name another folder: --set results_output_path=..."
         return [Finding.error(where, f"{existing} cannot be written", fix)]
     return []
 

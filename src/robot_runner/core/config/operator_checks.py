@@ -106,7 +106,7 @@ def _tried(at: str, rule: str, step: OperatorStep, model: RunTableModel) -> Iter
             step.suits(run.combination)
         except (Exception, SystemExit) as error:  # noqa: BLE001 - the user's own function
             problem = f"{rule}({run.combination}) raised {type(error).__name__}: {error}"
-            yield Finding.error(at, problem, "Mend the function: it is given the treatments by factor.")
+            yield Finding.error(at, problem, "Correct the function: it is given the treatments by factor.")
             return
 
 

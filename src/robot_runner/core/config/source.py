@@ -63,7 +63,7 @@ def read_tree(path: Path) -> tuple[str, ast.Module]:
         raise ConfigError(
             f"the file is not Python: {error.msg}: {(error.text or '').strip()!r}",
             where=f"{path}:{error.lineno or 0}",
-            fix="Mend the syntax of this line (or of the one before it).",
+            fix="Correct the syntax of this line (or of the one before it).",
         ) from error
     except ValueError as error:
         raise ConfigError(f"the file is not Python: {error}", where=str(path), fix="Name a Python file.") from error

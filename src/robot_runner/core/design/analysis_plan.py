@@ -244,7 +244,7 @@ class AnalysisPlan:
                 given["outliers"] = Outliers(**given["outliers"])
             return cls(**given)
         except (TypeError, ValueError) as error:
-            raise DesignError(f"the text is no analysis plan: {error}", where="analysis", fix="Mend it.") from error
+            raise DesignError(f"the text is no analysis plan: {error}", where="analysis", fix="Correct it.") from error
 
 
 def _choice_findings(alpha: object, choices: Mapping[str, object], blocks: object) -> Iterator[Finding]:

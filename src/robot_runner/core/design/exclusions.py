@@ -178,11 +178,11 @@ def _predicate_failed(where: str, combination: Combination, error: Exception) ->
     is_unknown_factor = isinstance(name, str) and name not in combination
     raised = f"KeyError: {name!r}" if is_unknown_factor else f"{type(error).__name__}: {error}"
     problem = f"the predicate raised {raised} for the combination {combination}"
-    return Finding.error(where, problem, did_you_mean(str(name), combination) if is_unknown_factor else "Mend it.")
+    return Finding.error(where, problem, did_you_mean(str(name), combination) if is_unknown_factor else "Correct it.")
 
 
 def _idle(where: str, flags: Sequence[bool], left_out: Sequence[bool]) -> Iterator[Finding]:
     if not any(flags):
-        yield Finding.warning(where, "the exclusion matches no combination", "Remove it, or mend what it names.")
+        yield Finding.warning(where, "the exclusion matches no combination", "Remove it, or correct what it names.")
     elif not any(matches and not is_out for matches, is_out in zip(flags, left_out, strict=True)):
         yield Finding.warning(where, "the exclusion removes nothing: what it matches is excluded already", "Remove it.")

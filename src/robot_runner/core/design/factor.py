@@ -55,7 +55,7 @@ def _text_or_finding(where: str, treatment: Any) -> str | Finding:
         text = str(treatment)
     except Exception as error:  # noqa: BLE001 - a user's __str__ may raise anything
         problem = f"a treatment of type {kind} has no text: its str() raised {type(error).__name__}: {error}"
-        return Finding.error(where, problem, "Mend the __str__ of its class.")
+        return Finding.error(where, problem, "Correct the __str__ of its class.")
     try:
         text.encode()
     except UnicodeEncodeError as error:

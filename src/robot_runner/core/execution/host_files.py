@@ -100,4 +100,4 @@ class HostFiles(System):
         before = self._begun.get(name, 0.0) - max((path.stat().st_mtime for path in came), default=math.inf)
         if before > _STEP:
             problem = f"what was fetched from {name} as {pattern} was written {shown_duration(before)} before the run"
-            context.warn(problem, fix="Look whether this run wrote it; have each run remove what an earlier one left.")
+            context.warn(problem, fix="Check whether this run wrote it; have each run remove what an earlier one left.")

@@ -171,7 +171,7 @@ class Operator:
             return combination, step.suits(combination)
         except Exception as error:
             problem = f"{'after' if step.is_after else 'before'} raised {type(error).__name__}: {error}"
-            fix = "Mend the function, and start the experiment again: it resumes."
+            fix = "Correct the function, and start the experiment again: it resumes."
             raise ExecutionError(problem, where=f"operator step {step.name!r}, {run.run_id}", fix=fix) from error
 
     def _have_done(self, step: OperatorStep, run: PendingRun, place: str) -> Steps[None]:

@@ -126,7 +126,7 @@ class EventDeadline:
         cursor = _SHOW_CURSOR if os.isatty(2) else ""
         return (
             f"{cursor}\nerror: {self._what}: {self}, and code that is not Python's keeps it from being ended: the "
-            "experiment is killed\n  fix: Mend this callback and start the experiment again: it resumes.\n"
+            "experiment is killed\n  fix: Correct this callback and start the experiment again: it resumes.\n"
         )
 
 
@@ -233,7 +233,7 @@ class OrchestratorEvents:
             raise ExecutionError(
                 fields["problem"],
                 where=f"{failure.event.value} of {failure.owner}" if failure.owner else failure.event.value,
-                fix="Mend this callback and start the experiment again: it resumes.",
+                fix="Correct this callback and start the experiment again: it resumes.",
             ) from failure.error
         return [returned for _, returned in emission.returned]
 
@@ -277,7 +277,7 @@ class OrchestratorEvents:
         self._progress.amend_outcome(task, before, outcome)
         if outcome.failure is not None and not self._interruption.is_requested:
             where = " of ".join(filter(None, (outcome.failure.event, outcome.failure.owner)))
-            raise ExecutionError(outcome.failure.problem, where=where, fix="Mend this callback, and resume.")
+            raise ExecutionError(outcome.failure.problem, where=where, fix="Correct this callback, and resume.")
         return any(value is True for value in returned)
 
     def _next_run(self, run: PendingRun, read: Callable[[str], None]) -> NextRun:

@@ -150,7 +150,7 @@ _TABLE_FIX = (
 )
 _PLAN_FIX = (
     "Nobody changed the table: create_run_table may plan otherwise in each process, as from random numbers, or from "
-    f"the order of a set, which sorted() settles. Mend it, or let the table count ({ACCEPT})."
+    f"the order of a set, which sorted() settles. Correct it, or let the table count ({ACCEPT})."
 )
 
 

@@ -221,7 +221,7 @@ class HostCommands:
             raise LinkError(
                 f"the connection was lost {meanwhile}{f': {said}' if said else ''}",
                 where=self._name,
-                fix="Look whether it is switched on, and at the network.",
+                fix="Check whether it is switched on, and at the network.",
             )
 
     def _failed(self, result: CommandResult, how: str) -> CommandError:

@@ -111,7 +111,7 @@ class Program:
             )
         except OSError as error:
             is_long = error.errno == errno.E2BIG
-            fix = "Shorten the command: copy a script there." if is_long else "Install it, or mend the PATH."
+            fix = "Shorten the command: copy a script there." if is_long else "Install it, or correct the PATH."
             raise LinkError(f"{line[0]} cannot be started: {error.strerror}", where="host", fix=fix) from error
 
     def follow(self, timeout_s: float) -> Ended:

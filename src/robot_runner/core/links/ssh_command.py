@@ -41,8 +41,8 @@ _REMEDIES = (
     ("host key verification failed", "Connect once by hand, and say yes to its key: ssh {host}."),
     ("could not resolve hostname", "Look at the name, and at the network."),
     ("connection refused", "Start the SSH server there (Debian, Ubuntu: sudo apt install openssh-server)."),
-    ("timed out", "Look whether it is switched on, and at the network."),
-    ("no route to host", "Look whether it is switched on, and at the network."),
+    ("timed out", "Check whether it is switched on, and at the network."),
+    ("no route to host", "Check whether it is switched on, and at the network."),
 )
 _REMEDY = "Try it by hand: ssh {host} true."
 

@@ -206,7 +206,7 @@ class HeldClaims:
                 yield Finding.error("claims", f"{claim} is in use by {who}", _ASK_THEM)
         except OSError as error:
             problem = f"other users who claim {claim} are not kept out: {error.strerror} ({error.filename})"
-            self.findings.append(Finding.warning("claims", problem, "Mend what the system names."))
+            self.findings.append(Finding.warning("claims", problem, "Correct what the system names."))
 
     def _hold(self, claim: str, opened: ExitStack, looked_at: ClaimHolder | None = None) -> Iterator[Finding]:
         """Lock the file of a claim; yield who holds it, or has left something, unless that is `looked_at`."""

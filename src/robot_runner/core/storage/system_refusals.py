@@ -17,11 +17,11 @@ GONE = frozenset(
 _FIXES = {
     errno.ENOSPC: "Make room on the disk, then try again.",
     errno.EDQUOT: "Make room in your quota, then try again.",
-    errno.EACCES: "Mend the permissions of the file and its folder.",
-    errno.EPERM: "Mend the permissions of the file and its folder.",
+    errno.EACCES: "Correct the permissions of the file and its folder.",
+    errno.EPERM: "Correct the permissions of the file and its folder.",
     errno.EROFS: "Choose a folder on a file system that can be written.",
-    errno.ENOENT: "Mend the path, or make the folder first.",
-    errno.ENOTDIR: "Mend the path: a part of it is a file.",
+    errno.ENOENT: "Correct the path, or make the folder first.",
+    errno.ENOTDIR: "Correct the path: a part of it is a file.",
     errno.EISDIR: "Move the folder of that name out of the way.",
     errno.ENAMETOOLONG: "Choose a shorter name.",
     errno.EFBIG: "Raise the limit of a file's size (ulimit -f), or choose a file system for larger files.",
@@ -62,7 +62,7 @@ def fsync_folder(folder: Path) -> None:
 def storage_error(path: Path, action: str, error: OSError) -> StorageError:
     """Return the error for an OSError; `action` completes "the file cannot be ..."."""
     reason = error.strerror or str(error)
-    fix = _FIXES.get(error.errno or 0, "Mend what the system names, then try again.")
+    fix = _FIXES.get(error.errno or 0, "Correct what the system names, then try again.")
     if error.errno == errno.ENOSPC and _lacks_inodes(path.parent):
         fix = "Remove files, however small: the disk has room, and no inodes (df -i). Then try again."
     if error.errno in {errno.EACCES, errno.EPERM} and (whose := _whose(path)):

@@ -333,7 +333,7 @@ class MeasureDecoder:
         for place, value in enumerate(values):
             if value is not None and type(value) not in fitting:
                 problem = f"{cells[place]!r} is no {self._kind}, as the column's other values"
-                fix = "Mend the cell, or leave it empty where there is no value."
+                fix = "Correct the cell, or leave it empty where there is no value."
                 self._findings.warning(problem, fix, line=chunk.lines[place], column=self._name)
         return values
 

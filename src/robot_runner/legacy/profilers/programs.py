@@ -78,7 +78,7 @@ class Program(ChildProgram):
             if ending.was_killed:
                 raise self._failed(f"{self._name} did not end within {_CLOSING_S:g} s")
             if ending.complaint:
-                warn_of_run(f"{self._name} said: {ending.complaint}", fix="Look whether it measured.")
+                warn_of_run(f"{self._name} said: {ending.complaint}", fix="Check whether it measured.")
             self._printed.seek(0)
             return self._printed.read().decode(errors="backslashreplace")
 

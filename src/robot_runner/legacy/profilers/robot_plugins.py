@@ -42,7 +42,7 @@ class INA219Profiler:
                 raise LinkError(
                     f"there is no file {self.path_to_data_file} after {_PATIENCE_S:g} s",
                     where="INA219Profiler",
-                    fix="Insert the memory card, or mend the path.",
+                    fix="Insert the memory card, or correct the path.",
                 )
             time.sleep(_LOOK_S)
         with self.path_to_data_file.open(encoding="utf-8", newline="") as file:

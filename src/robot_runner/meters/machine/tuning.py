@@ -247,7 +247,7 @@ class Machine:
         if found != change.wanted:
             problem = f"{path} was set to {change.wanted!r} and is {found!r}"
             raise PluginError(
-                problem, where=str(path), fix="Look which program sets it as well, such as power-profiles-daemon."
+                problem, where=str(path), fix="Find out which program sets it as well, such as power-profiles-daemon."
             )
 
     def _threads(self) -> Iterator[tuple[int, tuple[str, list[int]]]]:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 PATH_LENGTH = Measure("PathLength", "m", "Way covered during the mission, by odometry.", low=0.0)
 CLOSEST_OBSTACLE = Measure("ClosestObstacle", "m", "The shortest range of the laser scanner during the mission.")
 _SCAN, _TRANSFORMS = "sensor_msgs/LaserScan", "tf2_msgs/TFMessage"
-_FIX = "Look whether the robot publishes it, or leave the parameter out."
+_FIX = "Check whether the robot publishes it, or leave the parameter out."
 _FIX_SILENCE = "Look at the network, and whether what publishes it kept up: `ros2 topic hz` or `rostopic hz`."
 _PAIR = 2
 #: For how long the robot's position may be missing, s, before its way is doubted.
@@ -218,7 +218,7 @@ class _WayOfFrame:
         silence = 0.0 if self._clock is None or self._last is None else self._clock.now() - self._told_at
         if silence > _SILENCE:
             problem = f"where {self._moving!r} is in {self._fixed!r} was not told for {silence:.1f} s"
-            raise LinkError(problem, where="tf", fix="Look whether localisation and odometry are alive.")
+            raise LinkError(problem, where="tf", fix="Check whether localisation and odometry are alive.")
         return self._buffer.look_up(self._fixed, self._moving)
 
     @property

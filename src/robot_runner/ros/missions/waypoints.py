@@ -233,7 +233,7 @@ class Waypoints(SteeredSystem):
         turned = 0.0 if target.yaw is None else abs(wrapped(target.yaw - here.heading))
         if off > self.tolerance_m or turned > self.tolerance_rad:
             problem = f"the robot is {off:.2f} m and {turned:.2f} rad off waypoint {number} after {_MOST_TRIES} tries"
-            fix = "Look whether its way is free and its wheels grip, or give larger tolerances."
+            fix = "Check whether its way is free and its wheels grip, or give larger tolerances."
             raise LinkError(problem, where=self.name, fix=fix)
 
 

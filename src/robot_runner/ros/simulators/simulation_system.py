@@ -254,7 +254,7 @@ class Simulation(OfTheRobot, System):
                 raise LinkError(
                     f"the simulator's time {stood}: {before:.3f} s before the reset, {now:.3f} s after it",
                     where=CLOCK_TOPIC,
-                    fix="Look whether it goes on; reset='world' leaves its time as it is.",
+                    fix="Check whether it goes on; reset='world' leaves its time as it is.",
                 )
             time.sleep(_LOOK)
 

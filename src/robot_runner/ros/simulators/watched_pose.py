@@ -95,7 +95,7 @@ class WatchedPose:
             raise LinkError(
                 f"the simulator was reset, and nothing came on {self._name} within {timeout:g} s",
                 where="the simulator",
-                fix="Look whether it goes on, and whether its robot is still there.",
+                fix="Check whether it goes on, and whether its robot is still there.",
             )
         way, turn = distance_between(latest, spot)
         raise LinkError(

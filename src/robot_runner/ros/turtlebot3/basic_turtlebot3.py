@@ -119,7 +119,7 @@ class BasicTurtlebot3(SteeredSystem):
         """Stop a task that was left running: it would be measured, and the robot would refuse the run's own."""
         told = tasks.stop_all()
         if any(told.startswith(f"{task.value} ") for task in Task):  # otherwise "nothing was running"
-            context.warn(f"a task was still running on the robot: {told}", fix="Look what left it running.")
+            context.warn(f"a task was still running on the robot: {told}", fix="Find out what left it running.")
 
     def launch_mission(self, context: RobotRunnerContext) -> None:
         """Execute the mission.
@@ -144,7 +144,7 @@ class BasicTurtlebot3(SteeredSystem):
         """Publish duration, distance and pose error; no values where the mission did not take place."""
         if self._values is not None and self._performance is not None:
             for problem in _doubts(self._performance):
-                context.warn(problem, fix="Look whether the robot's way is free, and reposition the robot.")
+                context.warn(problem, fix="Check whether the robot's way is free, and reposition the robot.")
         super().populate_run_data(context)
 
     def reached(self, context: RobotRunnerContext) -> Robot:

@@ -264,5 +264,5 @@ class Performer:
             raise LinkError(
                 f"the robot covered {performance.distance:.3f} m of {performance.planned_distance:.2f} m",
                 where="mission",
-                fix="Look whether its way is free, its motors are on, and its driver obeys the commands.",
+                fix="Check whether its way is free, its motors are on, and its driver obeys the commands.",
             )

@@ -221,7 +221,7 @@ class Pilot:
             raise LinkError(
                 f"the robot does not move as it is commanded: it covered {covered} where {due} are due",
                 where=self._where,
-                fix="Look whether its way is free, its motors are on, and its driver obeys the commands.",
+                fix="Check whether its way is free, its motors are on, and its driver obeys the commands.",
             )
 
     def _follow(self, steer: Callable[[float], tuple[float, float]], begun: float, seconds: float) -> None:

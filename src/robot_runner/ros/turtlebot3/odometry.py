@@ -272,13 +272,13 @@ class Odometer:
             )
         silence = self._clock.now() - self._received_at
         if self._pose is None:
-            fix = "Look whether the robot is on and publishes 'odom' on this graph: in this namespace and ROS domain."
+            fix = "Check whether the robot is on and publishes 'odom' on this graph: in this namespace and ROS domain."
             raise LinkError(f"no odometry arrived for {silence:.1f} s", where=self._where, fix=fix)
         if silence > self._timeout:
             raise LinkError(
                 f"no odometry arrived for {silence:.1f} s (at most {self._timeout:g} s are allowed)",
                 where=self._where,
-                fix="Look whether the robot is on and its 'odom' topic is alive.",
+                fix="Check whether the robot is on and its 'odom' topic is alive.",
             )
         return self._pose
 
