@@ -127,19 +127,21 @@ def test_a_type_that_is_described_in_several_files_of_idl_is_read(tmp_path):
     assert (pair.left.number, pair.right.number) == (3, 4)
 
 
-def test_messages_that_are_none_of_ros_are_named(tmp_path):
+@pytest.mark.parametrize("encoding", ["jsonschema", "protobuf"])
+def test_messages_that_are_none_of_ros_are_named(tmp_path, encoding):
     from mcap.writer import Writer
 
     path = tmp_path / "web.mcap"
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2")
-        schema = writer.register_schema("Pose", "jsonschema", b"{}")
+        schema = writer.register_schema("Pose", encoding, b"{}")
         channel = writer.register_channel("/pose", "json", schema)
         writer.add_message(channel, 1, b"{}", 1)
         writer.finish()
-    with pytest.raises(PluginError, match="the bag cannot be read: 'jsonschema' is neither defined in it nor"):
+    with pytest.raises(PluginError, match=f"the bag has messages by definitions of {encoding}, ") as refused:
         RecordedBag(path)
+    assert "mcap filter" in refused.value.fix
 
 
 def test_an_index_without_topics_is_not_taken_for_an_empty_bag(tmp_path):
