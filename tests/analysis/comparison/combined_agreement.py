@@ -119,7 +119,7 @@ def _of_heterogeneity(found: dict[str, Any], alpha: float) -> Iterator[str]:
 def _of_sentence(effect: dict[str, Any], found: dict[str, Any], alpha: float) -> Iterator[str]:
     text, random, significant = effect["conclusion"], found["random"], effect["is_significant"]
     if effect["adjusted_p_value"] is None:
-        if "chance has no measure" not in text or significant is not None:
+        if "there is no variation to test against" not in text or significant is not None:
             yield f"there is no p-value, and the sentence says: {text}"
         return
     if (

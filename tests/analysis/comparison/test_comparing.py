@@ -302,7 +302,7 @@ def test_values_that_differ_by_too_little_beside_their_size_are_not_called_equal
     values = [offset + step * number for number in (0, 3, 1, 4, 2)]
     one, other = (two_tasks(video=[each + more * step for each in values]) for more in (0, 7))
     video = compare(one.root, other.root).measure("Energy").differences[0]
-    assert "differ by too little beside their size" in video.not_computed
+    assert "differ by too little relative to their size" in video.not_computed
     assert "equal" not in video.not_computed
 
 

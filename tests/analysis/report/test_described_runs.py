@@ -154,7 +154,7 @@ def test_intervals_have_their_level_beside_them(tmp_path: Path) -> None:
 @pytest.mark.long
 def test_an_interval_below_0_of_values_that_are_not_is_told_to_be_one_of_few_runs(tmp_path: Path) -> None:
     few = table(report(tmp_path / "few", [TASK]), "describe Energy by Task")
-    assert "reaches below 0 where no value does: the runs are few beside their spread" in few.note
+    assert "reaches below 0 where no value does: there are few runs for so large a spread" in few.note
     plan = AnalysisPlan("Energy", outliers=Outliers(interquartile_ranges=3))
     close = table(report(tmp_path / "close", [TASK], plan=plan), "describe Energy by Task")
     assert "below 0" not in close.note

@@ -69,7 +69,7 @@ def test_a_split_plot_that_lost_a_run_is_still_adjusted_for_its_replicates_and_c
         "Easy": pytest.approx((17.553167, 2, 16), rel=1e-6),
         "Hard x Easy": pytest.approx((1.1118665, 4, 16), rel=1e-6),
     }
-    assert "each block with a random mean, beside Replicate and U." in found.test.reason
+    assert "each block with a random mean, adjusted for Replicate and U." in found.test.reason
     # Replicates that were added later tell the batches: what either adds is taken out once.
     data = design_of(designed(lines, names, facts, ["y", "U"], plan)).data("y")
     batches = 1 + (data.frame[role_column("Replicate")] > "r1").astype(int)

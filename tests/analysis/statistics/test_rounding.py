@@ -78,13 +78,13 @@ def test_incomplete_blocks_that_respond_alike_tell_no_chance(tmp_path: Path) -> 
     plan = {"measures": ["Energy"], "blocks": "Repetition"}
     found = energy(tmp_path, value, [TASKS, MAPS], repetitions=3, analysis=plan)
     assert found.test is None
-    assert found.not_computed[0].why == "all blocks respond alike, so that chance has no measure."
+    assert found.not_computed[0].why == "all blocks respond alike, so that there is no variation to test against."
 
 
 def test_single_runs_that_add_up_exactly_tell_no_chance_however_far_from_0_they_are(tmp_path: Path) -> None:
     found = energy(tmp_path, lambda of, _: 1e6 + ADDED[of["Task"]] + ADDED[of["Map"]], [TASKS, MAPS], repetitions=1)
     assert found.test is None
-    assert "chance has no measure" in found.not_computed[0].why
+    assert "there is no variation to test against" in found.not_computed[0].why
 
 
 @pytest.mark.parametrize("blocks", [None, "Repetition"])
@@ -160,7 +160,7 @@ def test_measures_that_hardly_vary_beside_their_size_are_not_called_equal_where_
         repetitions=5,
     )
     [correlation] = [each for each in analyse(load_results(made.root)).not_computed if "correlation" in each.what]
-    assert correlation.why == "one of them hardly varies beside its size."
+    assert correlation.why == "one of them hardly varies relative to its size."
 
 
 @pytest.mark.parametrize("value", [lambda number: 0.1 * number / number, lambda _: 2.0**60])
@@ -185,7 +185,7 @@ def test_a_fraction_of_which_most_effects_are_none_is_not_tested() -> None:
     ]
     [found] = analyse(designed(rows, ["A", "B", "C", "D"], {"kind": "fractional_factorial"})).measures
     assert found.test is None
-    assert found.not_computed[0].why == "most effects are none at all, so that chance has no measure."
+    assert found.not_computed[0].why == "most effects are none at all, so that there is no variation to test against."
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -227,7 +227,7 @@ def _average(effect: CombinedEffect, measure: str, unit: str) -> str:
     random, count = effect.difference.random, counted(len(effect.experiments), "experiment")
     size = with_unit(random.estimate, unit)
     if random.interval is None or random.p_value is None or effect.adjusted_p_value is None:
-        return f"All {count} found the same, {size}, so that chance has no measure."
+        return f"All {count} found the same, {size}, so that there is no variation to test against."
     between = f"{100 * random.interval.level:g} % confidence interval {_between(random.interval, unit, 'to')}"
     facts = f"({size}, {between}, {p_values_in_words(random.p_value, effect.adjusted_p_value)})"
     if effect.statement:

@@ -66,7 +66,7 @@ def _hardly_varies(first: Floats, second: Floats, spread: float, *, is_paired: b
     noise = STEPS_OF_NOISE * step_of(values) if np.any(values % 1) else 0.0
     if spread > noise:
         fix = "Compare how far they are from a fixed value, such as the time since the mission began."
-        return f"The values differ by too little beside their size, where they are rounded. {fix}"
+        return f"The values differ by too little relative to their size, where they are rounded. {fix}"
     same = "All pairs differ by the same" if is_paired else "Within each experiment all values are equal"
     return f"{same}, so chance cannot be told from a difference."
 

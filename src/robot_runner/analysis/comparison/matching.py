@@ -154,7 +154,7 @@ def _notes_on_factors(
         if own:
             notes.append(f"Only {called} has the factor {', '.join(own)}: its runs are taken together.")
     if not factors:
-        beside = f" beside {listed(blocks)}" if blocks else ""
+        beside = f" besides {listed(blocks)}" if blocks else ""
         notes.append(f"The experiments have no factor in common{beside}: all runs are compared as one group.")
     return notes
 

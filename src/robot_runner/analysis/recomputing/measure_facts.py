@@ -61,7 +61,7 @@ _PROCEDURES = {
     "Huynh-Feldt": "huynh_feldt",
     "linear model with one variance": "model",
     "linear mixed model": "model",
-    "analysis of variance beside blocks": "model",
+    "analysis of variance adjusted for blocks": "model",
     "analysis of variance of a crossover": "model",
     "analysis of variance of a split-plot design": "model",
     "response surface": "model",

@@ -295,7 +295,7 @@ def _description_table(name: str, caption: str, heading: str, groups: Sequence[D
     note = f"{told}SD: standard deviation (n {MINUS} 1). IQR: interquartile range."
     if any((group.minimum or 0) >= 0 > group.mean_interval.low for group in groups if group.mean_interval):
         # It is not known which measures cannot be negative, and readers can compute an untruncated interval again.
-        note += " An interval reaches below 0 where no value does: the runs are few beside their spread."
+        note += " An interval reaches below 0 where no value does: there are few runs for so large a spread."
     return build_table(name, caption, groups, fields, note).without_blank("Missing", "Outliers")
 
 

@@ -75,7 +75,9 @@ def _adjustment(measure: MeasureStatistics, found: Adjustment, label: str) -> It
     table = build_table(f"adjusted {measure.name}", caption, found.means, fields, note)
     yield table.without_blank("CI")
     spreads = (with_unit(each, difference_unit(measure.unit), 3) for each in (found.spread, found.residual_spread))
-    yield Paragraph("The standard deviation is {} as measured, {} beside covariates.".format(*spreads), Tone.NOTE)
+    yield Paragraph(
+        "The standard deviation is {} as measured, {} once adjusted for covariates.".format(*spreads), Tone.NOTE
+    )
     for warning in found.warnings:
         yield Paragraph(warning, Tone.WARNING)
 

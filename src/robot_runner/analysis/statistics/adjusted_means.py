@@ -154,7 +154,7 @@ def _fitted(design: CovariateDesign, statistic: Statistic) -> AdjustedMeans | No
     if not (math.isfinite(spread) and math.isfinite(left)):
         raise AdjustmentError("there are too few runs for the number of treatments and covariates.")
     if left <= rounding_of(values):
-        why = "beside treatments and covariates all values are equal, so that chance has no measure."
+        why = "treatments and covariates explain all values, so that there is no variation to test against."
         return NoVariation("the test", why)
     adjusted = values - design.columns @ fit.beta[design.base.shape[1] :]
     first, count = (0 if design.is_within else 1), design.effects.shape[1] - 1

@@ -117,7 +117,7 @@ def comparable(data: MeasureData) -> Comparable:
 
 _UNTOLD = "whose treatments lie in different batches: repeat them in one batch."
 _NOT_CONNECTED = (
-    "no batch has runs of them beside the others, so that differences cannot be told apart from what changed between "
+    "no batch has runs of them and of the others, so that differences cannot be told apart from what changed between "
     "batches; the tests leave these runs out. Add repetitions of the others to the later batch."
 )
 

@@ -76,7 +76,7 @@ def _correlation(one: _Correlated, other: _Correlated) -> Correlation | NotCompu
         return NotComputed(what, f"a correlation takes {_LEAST} runs that have both measures.")
     if _is_flat(x, x) or _is_flat(y, y):
         is_equal = are_equal(x) or are_equal(y)
-        why = "all values of one of them are equal" if is_equal else "one of them hardly varies beside its size"
+        why = "all values of one of them are equal" if is_equal else "one of them hardly varies relative to its size"
         return NotComputed(what, f"{why}.")
     with quiet():  # values that hardly vary
         pearson = stats.pearsonr(x, y)
@@ -159,8 +159,8 @@ def drift_of(data: MeasureData, alpha: float, unit: str = "", *, is_ordered: boo
         left, freedom = residuals_of(data, places)
         places = np.round(left - left.min(), _DIGITS) + 1
     if freedom + 1 < _DRIFT_LEAST:
-        beside = " beside those that its model takes" if within else ""
-        return NotComputed(what, f"the test of a drift takes {_DRIFT_LEAST} runs with a value{beside}.")
+        more = ", in addition to those that its model takes" if within else ""
+        return NotComputed(what, f"the test of a drift takes {_DRIFT_LEAST} runs with a value{more}.")
     order = np.argsort(places, kind="stable")
     places, residuals = places[order], residuals_of(data)[0][order]
     if np.ptp(places) < _SAME_PLACE:

@@ -187,20 +187,19 @@ class _Fitting:
 
     @property
     def _method(self) -> TestMethod:
-        return TestMethod.BESIDE_BLOCKS if self.data.known.columns else TestMethod.LINEAR_MODEL
+        return TestMethod.ADJUSTED_FOR_BLOCKS if self.data.known.columns else TestMethod.LINEAR_MODEL
 
     @property
     def _reason(self) -> str:
         known = self.data.known
         adjusted = f", adjusted for {enumerated(self.data.covariates)}" if self.data.covariates else ""
         if known.period:
-            carried = ", the treatment before" if known.carry_over else ""
-            return (
-                f"Each subject has several treatments: means are compared beside {known.subject}, {known.period}"
-                f"{carried}{adjusted}. {_ONE_VARIANCE}"
-            )
+            carried = ["the treatment before"] if known.carry_over else []
+            others = enumerated([known.subject, known.period, *carried, *self.data.covariates])
+            return f"Each subject has several treatments: means are compared, adjusted for {others}. {_ONE_VARIANCE}"
         if known.columns:
-            return f"Means are compared beside {enumerated(known.blocks)}{adjusted}. {_ONE_VARIANCE}"
+            others = enumerated([*known.blocks, *self.data.covariates])
+            return f"Means are compared, adjusted for {others}. {_ONE_VARIANCE}"
         single = self.data.frame.groupby(list(self.factors), observed=True).size().min() == 1
         effects = "Some combinations have a single run: main effects" if single else "Main effects"
         return f"{effects} and what else the combinations tell are compared{adjusted}. {_ONE_VARIANCE}"
@@ -258,4 +257,6 @@ class _Fitting:
         return fit_surface(self.factors, levels, others, self._blocks, self.values, self.data.known.coding)
 
 
-_NO_VARIATION = NoVariation("the test", "within each combination all values are equal, so that chance has no measure.")
+_NO_VARIATION = NoVariation(
+    "the test", "within each combination all values are equal, so that there is no variation to test against."
+)

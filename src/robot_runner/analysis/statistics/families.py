@@ -199,7 +199,7 @@ def _pairs_of(post_hoc: Sequence[PostHoc], effect: Effect) -> tuple[Comparison, 
 
 def _worded(measure: MeasureStatistics, test: MeasureTest, effect: Effect, pairs: Sequence[Comparison]) -> Effect:
     if effect.p_value is None:
-        why = "too few runs vary beside it, so that chance has no measure."
+        why = "too few runs vary apart from it, so that there is no variation to test against."
         if test.method is TestMethod.PROPORTIONS:
             why = "no runs with different answers differ in nothing else."
         what = named_within(enumerated(effect.factors), effect.within)

@@ -181,5 +181,7 @@ def fit_lenth(
     found = LenthModel(factors, tuple(terms), np.stack(columns, axis=1), values, reason, notes)
     with quiet():  # NaN if most effects are exactly 0
         if not np.any(found.error > rounding_of(values)):
-            return NotComputed("the test", "most effects are none at all, so that chance has no measure.")
+            return NotComputed(
+                "the test", "most effects are none at all, so that there is no variation to test against."
+            )
     return found

@@ -218,7 +218,7 @@ def fit_model(
     left = values - every @ np.linalg.lstsq(every, values)[0]
     if np.max(np.abs(left)) <= rounding_of(values) and np.linalg.matrix_rank(every) < len(values):
         of = "within each combination all values are equal" if blocks is None else "all blocks respond alike"
-        return NoVariation("the test", f"{of}, so that chance has no measure.")
+        return NoVariation("the test", f"{of}, so that there is no variation to test against.")
     beyond = averaged_out(response, unit)
     return FittedModel(factors, terms, blocks, exog, _fitted(values, exog, blocks), note, count, beyond)
 

@@ -181,7 +181,7 @@ def _of_coarse(missing: NotComputed) -> NotComputed:
     """Return the true reason for coarse values: they are not equal, but differ by too little."""
     if not isinstance(missing, NoVariation):
         return missing
-    return replace(missing, why="runs differ by too little beside the size of their values.")
+    return replace(missing, why="runs differ by too little relative to the size of their values.")
 
 
 def _of_answers(

@@ -62,7 +62,7 @@ _PAIRED = {
     TestMethod.LINEAR_MODEL: "t-tests of the model's marginal means",
     TestMethod.MIXED_MODEL: "t-tests of the model's marginal means",
     TestMethod.COVARIANCE: "t-tests of adjusted means",
-    TestMethod.BESIDE_BLOCKS: "t-tests of means beside blocks",
+    TestMethod.ADJUSTED_FOR_BLOCKS: "t-tests of means adjusted for blocks",
     TestMethod.CROSSOVER: "t-tests of means within subjects",
     TestMethod.SPLIT_PLOT: "t-tests of means, each of its stratum",
     TestMethod.LENTH: "Lenth's method",

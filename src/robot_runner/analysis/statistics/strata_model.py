@@ -249,10 +249,13 @@ def fit_strata(
         fits.append(fit._replace(mean_square=np.where(is_rounding, 0.0, fit.mean_square)))
     if fits[-1].freedom < 1:
         return NotComputed(
-            "the test", "there are too few runs for the number of effects, so that chance has no measure."
+            "the test",
+            "there are too few runs for the number of effects, so that there is no variation to test against.",
         )
     if not np.any(fits[-1].mean_square):
-        return NoVariation("the test", "beside the effects all values are equal, so that chance has no measure.")
+        return NoVariation(
+            "the test", "apart from the effects all values are equal, so that there is no variation to test against."
+        )
     size = 1 if plots is None else len(plots) // (int(plots.max()) + 1)
     return StrataModel(factors, hypotheses, stratum_of, tuple(fits), size, *told)
 

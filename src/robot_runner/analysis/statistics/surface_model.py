@@ -339,7 +339,9 @@ def fit_surface(
     else:
         return NotComputed("the test", "there are too few runs for a surface of these factors.")
     if np.all(np.sqrt(fit.mean_square) <= rounding_of(values)):
-        return NotComputed("the test", "the surface leaves nothing unexplained, so that chance has no measure.")
+        return NotComputed(
+            "the test", "the surface leaves nothing unexplained, so that there is no variation to test against."
+        )
     starts = np.cumsum([len(terms), *(each.shape[1] for each in others.values())])
     places = {
         name: tuple(range(start, start + others[name].shape[1])) for name, start in zip(others, starts, strict=False)

@@ -81,7 +81,7 @@ class TestMethod(Enum):
     LINEAR_MODEL = "linear model with one variance"
     MIXED_MODEL = "linear mixed model"
     COVARIANCE = "analysis of covariance"
-    BESIDE_BLOCKS = "analysis of variance beside blocks"
+    ADJUSTED_FOR_BLOCKS = "analysis of variance adjusted for blocks"
     CROSSOVER = "analysis of variance of a crossover"
     SPLIT_PLOT = "analysis of variance of a split-plot design"
     LENTH = "Lenth's method"

@@ -118,7 +118,7 @@ def model_of(
     if not found.has_variation:
         same = "all blocks respond to the treatments in the same way"
         same = same if layout.is_blocked else "within each combination all values are equal"
-        return NoVariation("the test", f"{same}, so that chance has no measure.")
+        return NoVariation("the test", f"{same}, so that there is no variation to test against.")
     why = _why_not_ranked(layout) if estimand is Estimand.RANK else ""
     return NotComputed("the test", why) if why else found
 
@@ -258,7 +258,7 @@ def _problem(data: MeasureData) -> str:
     if data.stranded:
         return stranded_in_words(data)
     if max(len(group.values) for group in data.groups(data.factors)) < _PAIR and len(data.factors) == 1:
-        return "each treatment has a single run, so that chance has no measure: repeat the runs."
+        return "each treatment has a single run, so that there is no variation to test against: repeat the runs."
     return ""
 
 
@@ -300,7 +300,7 @@ def _reason_of_factorial(data: MeasureData, model: CellMeans | FittedModel | Adj
         if model.blocks is None:
             return f"{of}: {compared} are compared; {_TOO_FEW[data.is_extended]}, so that one variance serves all."
         beside = [*data.known.blocks, *data.covariates]  # of a split plot
-        told = f", beside {enumerated(beside)}" if beside else ""
+        told = f", adjusted for {enumerated(beside)}" if beside else ""
         return (
             f"{of}, in blocks that do not hold all combinations: {compared} are compared, "
             f"each block with a random mean{told}."
