@@ -1,4 +1,4 @@
-"""Files as they may have become: bits that flipped, pieces that are missing or doubled, other values."""
+"""Files as they may have become: bits that flipped, pieces that are missing or doubled; and how readers are called."""
 
 from __future__ import annotations
 
@@ -7,10 +7,27 @@ import io
 import json
 from typing import TYPE_CHECKING, Any
 
+from hypothesis import settings
 from tests.hostile.malformed_json import ODD_VALUES, keys_of, with_value, without, written
+
+from robot_runner.core.errors import RobotRunnerError
 
 if TYPE_CHECKING:
     import random
+    from collections.abc import Callable
+
+#: In the fixed search, some seconds for all readers together; `make soak` searches for long.
+EXAMPLES = 40 if settings.default is not None and settings.default.max_examples < 1000 else 2000
+
+
+def read_or_refused(read: Callable[[], Any]) -> None:
+    """Call a reader; one of our errors has a problem, a place and a remedy."""
+    try:
+        read()
+    except RobotRunnerError as error:
+        for finding in error.findings:
+            assert finding.problem
+            assert finding.where
 
 
 def damaged(content: bytes, chance: random.Random) -> bytes:

@@ -4,26 +4,24 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from tests.hostile.damaged_bytes import damaged
+from tests.hostile.damaged_bytes import EXAMPLES, damaged, read_or_refused
 from tests.meters.scripted_meter import recording
 from tests.ros.recordings import scans_of_ros1, scans_of_ros2
 
 from robot_runner.analysis.importing.foreign_table import read_foreign_table
 from robot_runner.analysis.importing.units import split_heading
-from robot_runner.core.errors import RobotRunnerError
+from robot_runner.analysis.plan_file import read_plan
 from robot_runner.meters.ina219.card import read_card
 from robot_runner.ros.recorded_bag import RecordedBag
 from robot_runner.ros.type_catalogue import TypeCatalogue
 from robot_runner.simulator.room_file import read_room
-
-#: In the fixed search, some seconds for all readers together; `make soak` searches for long.
-_EXAMPLES = 40 if settings.default is not None and settings.default.max_examples < 1000 else 2000
 
 _TABLE = "Run;Speed [m/s^2];Energy (kWh);Time_ms\n1;2,5;0,001;10\n2;3,5;;#N/A\n".encode("utf-16")
 _ROOM = b"""
@@ -36,6 +34,11 @@ radius = 0.2
 [[robot]]
 at = [2, 2]
 yaw = 1.5
+"""
+_PLAN = b"""
+measures = ["Energy"]
+covariates = ["Voltage"]
+blocks = "Day"
 """
 _DEFINITION = b"float32 speed 0.25  # m/s\nuint8 MODE=3\nint32[] list [1, -2]\nstring tag 'abc'\nHeader header\n"
 
@@ -71,6 +74,7 @@ READERS: dict[str, tuple[str, Callable[[Path], bytes], Callable[[Path], Any]]] =
     "SQLite bag": ("hall.db3", lambda folder: _bag_of_ros2(folder, sqlite=True), _bag),
     "definition": ("my_robot/msg/Goal.msg", lambda _: _DEFINITION, _definition),
     "table": ("table.csv", lambda _: _TABLE, _table),
+    "plan": ("plan.toml", lambda _: _PLAN, read_plan),
     "room": ("room.toml", lambda _: _ROOM, read_room),
     "card": ("card.bin", lambda _: recording(100) + bytes(512), read_card),
 }
@@ -80,7 +84,7 @@ _intact: dict[str, tuple[Path, bytes]] = {}
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", READERS)
-@settings(suppress_health_check=list(HealthCheck), max_examples=_EXAMPLES)
+@settings(suppress_health_check=list(HealthCheck), max_examples=EXAMPLES)
 @given(seed=st.integers(0, 2**32))
 def test_whatever_a_file_of_others_holds_it_is_read_or_refused(
     tmp_path_factory: pytest.TempPathFactory, name: str, seed: int
@@ -92,12 +96,7 @@ def test_whatever_a_file_of_others_holds_it_is_read_or_refused(
         _intact[name] = folder / relative, make(tmp_path_factory.mktemp("made"))
     path, whole = _intact[name]
     path.write_bytes(damaged(whole, random.Random(seed)))  # noqa: S311 - chance, and no secret
-    try:
-        read(path)
-    except RobotRunnerError as error:
-        for finding in error.findings:
-            assert finding.problem
-            assert finding.where
+    read_or_refused(partial(read, path))
 
 
 @pytest.mark.long

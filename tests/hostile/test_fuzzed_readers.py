@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from tests.hostile.damaged_bytes import damaged
+from tests.hostile.damaged_bytes import EXAMPLES, damaged, read_or_refused
 
 from robot_runner.analysis.sample_files import headings_of, split_unit
-from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.execution.durations import Durations
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.storage.executed_runs import ExcludedRuns, done_runs, executed_order
@@ -36,9 +35,6 @@ if TYPE_CHECKING:
 
 Reader = Callable[[Path], Any]
 
-#: In the fixed search, some seconds for all readers together; `make soak` searches for long.
-_EXAMPLES = 40 if settings.default is not None and settings.default.max_examples < 1000 else 2000
-
 
 def _journal(path: Path) -> None:
     """Read it as each of those does that has a reader of its own."""
@@ -51,19 +47,19 @@ def _journal(path: Path) -> None:
         lambda: RunHistory.read(path, "r_1"),
         lambda: Journal(path).close(),
     ):
-        _ours(read)
+        read_or_refused(read)
 
 
 def _manifest(path: Path) -> None:
-    _ours(lambda: read_manifest(path))
+    read_or_refused(lambda: read_manifest(path))
     is_damaged(path)
-    _ours(lambda: read_status(path.parent))
+    read_or_refused(lambda: read_status(path.parent))
 
 
 def _table(path: Path) -> None:
     schema = read_schema(path.with_name("run_table.schema.json"))
-    _ours(lambda: read_run_table(path, TableLayout.of_schema(schema)))
-    _ours(lambda: read_run_table(path, TableLayout((), stamps=())))
+    read_or_refused(lambda: read_run_table(path, TableLayout.of_schema(schema)))
+    read_or_refused(lambda: read_run_table(path, TableLayout((), stamps=())))
 
 
 def _package(path: Path) -> None:
@@ -71,11 +67,11 @@ def _package(path: Path) -> None:
         with open_package(path) as package:
             verify_package(package)
 
-    _ours(verify)
+    read_or_refused(verify)
 
 
 def _samples(path: Path) -> None:
-    _ours(lambda: [split_unit(heading) for heading in headings_of(path)])
+    read_or_refused(lambda: [split_unit(heading) for heading in headings_of(path)])
 
 
 def _control(path: Path) -> None:
@@ -86,31 +82,21 @@ def _control(path: Path) -> None:
 READERS: dict[str, tuple[str, Reader]] = {
     "journal": ("journal.jsonl", _journal),
     "manifest": ("manifest.json", _manifest),
-    "schema": ("run_table.schema.json", lambda path: _ours(lambda: read_schema(path))),
+    "schema": ("run_table.schema.json", lambda path: read_or_refused(lambda: read_schema(path))),
     "table": ("run_table.csv", _table),
-    "registration": ("registration.json", lambda path: _ours(lambda: read_registration(path))),
+    "registration": ("registration.json", lambda path: read_or_refused(lambda: read_registration(path))),
     "samples": ("runs/r_1/Ina219/samples.csv", _samples),
     "control file": (".control", _control),
     "lock": (".lock", holder_of),
     "list of processes": (".outliving", outliving),
-    "config": ("config/small.py", lambda path: _ours(lambda: recognise(path))),
+    "config": ("config/small.py", lambda path: read_or_refused(lambda: recognise(path))),
     "package": ("small.zip", _package),
 }
 
 
-def _ours(read: Callable[[], Any]) -> None:
-    """Call a reader; one of our errors has a problem, a place and a remedy."""
-    try:
-        read()
-    except RobotRunnerError as error:
-        for finding in error.findings:
-            assert finding.problem
-            assert finding.where
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("name", READERS)
-@settings(suppress_health_check=list(HealthCheck), max_examples=_EXAMPLES)
+@settings(suppress_health_check=list(HealthCheck), max_examples=EXAMPLES)
 @given(seed=st.integers(0, 2**32))
 def test_whatever_a_file_holds_it_is_read_or_refused(
     original: Original, tmp_path_factory: pytest.TempPathFactory, name: str, seed: int

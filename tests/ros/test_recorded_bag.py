@@ -139,7 +139,7 @@ def test_messages_that_are_none_of_ros_are_named(tmp_path, encoding):
         channel = writer.register_channel("/pose", "json", schema)
         writer.add_message(channel, 1, b"{}", 1)
         writer.finish()
-    with pytest.raises(PluginError, match=f"the bag has messages by definitions of {encoding}, ") as refused:
+    with pytest.raises(PluginError, match=f"the bag has topics with {encoding} definitions, ") as refused:
         RecordedBag(path)
     assert "mcap filter" in refused.value.fix
 

@@ -186,6 +186,13 @@ def test_a_default_that_cannot_be_read_is_named_by_its_file(tmp_path, default):
         TypeCatalogue.of(2, "jazzy", (tmp_path,))
 
 
+def test_two_fields_of_one_name_are_refused_with_their_file(tmp_path):
+    file = _written(tmp_path, "my_robot/msg/Goal.msg", "float32 speed\nint32 speed\n")
+    with pytest.raises(LinkError, match=r"'my_robot/msg/Goal' has conflicting Python names: 'speed'") as refused:
+        TypeCatalogue.of(2, "jazzy", (tmp_path,))
+    assert refused.value.where == str(file)
+
+
 def test_a_file_is_enough_and_its_folder_names_the_package(tmp_path):
     file = _written(tmp_path, "my_robot/Wheel.msg", "float32 speed\n")
     assert TypeCatalogue.of(1, extra=(file,)).shape("my_robot/Wheel").names == ("speed",)

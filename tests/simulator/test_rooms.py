@@ -158,6 +158,8 @@ def test_the_battery_of_each_robot_of_a_room_is_looked_at_whoever_is_asked():
         ("[[robot]]\nat = [0, 0]\n[[robot]]\nat = [0.1, 0]\nnamespace = 'b'", "within each other"),
         ("box = 3", "is 3, not a table"),
         ("[[box", "is not TOML"),
+        pytest.param(f"box = {'9' * 5000}", "is not TOML", id="5000 digits"),
+        pytest.param(f"box = {'[' * 3000}", "is not TOML", id="deep brackets"),
     ],
 )
 def test_what_is_no_room_is_refused_with_a_fix(tmp_path, text, problem):

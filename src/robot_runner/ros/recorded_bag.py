@@ -24,7 +24,7 @@ _POINTER = b"version https://git-lfs"
 #: So many topics are written out in a fix at most.
 _FEW = 8
 _LOOK = "Record it anew, or look at it with `ros2 bag info` or `rosbag info`; `rosbag reindex` repairs some."
-#: Kinds of definitions in MCAP files that are none of ROS 2 (mcap.dev, Well-known schema encodings).
+#: Schema encodings in MCAP files that are not those of ROS 2 (mcap.dev, Well-known schema encodings).
 _FOREIGN = frozenset({"flatbuffer", "jsonschema", "protobuf", "ros1msg"})
 _WITHOUT = "Make a bag without these topics: mcap filter IN.mcap -o OUT.mcap --exclude-topic-regex '/of|/these'."
 #: The fields of a header in ROS 1; ROS 2 has no `seq`.
@@ -260,8 +260,8 @@ def _told_as_broken(path: Path) -> Iterator[None]:
     except PluginError:  # nothing that could read it
         raise
     except Exception as error:  # of rosbags, and of what it has decompress, unpack or query the bytes
-        if isinstance(error, KeyError) and {*error.args} & _FOREIGN:  # rosbags refuses all topics for one of these
-            problem = f"the bag has messages by definitions of {error.args[0]}, beside which rosbags reads none of ROS"
+        if isinstance(error, KeyError) and {*error.args} & _FOREIGN:
+            problem = f"the bag has topics with {error.args[0]} definitions, and rosbags reads no bag that has any"
             raise PluginError(problem, where=str(path), fix=_WITHOUT) from error
         raise PluginError(f"the bag cannot be read: {_reason(error)}", where=str(path), fix=_LOOK) from error
 

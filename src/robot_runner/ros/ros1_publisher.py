@@ -15,6 +15,7 @@ from typing import Any
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import GraphEndpoint, Message, Qos
 from robot_runner.core.words import enumerated
+from robot_runner.ros.own_thread import OwnThread
 from robot_runner.ros.qos_policies import DEPTHS
 from robot_runner.ros.ros1_node import check_running, completed_first, within
 from robot_runner.ros.ros1_types import as_message
@@ -32,6 +33,9 @@ _UNTOLD_SECONDS = 0.2
 _SETTLING = 1.0
 #: How often it is checked whether a queue is empty, s.
 POLL = 0.002
+
+#: For all publishers: rospy only queues what it is to send.
+_sender = OwnThread()
 
 
 class Publisher:
@@ -86,7 +90,8 @@ class Publisher:
     def publish(self, message: Message) -> None:
         """Publish a message that has every field of its type."""
         self._most = max(self._most, self._publisher.get_num_connections())
-        self._publisher.publish(as_message(self._cls, message))
+        # A part of a message stays in rospy's buffer if it is interrupted, and would be sent before the next one.
+        _sender.call(partial(self._publisher.publish, as_message(self._cls, message)))
         check_running(self._rospy.is_shutdown, self._topic)
 
     def flush(self, seconds: float) -> None:

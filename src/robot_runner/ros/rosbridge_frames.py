@@ -6,14 +6,10 @@ import base64
 import binascii
 import json
 import math
-import os
-import queue
 import socket
 import ssl
 import struct
-import threading
 from collections.abc import Mapping
-from concurrent.futures import Future
 from contextlib import ExitStack, suppress
 from functools import partial
 from types import MappingProxyType
@@ -129,46 +125,6 @@ class FrameReader:
 
     def _forget(self, name: str) -> None:
         self._held -= sum(map(len, self._parts.pop(name).values()))
-
-
-class Sender:
-    """Sends over a connection in a thread of its own.
-
-    A stop request may interrupt the caller's thread in the midst of a message. The server would then take the stop
-    command that follows for the rest of that message. The thread is a daemon: one of `concurrent.futures` would not
-    send the last stop of a link that is closed while the interpreter exits.
-
-    Args:
-        connection: to send over; not by two threads at once.
-    """
-
-    def __init__(self, connection: ClientConnection) -> None:
-        self._connection = connection
-        self._waiting: queue.SimpleQueue[tuple[str, Future[None]] | None] = queue.SimpleQueue()
-        self._process = 0
-
-    def send(self, text: str) -> None:
-        """Send a frame, and return once it has left; raises what the connection raises."""
-        if self._process != os.getpid():  # a forked process has none of the threads
-            self._process, self._waiting = os.getpid(), queue.SimpleQueue()
-            threading.Thread(target=self._work, args=(self._waiting,), name="rosbridge sender", daemon=True).start()
-        sent = Future[None]()
-        self._waiting.put((text, sent))
-        sent.result()
-
-    def close(self) -> None:
-        """End the thread, once it has sent what waits."""
-        self._waiting.put(None)
-
-    def _work(self, waiting: queue.SimpleQueue[tuple[str, Future[None]] | None]) -> None:
-        while (each := waiting.get()) is not None:
-            text, sent = each
-            try:
-                self._connection.send(text)
-            except Exception as error:  # noqa: BLE001 - whoever waits for it raises it
-                sent.set_exception(error)
-            else:
-                sent.set_result(None)
 
 
 _FLOATS = frozenset({"float32", "float64"})

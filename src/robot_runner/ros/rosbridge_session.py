@@ -11,11 +11,13 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.ros.graph_transport import link_closed, service_timeout
-from robot_runner.ros.rosbridge_frames import LARGEST_FRAME, FrameReader, Sender, as_json, connect, send_errors
+from robot_runner.ros.own_thread import OwnThread
+from robot_runner.ros.rosbridge_frames import LARGEST_FRAME, FrameReader, as_json, connect, send_errors
 
 if TYPE_CHECKING:
     from robot_runner.ros.graph_addresses import RosbridgeAddress
@@ -103,7 +105,7 @@ class Session:
         self._size, self._waiting_bytes = 0, 0
         self._closing = ExitStack()
         self._connection = connect(address, ANSWER, self._closing, where=self.where)
-        self._sender = Sender(self._connection)
+        self._sender = OwnThread()
         self._threads = [
             threading.Thread(target=target, name=f"rosbridge {name}", daemon=True)
             for name, target in (
@@ -135,7 +137,7 @@ class Session:
         try:
             with self._sending:
                 self.check_open(self.where)
-                self._sender.send(text)
+                self._sender.call(partial(self._connection.send, text))
         except send_errors() as error:
             self._lose(str(error))
             raise (self._lost or self._loss(str(error))) from error

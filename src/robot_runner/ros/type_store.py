@@ -54,7 +54,9 @@ def filled_store(generation: int, distro: str | None, extra: Sequence[Path]) -> 
         found |= _parsed(rosbags, name, text, where, generation)
     for name in found.keys() & store.fielddefs.keys():
         _check_same(name, found[name], store, definitions)
-    store.register({name: fields for name, fields in found.items() if name not in store.fielddefs})
+    _register(
+        rosbags, store, {name: fields for name, fields in found.items() if name not in store.fielddefs}, definitions
+    )
     _check_references(found, store, definitions)
     return store
 
@@ -97,7 +99,7 @@ def with_definition(store: Typestore, name: str, text: str) -> tuple[Typestore, 
         (part, field): value for part in fresh for field, value in field_defaults(texts[part], where=name).items()
     }
     extended: Typestore = rosbags.get_typestore(rosbags.Stores.EMPTY)
-    extended.register({**store.fielddefs, **fresh})
+    _register(rosbags, extended, {**store.fielddefs, **fresh}, {})
     _check_references(fresh, extended, {})
     return extended, defaults
 
@@ -208,6 +210,17 @@ def _message(rosbags: Any, name: str, text: str, where: str) -> dict[str, Any]:
             fix="Correct the definition.",
         ) from error
     return {name: (fields[0], [(field, _of_action(kind)) for field, kind in fields[1]])}
+
+
+def _register(
+    rosbags: Any, store: Typestore, found: dict[str, Any], definitions: Mapping[str, tuple[str, str]]
+) -> None:
+    try:
+        store.register(found)
+    except rosbags.TypesysError as error:  # two fields of one name
+        faulty = next((name for name in found if repr(name) in str(error)), "")
+        where = _file_of(faulty, definitions) if faulty else "message types"
+        raise LinkError(f"a definition cannot be used: {error}", where=where, fix="Correct the definition.") from error
 
 
 def _of_action(kind: Any) -> Any:

@@ -44,7 +44,7 @@ def read_room(path: Path) -> Room:
         raise LinkError(problem, where=str(path), fix="Make it a file that can be read.") from error
     except UnicodeDecodeError as error:
         raise LinkError("the room is not UTF-8 text", where=str(path), fix="Save it as UTF-8.") from error
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # also of numbers with thousands of digits, and deep brackets
         raise LinkError(f"the room is not TOML: {error}", where=str(path), fix=_GUIDE) from error
     return room_of(described, where=str(path))
 

@@ -19,7 +19,7 @@ from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.watchdog import TWIST, TWIST_STAMPED, velocity_command, velocity_of
 from robot_runner.testing.action_contract import PATIENCE, faults_told, punctual_refusal, refusal
 from robot_runner.testing.fake_run import FakeLinks, make_context
-from robot_runner.testing.link_contract import FaultyCallback, RobotLinkContract
+from robot_runner.testing.link_contract import FaultyCallback, RobotLinkContract, interruptions
 from robot_runner.testing.plugin_contract import require
 
 #: The types of velocity commands, one of them in the spelling of ROS 2.
@@ -382,13 +382,19 @@ class GraphLinkContract(RobotLinkContract):
                     require(_speed(message_type, received[-1]) > 0, f"the robot received {received[-1]}")
                 finally:
                     link.close()
-                self.until(partial(_has_been_stopped, message_type, received), f"the last command is {received[-1]}")
+                is_stopped = partial(lambda kind, got: _speed(kind, got[-1]) == 0.0, message_type, received)
+                self.until(is_stopped, f"the last command is {received[-1]}")
+
+    def test_a_stop_command_after_an_interrupted_publish_arrives(self) -> None:
+        """Check that the next message is received wherever in a publish a stop request comes."""
+        with self.opened() as robot, self.opened() as link:
+            received = self.received_on(robot, "cmd_vel", TWIST, link, {})
+            for moment in interruptions(partial(link.publish, "cmd_vel", TWIST, {"linear": {"x": 0.2}})):
+                link.publish("cmd_vel", TWIST, {"angular": {"z": moment}})
+                has_arrived = partial(lambda z: received[-1]["angular"]["z"] == z, moment)
+                self.until(has_arrived, f"what follows interruption {moment:g} is lost", timeout=self.discovery)
 
 
 def _speed(message_type: str, command: Message) -> float:
     speed: float = velocity_of(plain_type(message_type), command)["linear"]["x"]
     return speed
-
-
-def _has_been_stopped(message_type: str, received: list[Message]) -> bool:
-    return _speed(message_type, received[-1]) == 0.0

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
+from itertools import count
+from types import FrameType
 from typing import ClassVar
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.links.robot import Encoding, Message, RawMessage, RobotLink, Subscription
 from robot_runner.testing.action_contract import PATIENCE, ActionContract, faults_told, punctual_refusal, refusal
 from robot_runner.testing.plugin_contract import require
@@ -33,6 +37,38 @@ class FaultyCallback:
         del message
         self.calls += 1
         raise ValueError("a fault of the callback")
+
+
+def interruptions(act: Callable[[], object]) -> Iterator[float]:
+    """Interrupt `act` where Python looks for signals, as a stop request does: once at each, by their order.
+
+    Yields:
+        the number of the interruption, after each; at last that of the whole `act`.
+    """
+    for moment in count(1):
+        is_over = not _is_interrupted(act, moment)
+        yield float(moment)
+        if is_over:
+            return
+
+
+def _is_interrupted(act: Callable[[], object], moment: int) -> bool:
+    looks = count(1)
+
+    def look(_frame: FrameType, event: str, _arg: object) -> None:
+        # As a function begins, and once one of C has returned.
+        if event in {"call", "c_return"} and next(looks) == moment:
+            raise RunInterrupted
+
+    earlier = sys.getprofile()
+    sys.setprofile(look)
+    try:
+        act()
+    except RunInterrupted:
+        return True
+    finally:
+        sys.setprofile(earlier)
+    return False
 
 
 class RobotLinkContract(ActionContract):

@@ -88,6 +88,8 @@ def test_the_command_line_counts_more(tmp_path):
     ("text", "problem"),
     [
         ("name = ", "the file is not TOML"),
+        pytest.param(f"name = {'9' * 5000}", "the file is not TOML", id="5000 digits"),
+        pytest.param(f"name = {'[' * 3000}", "the file is not TOML", id="deep brackets"),
         ("nmae = 'x'", "there is no entry nmae"),
         ("name = 3", "name is 3"),
         ("columns = 3", "columns is 3"),

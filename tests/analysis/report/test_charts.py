@@ -57,6 +57,12 @@ def test_without_known_times_nobody_speaks_of_an_order_of_execution(tmp_path):
 
 
 @pytest.mark.long
+def spans_of(folder):
+    """Return the bars of the timeline of an experiment."""
+    results = load_results(folder.root)
+    return attempt_spans(Material(results, analyse(results)))
+
+
 def test_the_order_of_execution_is_the_journals_also_where_the_clock_was_set_back(tmp_path):
     folder = two_tasks(tmp_path / "trial", PRESSURES, PRESSURES)
     told = folder.files.journal.read_text().splitlines()
@@ -66,8 +72,7 @@ def test_the_order_of_execution_is_the_journals_also_where_the_clock_was_set_bac
     points = _points(folder.root)
     assert points["place"] == "Place in the order of execution"
     assert points["runs"] == [f"r_{number}" for number in range(1, 9)]
-    results = load_results(folder.root)
-    spans = attempt_spans(Material(results, analyse(results)))
+    spans = spans_of(folder)
     assert [span.run_id for span in spans] == points["runs"]
     assert all(one.start < other.start and one.end <= other.start for one, other in pairwise(spans))
 
@@ -75,17 +80,13 @@ def test_the_order_of_execution_is_the_journals_also_where_the_clock_was_set_bac
 def test_a_clock_that_was_set_between_runs_leaves_no_gap_among_them(tmp_path):
     folder = two_tasks(tmp_path / "trial", PRESSURES, PRESSURES)
 
-    def spans():
-        results = load_results(folder.root)
-        return attempt_spans(Material(results, analyse(results)))
-
-    before = spans()
+    before = spans_of(folder)
     told = folder.files.journal.read_text().splitlines()
     place = next(number for number, line in enumerate(told) if re.search(r'attempt_started.*"r_3"', line))
     later = [line.replace("T12:", "T13:") for line in told[place:]]
     was_set = '{"kind":"clock_set","at":"2026-01-01T13:00:00.000Z","seconds":3600.0}'
     folder.files.journal.write_text("".join(f"{line}\n" for line in (*told[:place], was_set, *later)))
-    assert [(each.run_id, each.start) for each in spans()] == [(each.run_id, each.start) for each in before]
+    assert [(each.run_id, each.start) for each in spans_of(folder)] == [(each.run_id, each.start) for each in before]
 
 
 @pytest.mark.parametrize("hour", ["T11:", "T13:"])
@@ -93,11 +94,7 @@ def test_a_clock_that_was_set_between_runs_leaves_no_gap_among_them(tmp_path):
 def test_a_clock_that_was_set_during_a_run_moves_no_bar_of_the_timeline(tmp_path, since, hour):
     folder = two_tasks(tmp_path / "trial", PRESSURES, PRESSURES)
 
-    def spans():
-        results = load_results(folder.root)
-        return attempt_spans(Material(results, analyse(results)))
-
-    before = spans()
+    before = spans_of(folder)
     told = folder.files.journal.read_text().splitlines()
     place = next(number for number, line in enumerate(told) if re.search(rf'(?=.*"{since}").*"r_3"', line))
     end = next(number for number, line in enumerate(told) if re.search(r'attempt_finished.*"r_3"', line))
@@ -105,7 +102,7 @@ def test_a_clock_that_was_set_during_a_run_moves_no_bar_of_the_timeline(tmp_path
     seconds = 3600.0 if hour == "T13:" else -3600.0
     later.insert(end - place, f'{{"kind":"clock_set","at":"2026-01-01{hour}00:00.000Z","seconds":{seconds}}}')
     folder.files.journal.write_text("".join(f"{line}\n" for line in (*told[:place], *later)))
-    assert spans() == before
+    assert spans_of(folder) == before
 
 
 def test_the_timeline_tells_no_measurement_outside_of_its_attempt(tmp_path):
@@ -115,8 +112,7 @@ def test_the_timeline_tells_no_measurement_outside_of_its_attempt(tmp_path):
     folder.files.journal.write_text(
         "".join(f"{each.replace('T12:', 'T13:') if is_its(each) else each}\n" for each in told)
     )
-    results = load_results(folder.root)
-    found = {span.run_id: span.measured for span in attempt_spans(Material(results, analyse(results)))}
+    found = {span.run_id: span.measured for span in spans_of(folder)}
     assert found.pop("r_3") is None
     assert all(found.values())
 
