@@ -266,6 +266,48 @@ def test_a_mission_that_swallows_the_request_to_end_is_told_with_where_it_goes_o
     assert "threading.Event().wait()" in failure_of(executed).traceback
 
 
+#: Python drops what is raised in a `__del__`, and goes on with what follows.
+DROPPED = """
+class Held:
+    def __del__(self): {during}
+held = Held()
+del held
+time.sleep(3600)
+"""
+
+
+@pytest.mark.parametrize("run_process", ["fork", "in_process"])
+@pytest.mark.parametrize("during", [f"{FAIL}; time.sleep(60)", "context.fail('too warm')"])
+def test_a_request_to_end_that_python_drops_is_repeated(execute: Execute, run_process: str, during: str) -> None:
+    executed = ended(execute, DROPPED.format(during=during), run_process=run_process, grace_in_s="50")
+    assert str(failure_of(executed)) == "launch_mission of config: too warm"
+    assert "arm closed" in executed.log("r_1")
+    assert "Exception ignored" not in executed.log("r_1")
+
+
+def test_a_mission_that_is_stopped_where_python_drops_it_ends_all_the_same(execute: Execute) -> None:
+    executed = ended(execute, DROPPED.format(during=f"{STOP}; time.sleep(60)"))
+    assert [row["status"] for row in executed.table] == ["Done"]
+    assert "the mission went on" not in executed.log("r_1")
+
+
+def test_a_run_whose_deadline_passes_where_python_drops_exceptions_closes_what_it_opened(execute: Execute) -> None:
+    mission = DROPPED.format(during="time.sleep(60)")
+    executed = ended(execute, mission, event_deadline_in_s="1", grace_in_s="50")
+    assert str(failure_of(executed)).startswith("launch_mission of config: the event took longer")
+    assert "arm closed" in executed.log("r_1")
+
+
+def test_the_hook_for_other_exceptions_that_python_drops_stays(
+    execute: Execute, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "unraisablehook", lambda lost: sys.stdout.write(f"dropped: {lost.exc_value}\n"))
+    mission = DROPPED.format(during="raise KeyError('of its own')").replace("time.sleep(3600)", "pass")
+    executed = ended(execute, mission)
+    assert [row["status"] for row in executed.table] == ["Done"]
+    assert "dropped: 'of its own'" in executed.log("r_1")
+
+
 def test_what_a_thread_raises_fails_the_run_and_ends_the_mission(execute: Execute) -> None:
     executed = ended(execute, "after(0.2, self.throw)\ntime.sleep(3600)")
     (failure,) = executed.journal("failure")

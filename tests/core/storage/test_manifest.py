@@ -46,6 +46,13 @@ def test_what_is_no_manifest_of_ours_is_refused(tmp_path: Path, text: str, probl
     assert refused.value.fix
 
 
+@pytest.mark.parametrize("part", ["packages", "system", "system_packages", "editable_code"])
+def test_software_of_another_shape_is_told_with_its_place(tmp_path: Path, part: str) -> None:
+    (tmp_path / "manifest.json").write_text(json.dumps({"format": 1, "software": {part: 7}}))
+    with pytest.raises(StorageError, match=part):
+        read_manifest(tmp_path / "manifest.json")
+
+
 def test_a_folder_without_a_manifest_is_no_experiment(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match="no experiment here"):
         read_manifest(tmp_path / "manifest.json")

@@ -19,7 +19,8 @@ from robot_runner.core.events.resources import Resources
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.clock_jumps import CLOCKS, ClockJumps, told_setting
 from robot_runner.core.execution.inherited import seed_random_numbers
-from robot_runner.core.execution.interruption import InterruptGate, RunEnding
+from robot_runner.core.execution.interruption import InterruptGate
+from robot_runner.core.execution.run_ending import RunEnding
 from robot_runner.core.execution.systems_state import Care, SystemsState
 from robot_runner.core.execution.task import Report, RunTask
 from robot_runner.core.links.commanded_topics import hear_commanded

@@ -87,6 +87,9 @@ class _Software(TypedDict):
     python: NotRequired[str]
     robot_runner: NotRequired[str]
     packages: NotRequired[dict[str, str]]
+    system: NotRequired[dict[str, Any] | None]
+    system_packages: NotRequired[dict[str, str] | None]
+    editable_code: NotRequired[dict[str, Any] | None]
 
 
 _TableDeviation = TypedDict("_TableDeviation", {"run": str, "column": str, "was": Scalar, "is": Scalar})
@@ -100,6 +103,7 @@ class Manifest(TypedDict):
     config: NotRequired[_Config | None]
     deviations: NotRequired[dict[str, Scalar]]
     robot: NotRequired[str | None]
+    robots: NotRequired[dict[str, str | None] | None]
     ros: NotRequired[dict[str, Any] | None]
     design: NotRequired[_Design]
     seed: NotRequired[Seed]
@@ -116,6 +120,7 @@ class Manifest(TypedDict):
     plugins: NotRequired[list[_Plugin]]
     host: NotRequired[dict[str, Any] | None]
     software: NotRequired[_Software]
+    programs: NotRequired[dict[str, Any] | None]
     executions: NotRequired[list[_Execution]]
     given_to_extension: NotRequired[dict[str, Any] | None]
     clocks: NotRequired[dict[str, dict[str, Any]]]
