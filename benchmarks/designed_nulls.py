@@ -103,7 +103,7 @@ def data_of(design: DesignedNull, values: Floats) -> MeasureData:
     results = PlannedResults(Path(), manifest, columns, table=pd.DataFrame({**frame, "y": values}))
     found = design_of(results).data("y")
     if found is None:
-        raise TypeError(f"{design.name}: its values are no numbers")
+        raise TypeError(f"{design.name}: its values are not numbers")
     return found
 
 

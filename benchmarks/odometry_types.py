@@ -1,5 +1,5 @@
 """nav_msgs/Odometry as who uses cyclonedds alone writes it, which the link over DDS is measured beside."""
-# Without deferred annotations: cyclonedds does not find built-in types in them. Its arrays are no types to mypy.
+# Without deferred annotations: cyclonedds does not find built-in types in them. Its arrays are not types to mypy.
 # mypy: disable-error-code="type-arg, valid-type, arg-type"
 
 from dataclasses import dataclass

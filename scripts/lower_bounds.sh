@@ -1,7 +1,7 @@
 #!/bin/sh
 # Execute the tests with the oldest releases that pyproject.toml allows, in an environment of their own.
 #
-# An old library's warnings of what is to come are no failures here; those of the locked ones are, in `make test`.
+# An old library's warnings of what is to come are not failures here; those of the locked ones are, in `make test`.
 set -eu
 cd "$(dirname "$0")/.."
 old=.make/lower-bounds

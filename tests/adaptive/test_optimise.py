@@ -95,7 +95,7 @@ def test_a_small_space_is_searched_to_its_end_and_nothing_is_asked_without_a_val
     assert only.runs == ()
     assert only.findings[0][0] == "no combination has a value of Energy"
     _, (odd,) = searched(model, lambda _: {"Energy": "high"})  # type: ignore[dict-item]
-    assert odd.findings[0][0] == "r_1 has 'high', which is no number of Energy"
+    assert odd.findings[0][0] == "r_1 has 'high' for Energy, which is not a number"
 
 
 def test_a_factor_of_one_treatment_stands_beside_those_that_are_searched() -> None:
@@ -146,7 +146,7 @@ def test_start_points_reach_the_ends_and_are_spread() -> None:
         ),
         (
             lambda: model_of(Optimise("Energy", runs=20, confirm=1, baseline={"Speed": 99, "Mode": "eco"})),
-            "the baseline has 99, which is no treatment of Speed",
+            "the baseline has 99, which is not a treatment of Speed",
             "Did you mean 9?",
         ),
         (

@@ -153,4 +153,4 @@ def test_values_too_large_to_compute_with_are_no_values_and_are_told() -> None:
     values = np.ones((3, 5)) * np.array([[np.finfo(float).max], [2.0], [2.0]])
     _, decision = raced(values, least=3)
     assert left_in(decision) == {"gait 1", "gait 2"}
-    assert "has 1.7976931348623157e+308, too large to compute with" in decision.findings[0][0]
+    assert "has 1.7976931348623157e+308 for Energy, too large to compute with" in decision.findings[0][0]

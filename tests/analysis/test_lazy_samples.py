@@ -195,7 +195,7 @@ def test_the_last_value_before_a_time_and_none_that_is_too_old():
 
 @pytest.mark.parametrize("period", [0.0, -1.0, float("nan")])
 def test_a_period_that_is_none_is_refused(results, period):
-    with pytest.raises(AnalysisError, match="no period of a grid"):
+    with pytest.raises(AnalysisError, match="not a period of a grid"):
         results.aligned_samples({"Meter": ["power_W"]}, period=period)
 
 

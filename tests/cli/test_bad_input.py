@@ -37,7 +37,7 @@ BAD = {
         {"table": "    def create_run_table():\n        return RunTableModel([])\n"},
         "Write self as its first parameter: def create_run_table(self).",
     ),
-    "a results path below a file": ({"body": "results_output_path = Path(__file__)"}, "is no folder"),
+    "a results path below a file": ({"body": "results_output_path = Path(__file__)"}, "is not a folder"),
     "an unknown robot": ({"body": "robot = 'simulatd'"}, "Did you mean 'simulated'?"),
     "an error while loading": ({"body": "half = 1 / 0"}, "the config raised ZeroDivisionError while it was loaded"),
     "an exit while loading": ({"head": f"raise SystemExit(0)\n{CLASS}"}, "the config raised SystemExit"),

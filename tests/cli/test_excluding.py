@@ -172,9 +172,9 @@ def test_everything_that_is_wrong_is_said_at_once_and_nothing_is_changed(execute
         exclude_runs(folder_of(executed), ["r_22,Task=Vidoe", "Taks=Video", "Repetition=3"], " \n")
     assert [str(each) for each in refused.value.findings] == [
         "RUNS r_22: the run table has no such run → Did you mean 'r_2'?",
-        "RUNS Task=Vidoe: 'Vidoe' is no treatment of 'Task' in the run table → Did you mean 'Video'?",
+        "RUNS Task=Vidoe: 'Vidoe' is not a treatment of 'Task' in the run table → Did you mean 'Video'?",
         "RUNS Taks=Video: there is no factor 'Taks' → Did you mean 'Task'?",
-        "RUNS Repetition=3: '3' is no treatment of 'Repetition' in the run table → Choose one of: '1', '2'.",
+        "RUNS Repetition=3: '3' is not a treatment of 'Repetition' in the run table → Choose one of: '1', '2'.",
         '--reason: the reason is empty → Say why, for the readers of the results: --reason "the door was open".',
     ]
     with pytest.raises(ExecutionError, match="the reason holds control characters"):
@@ -229,7 +229,7 @@ def test_of_what_is_lost_it_is_said_how_it_comes_back(execute: Execute, name: st
     (executed.folder / name).unlink()
     with pytest.raises(StorageError, match=f"{name} is missing") as refused:
         exclude_runs(folder_of(executed), ["r_1"], WHY)
-    assert "it is made anew" in refused.value.fix
+    assert "it is rebuilt" in refused.value.fix
     resume(executed)
     assert exclude_runs(folder_of(executed), ["r_1"], WHY) == ("r_1",)
 

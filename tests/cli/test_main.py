@@ -113,7 +113,7 @@ def test_the_version_is_that_of_the_package(robot_runner: Callable) -> None:
         (["run"], "robot-runner run: CONFIG is missing", "See `robot-runner run --help`."),
         (["plan", "a.py", "b.py"], "'b.py' is one word too many", "See `robot-runner plan --help`."),
         (["check", "c.py", "--set"], "argument --set: expected one argument", "See `robot-runner check --help`."),
-        (["check", "c.py", "--set", "robot"], "--set: 'robot' is no assignment", "Write --set name=value"),
+        (["check", "c.py", "--set", "robot"], "--set: 'robot' is not an assignment", "Write --set name=value"),
     ],
 )
 def test_words_that_are_not_understood_are_one_problem_with_a_fix(

@@ -102,7 +102,11 @@ def test_on_plain_lines_and_from_another_terminal(
     assert "swap the battery, before r_1; then tell voltage (V, 9 to 13), remark (may be left empty)" in told
     assert "robot-runner continue results/trial --answer voltage=..." in told
     assert bad.code == 2
-    for problem in ("'x' is no answer", "--answer voltag: no question asks for this", "the question is not answered"):
+    for problem in (
+        "'x' is not an answer",
+        "--answer voltag: no question asks for this",
+        "the question is not answered",
+    ):
         assert problem in bad.err
     assert "Did you mean 'voltage'?" in bad.err
     assert last.out == "trial goes on: 'place the robot' is done.\n"

@@ -23,10 +23,10 @@ def refusal(folder: Path, address: str | None) -> ExecutionError:
 @pytest.mark.parametrize(
     ("address", "problem", "fix"),
     [
-        ("foo:99999", "'99999' is no port", "0 to 65,535"),
-        ("foo:80", "'foo' is no address", "127.0.0.1"),
-        ("fe80::zz", "'fe80::zz' is no address", "127.0.0.1"),
-        ("", "'' is no address", "127.0.0.1"),
+        ("foo:99999", "'99999' is not a port", "0 to 65,535"),
+        ("foo:80", "'foo' is not an address", "127.0.0.1"),
+        ("fe80::zz", "'fe80::zz' is not an address", "127.0.0.1"),
+        ("", "'' is not an address", "127.0.0.1"),
     ],
 )
 def test_an_address_is_refused_under_the_option_that_gave_it(

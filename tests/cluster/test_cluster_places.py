@@ -168,7 +168,7 @@ def test_a_shared_folder_is_written_in_place_and_ctrl_c_ends_the_runs(cluster: C
     assert experiment.returncode == 0, answer
     assert [row["Twice"] for row in table_of(watched.folder)] == ["2.0", "4.0", "6.0"]
     assert (watched.folder / "runs" / "r_2" / "raw.txt").read_text() == "r_2"
-    assert r"'caf\udce9' is no regular file" in answer, "a link is named, in whatever encoding its name is"
+    assert r"'caf\udce9' is not a regular file" in answer, "a link is named, in whatever encoding its name is"
     assert not watched.was_executed_twice_at_a_time
 
 

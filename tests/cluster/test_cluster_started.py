@@ -80,8 +80,8 @@ def test_a_setting_of_dasks_configuration_that_cannot_be_is_found(watched: Watch
 
     assert problems(lease="10s", patience=3600, in_place=False) == []
     assert problems(lease="soon", patience="-5m", in_place="no") == [
-        "DASK_ROBOT_RUNNER__LEASE: 'soon' is no length of time → Set it as in DASK_ROBOT_RUNNER__LEASE=30s.",
-        "DASK_ROBOT_RUNNER__PATIENCE: '-5m' is no length of time → Set it as in DASK_ROBOT_RUNNER__PATIENCE=5m.",
+        "DASK_ROBOT_RUNNER__LEASE: 'soon' is not a length of time → Set it as in DASK_ROBOT_RUNNER__LEASE=30s.",
+        "DASK_ROBOT_RUNNER__PATIENCE: '-5m' is not a length of time → Set it as in DASK_ROBOT_RUNNER__PATIENCE=5m.",
         "DASK_ROBOT_RUNNER__IN_PLACE: 'no' is neither True nor False → Set it as in DASK_ROBOT_RUNNER__IN_PLACE=False.",
     ]
     for lease in (0, "", None, "inf", float("inf"), "0s"):

@@ -61,7 +61,7 @@ def test_what_a_killed_orchestrator_left_on_a_worker_is_removed_long_after_its_l
 ) -> None:
     """Nobody says goodbye: a process of each of its threads would wait there, beside what it has written."""
     clock = FakeClock()  # a busy machine may take longer than a lease for anything
-    monkeypatch.setattr(on_worker, "time", SimpleNamespace(monotonic=clock.now))
+    monkeypatch.setattr(on_worker, "now_counting_suspension", clock.now)
     monkeypatch.setattr(on_worker, "_ABANDONED", 6)
     monkeypatch.setattr(on_worker, "HostProcess", lambda folder: Mock())
     on_worker.join(_facts(tmp_path) | {"lease": LEASE}, _worker(tmp_path))
@@ -76,6 +76,21 @@ def test_what_a_killed_orchestrator_left_on_a_worker_is_removed_long_after_its_l
     until(lambda: not folder.exists(), "it is removed", 10)
     with pytest.raises(KeyError):
         on_worker.renew("0123")
+
+
+def test_a_renewal_that_a_worker_takes_when_it_wakes_up_after_its_lease_leaves_nothing_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It had been sent before; the orchestrator has the run executed elsewhere by now."""
+    real, slept = time.clock_gettime, 0.0
+    monkeypatch.setattr(time, "clock_gettime", lambda clock: real(clock) + slept * (clock == time.CLOCK_BOOTTIME))
+    session, host = on_worker._Session(_facts(tmp_path), tmp_path), Mock()
+    session._hosts.append(host)
+    session.renew()
+    slept = 200.0
+    session.renew()
+    host.ask.assert_called_with("lease", {"until": session._until})
+    assert session._until < time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 def test_an_attempt_that_was_stopped_before_it_began_never_begins(tmp_path: Path) -> None:

@@ -150,15 +150,15 @@ def test_what_can_hold_is_not_refused() -> None:
     ("make", "problem"),
     [
         (all_of, "there is no condition"),
-        (lambda: any_of("port 8080"), "'port 8080' is no condition"),
+        (lambda: any_of("port 8080"), "'port 8080' is not a condition"),
         (lambda: Between(1.0).held_for(0), "nothing can hold for 0 s"),
         (lambda: Between(1.0).held_for("5"), "nothing can hold for '5' s"),
-        (lambda: load_below(float("nan")), "nan is no limit"),
-        (lambda: load_below(True), "True is no limit"),
-        (lambda: measure_above("Energy", 10**400), "is no limit"),
+        (lambda: load_below(float("nan")), "nan is not a limit"),
+        (lambda: load_below(True), "True is not a limit"),
+        (lambda: measure_above("Energy", 10**400), "is not a limit"),
         (lambda: topic_above("odom", "nav_msgs/Odometry", "x", 2, within_s=float("nan")), "within_s is nan"),
         (lambda: topic_above("odom", "nav_msgs/Odometry", "x", 2, within_s=0), "within_s is 0"),
-        (lambda: message_on("odom", "nav_msgs/Odometry", "x > 2"), "'x > 2' is no predicate"),
+        (lambda: message_on("odom", "nav_msgs/Odometry", "x > 2"), "'x > 2' is not a predicate"),
     ],
 )
 def test_what_is_no_condition_is_refused_where_it_is_written(make: Callable[[], Condition], problem: str) -> None:

@@ -191,7 +191,7 @@ def test_a_clock_that_shows_the_same_is_near(server: SshServer, context: RobotRu
 
 @pytest.mark.long
 def test_what_names_no_computer_or_process_is_refused() -> None:
-    with pytest.raises(LinkError, match="no host that ssh could connect to"):
+    with pytest.raises(LinkError, match="not a host that ssh could connect to"):
         host_answers("-oProxyCommand=x")
     with pytest.raises(LinkError, match="selects no process"):
         process_running("")

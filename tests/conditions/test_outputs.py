@@ -128,7 +128,7 @@ def test_nobody_waits_for_who_might_write_to_a_pipe(
     for condition in (text_in(tmp_path / "pipe", "ready"), file_complete(tmp_path / "pipe")):
         look = watching(condition)()
         assert not look.holds
-        assert look.seen == "pipe is no file"
+        assert look.seen == "pipe is not a file"
 
 
 def test_a_file_is_complete_when_its_size_is_steady(
@@ -166,8 +166,8 @@ def test_a_file_is_complete_once_it_ends_as_it_should(
     ("make", "problem"),
     [
         (lambda: text_in("log", ""), "no text is looked for"),
-        (lambda: text_in("log", b"ready"), "b'ready' is no text"),
-        (lambda: text_in("log", re.compile(b"ready")), "is no text"),
+        (lambda: text_in("log", b"ready"), "b'ready' is not text"),
+        (lambda: text_in("log", re.compile(b"ready")), "is not text"),
         (lambda: file_complete("log", steady_s=-1), "steady_s is -1"),
         (lambda: file_complete("log", steady_s="1"), "steady_s is '1'"),
         (lambda: file_complete("log", end=""), "no file ends with ''"),  # every file would

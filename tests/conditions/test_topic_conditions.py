@@ -95,7 +95,7 @@ def test_a_managed_node_is_awaited_until_it_is_in_a_state(tmp_path: Path) -> Non
     clock.at(clock.now() + 1.0, lambda: change_state(link, "slam", "configure"))
     assert lifecycle_state("slam", "inactive").wait(context, timeout_s=2.0).value == "inactive"
     assert [each.is_error for each in lifecycle_state("slam").check(None)] == [True]
-    with pytest.raises(ConditionError, match="'activ' is no state"):
+    with pytest.raises(ConditionError, match="'activ' is not a state"):
         lifecycle_state("slam", "activ")
 
 
@@ -204,7 +204,7 @@ def test_a_message_between_two_looks_is_not_overlooked(robot: Robot) -> None:
     [
         (lambda: topic_above("scan", "sensor_msgs/LaserScan", "rangse.0", 1), "the message has no field 'rangse.0'"),
         (lambda: topic_above("scan", "sensor_msgs/LaserScan", "ranges.7", 1), "the message has no field 'ranges.7'"),
-        (lambda: topic_above("scan", "sensor_msgs/LaserScan", "ranges", 1), "is no number"),
+        (lambda: topic_above("scan", "sensor_msgs/LaserScan", "ranges", 1), "is not a number"),
         (lambda: message_on("scan", "sensor_msgs/LaserScan", lambda scan: scan["nothing"]), "'nothing'"),
     ],
 )

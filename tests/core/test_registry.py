@@ -39,7 +39,7 @@ def test_a_plugin_that_cannot_be_imported_names_its_package() -> None:
 
 
 def test_what_is_no_plugin_of_its_kind_is_refused() -> None:
-    with pytest.raises(PluginError, match="is no Profiler"):
+    with pytest.raises(PluginError, match="is not a Profiler"):
         load_plugin(announced("collections:OrderedDict"))
-    with pytest.raises(PluginError, match="is no Profiler"):
+    with pytest.raises(PluginError, match="is not a Profiler"):
         load_plugin(announced("robot_runner.ros.turtlebot3.basic_turtlebot3:BasicTurtlebot3"))

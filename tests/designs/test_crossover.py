@@ -99,4 +99,4 @@ def test_a_washout_is_a_time_and_all_findings_are_told_at_once(washout: object) 
     with pytest.raises(DesignError) as caught:
         RunTableModel([Factor("P", [1, 2])], design=Crossover("Robot", "Period", washout_in_s=washout))
     assert len(caught.value.findings) == 3
-    assert "is no time to wait" in caught.value.findings[2].problem
+    assert "is not a time to wait" in caught.value.findings[2].problem

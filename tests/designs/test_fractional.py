@@ -108,7 +108,7 @@ def test_all_that_keeps_a_fraction_from_being_is_said_at_once() -> None:
             "factor 'Inner': the factor has 3 treatments, and a fraction takes two → Give it two, or choose "
             "CoveringArray or DOptimal, which take any number."
         ),
-        "design: runs=6 is no power of two → Give 8 or 16.",
+        "design: runs=6 is not a power of two → Give 8 or 16.",
     ]
     two = factors_of([2] * 5)
     assert findings_of(two, design=FractionalFactorial(generators={"F3": ["F0", "F9"], "F5": ["F1"]})) == [
@@ -118,7 +118,7 @@ def test_all_that_keeps_a_fraction_from_being_is_said_at_once() -> None:
     for runs, fix in ((3, "Give 4."), (5, "Give 4 or 8."), (100, "Give 8.")):  # never more than the full factorial has
         count = 2 if runs == 3 else 3
         (odd,) = findings_of(factors_of([2] * count), design=FractionalFactorial(runs=runs))
-        assert odd.endswith(f"no power of two → {fix}")
+        assert odd.endswith(f"not a power of two → {fix}")
     assert "could not be told apart" in findings_of(two, design=FractionalFactorial(generators={"F3": ["F0"]}))[0]
     assert "cannot tell the main effects" in findings_of(two, design=FractionalFactorial(runs=4))[0]
     many = findings_of(factors_of([2] * 40), design=FractionalFactorial(runs=2**40))

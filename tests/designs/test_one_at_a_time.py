@@ -45,17 +45,20 @@ def test_the_base_may_lie_within_a_range_and_decide_which_factors_apply() -> Non
 def test_a_wrong_base_is_told_with_what_is_near() -> None:
     factors = [*factors_of([2, 2]), Factor("Speed", Range(0, 5))]
     assert findings_of(factors, design=OneFactorAtATime(base={"F0": "t9", "Spede": 1, "Speed": 7})) == [
-        "base['F0']: 't9' is no treatment of factor 'F0' → Choose one of: 't0', 't1'.",
+        "base['F0']: 't9' is not a treatment of factor 'F0' → Choose one of: 't0', 't1'.",
         "base['Spede']: there is no factor 'Spede' → Did you mean 'Speed'?",
-        "base['Speed']: 7 is no treatment of factor 'Speed' → Give a number from 0 to 5.",
+        "base['Speed']: 7 is not a treatment of factor 'Speed' → Give a number from 0 to 5.",
     ]
     steps = [Factor("Speed", Range(0.0, 1.0, step=0.5)), Factor("Robots", Range(1, 9)), *factors_of([2])]
     assert findings_of(steps, design=OneFactorAtATime(base={"Speed": 0.3, "Robots": 2.5})) == [
         (
-            "base['Speed']: 0.3 is no treatment of factor 'Speed' → Give a number from 0.0 to 1.0 in steps of 0.5, "
+            "base['Speed']: 0.3 is not a treatment of factor 'Speed' → Give a number from 0.0 to 1.0 in steps of 0.5, "
             "such as 0.5."
         ),
-        "base['Robots']: 2.5 is no treatment of factor 'Robots' → Give a number from 1 to 9 in steps of 1, such as 3.",
+        (
+            "base['Robots']: 2.5 is not a treatment of factor 'Robots' → "
+            "Give a number from 1 to 9 in steps of 1, such as 3."
+        ),
     ]
     assert "is of type list" in findings_of(factors, design=OneFactorAtATime(base=["t0"]))[0]
 

@@ -79,7 +79,7 @@ def test_exclusions_and_conditions_are_respected_and_the_number_of_runs_is_kept(
     assert rate.treatments == (*sorted(rate.treatments[:-1]), INACTIVE)
     assert {type(each) for each in rate.treatments[:-1]} == {int}
     assert (rate.unit, rate.range) == ("Hz", Range(1, 30, unit="Hz"))
-    said = "no power of two" if isinstance(design, Sobol) else ""
+    said = "not a power of two" if isinstance(design, Sobol) else ""
     assert [said in str(each) for each in model.warnings] == [True] * bool(said)
 
 

@@ -82,7 +82,7 @@ def test_a_treatment_that_is_none_excludes_nothing_and_is_named(config: Callable
 """
     runs, warnings = runs_and_warnings(config(table=table))
     assert len(runs) == 2
-    assert any("'smal' is no treatment of factor 'size'" in warning and "'small'" in warning for warning in warnings)
+    assert any("'smal' is not a treatment of factor 'size'" in warning and "'small'" in warning for warning in warnings)
 
 
 @pytest.mark.parametrize("key", ["size", "'size'"])

@@ -255,7 +255,7 @@ def test_what_no_column_is_for_is_kept_aside_and_the_row_does_not_shift(
     assert {row["seconds"] for row in executed.table} == {"2"}
     kept = ExperimentFolder.found_at(executed.folder).refused("run_0_repetition_0").read_text()
     assert json.loads(kept) == {"owner": "config", "name": "secnds", "value": "3"}
-    assert any("'secnds' is no data column" in each and "'seconds'" in each for each in executed.warnings)
+    assert any("'secnds' is not a data column" in each and "'seconds'" in each for each in executed.warnings)
 
 
 @pytest.mark.long

@@ -106,7 +106,7 @@ def test_a_parameter_may_be_given_in_init(config: Callable[..., Path]) -> None:
         ("RunTableModel([FactorModel('a', [1, 1])])", "treatment 1 is given twice"),
         ("RunTableModel([FactorModel('a', 'scan')])", "the treatments are 'scan', of type str"),
         ("RunTableModel([FactorModel('a', [])])", "FactorModel 'a': there are no treatments"),
-        ("RunTableModel(['a'])", "'a' is no factor"),
+        ("RunTableModel(['a'])", "'a' is not a factor"),
         ("RunTableModel([FactorModel('a', [1])], data_columns='x')", "data_columns is 'x'"),
         ("RunTableModel([FactorModel('a', [1])], data_columns=['x', 'x'])", "two data columns are called 'x'"),
         ("RunTableModel([FactorModel('a', [1])], exclude_combinations=[{'b': [1]}])", "there is no factor 'b'"),
@@ -133,10 +133,10 @@ def test_the_line_of_a_misused_call_is_named(config: Callable[..., Path]) -> Non
     ("subscription", "problem"),
     [
         ("(RunnerEvents.START_RUN, self.strat_run)", "no attribute 'strat_run'"),
-        ("('START_RUN', self.go)", "'START_RUN' is no event → Did you mean 'START_RUN'?"),
+        ("('START_RUN', self.go)", "'START_RUN' is not an event → Did you mean 'START_RUN'?"),
         ("(RunnerEvents.START_RUN, 'go')", "the callback of START_RUN is 'go', which cannot be called"),
         ("(RunnerEvents.START_RUN, self.two)", "two(context, other) cannot be called at START_RUN"),
-        ("(RunnerEvents.START_RUN, self.go, 1)", "is no pair of an event and a callback"),
+        ("(RunnerEvents.START_RUN, self.go, 1)", "is not a pair of an event and a callback"),
         ("(RunnerEvents.START_RUN, self.go)(RunnerEvents.STOP_RUN, self.go)", "the config raised TypeError"),
     ],
 )

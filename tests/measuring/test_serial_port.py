@@ -175,8 +175,8 @@ def test_without_any_port_the_fix_is_to_plug_the_device_in(monkeypatch):
 
 def test_a_file_that_is_no_port_is_refused(tmp_path):
     (file := tmp_path / "notes.txt").write_text("")
-    assert "is no serial port" in port_problem(str(file)).problem
-    assert "is no serial port" in port_problem(str(tmp_path)).problem
+    assert "is not a serial port" in port_problem(str(file)).problem
+    assert "is not a serial port" in port_problem(str(tmp_path)).problem
 
 
 def test_a_device_that_is_no_serial_port_is_refused_when_it_is_opened():

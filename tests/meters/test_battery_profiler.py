@@ -122,7 +122,7 @@ def test_a_state_of_charge_that_is_told_in_coarse_steps_is_doubted(measure, step
     context = measure(say)
     assert context.measures["ChargeUsed"] == pytest.approx(2.0, abs=0.2)
     told = [each for each in _problems(context) if "steps" in each]
-    assert told == ([f"the charge is told in steps of 1 %: ChargeUsed may be off by {off}"] if off else [])
+    assert told == ([f"the charge is reported in steps of 1 %: ChargeUsed may be off by {off}"] if off else [])
 
 
 def test_a_charge_that_never_changed_is_doubted(measure):

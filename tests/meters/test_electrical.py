@@ -89,7 +89,7 @@ def test_power_that_is_told_for_a_part_of_the_window_is_not_that_of_the_whole(me
     measures, problems = measure(lambda time: ElectricalReading(8.0 if time > 6.0 else None, wobbling(time)))
     assert (measures["Energy"], measures["MeanPower"]) == (None, None)
     assert measures["MeanVoltage"] == pytest.approx(12.0, abs=0.01)
-    assert problems == ["the power was told in 40 of 101 readings only"]
+    assert problems == ["the power was reported in 40 of 101 readings only"]
 
 
 @pytest.mark.parametrize(("every", "is_doubted"), [(5.0, True), (5.07, True), (1.0, False), (0.2, False)])
@@ -129,7 +129,7 @@ def test_a_counter_that_is_told_for_a_part_of_the_window_does_not_stand_for_the_
         lambda time: ElectricalReading(None, wobbling(time), joules=8.0 * time if time > 6.0 else None)
     )
     assert measures["Energy"] is None
-    assert problems == ["the energy was told in 40 of 101 readings only"]
+    assert problems == ["the energy was reported in 40 of 101 readings only"]
 
 
 def test_a_meter_that_falls_silent_shortly_before_the_end_measures_no_less(measure):
@@ -158,13 +158,13 @@ def test_what_is_no_quantity_costs_a_reading_and_not_the_run(measure, odd):
 
     measures, problems = measure(say)
     assert measures["Energy"] == pytest.approx(80.0)
-    assert problems == ["the energy was told in 0 of 101 readings only"]
+    assert problems == ["the energy was reported in 0 of 101 readings only"]
 
 
 def test_a_quantity_that_is_never_a_number_is_missing_for_a_reason(measure):
     values, problems = measure(lambda time: ElectricalReading(float("nan"), wobbling(time)))
     assert values["Energy"] is None
-    assert problems == ["the power was told in 0 of 101 readings only"]
+    assert problems == ["the power was reported in 0 of 101 readings only"]
 
 
 @pytest.mark.parametrize("factor", [1e-3, 1e3], ids=["kW for W", "mW for W"])

@@ -108,7 +108,7 @@ def test_an_instrument_that_falls_silent_costs_the_values_and_not_the_run(tmp_pa
     clock.at(13.0, lambda: setattr(driver, "is_silent", True))
     context = measured(tmp_path, Joulescope(), clock, seconds=10)
     assert set(context.measures.values()) == {None}
-    assert any("has told nothing for" in problem for problem in problems(context))
+    assert any("has reported nothing for" in problem for problem in problems(context))
 
 
 def test_an_instrument_that_sends_nothing_fails_the_run_before_its_mission(tmp_path, clock, connect):

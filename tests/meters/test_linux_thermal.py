@@ -177,7 +177,8 @@ def test_what_happened_before_is_not_new_where_the_firmware_could_not_be_asked_i
 
 def test_a_zone_that_tells_whole_degrees_is_doubted(measure, board, clock):
     told = (
-        "a thermal zone told temperatures below 0.15 °C in 10 of 21 samples: it may tell whole degrees, not thousandths"
+        "a thermal zone reported temperatures below 0.15 °C in 10 of 21 samples: "
+        "it may tell whole degrees, not thousandths"
     )
     board.zone("thermal_zone0", "acpitz", 0.0)
     board.zone("thermal_zone1", "cpu-thermal", 0.0)
@@ -238,7 +239,7 @@ def test_a_temperature_that_is_told_for_a_part_of_the_window_is_not_that_of_the_
     context = measure(zones=["cpu-thermal"])
     assert (context.measures["MaxTemperature"], context.measures["MeanTemperature"]) == (None, None)
     assert context.measures["MeanFrequency"] == pytest.approx(1.5e9)
-    assert "the temperature was told in 9 of 21 samples only: no value" in problems(context)
+    assert "the temperature was reported in 9 of 21 samples only: no value" in problems(context)
 
 
 def test_a_machine_that_tells_nothing_is_refused(tmp_path):

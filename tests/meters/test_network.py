@@ -110,7 +110,7 @@ def test_an_interface_that_was_set_up_anew_counts_from_0(measure, clock, tmp_pat
     context = measure(tmp_path / "net")
     assert context.measures["Received"] == 40
     told = [finding.problem for finding in context.broker.findings]
-    assert "interface 'wlan0' was set up anew: what it counted shortly before that is lost" in told
+    assert "interface 'wlan0' was set up again: what it counted shortly before that is lost" in told
 
 
 def test_an_interface_that_was_set_up_anew_after_gigabytes_did_not_go_round(measure, clock, tmp_path):
@@ -119,7 +119,7 @@ def test_an_interface_that_was_set_up_anew_after_gigabytes_did_not_go_round(meas
     clock.at(5.25, lambda: wlan.show(rx_bytes=40, rx_packets=1))
     context = measure(tmp_path / "net")
     assert (context.measures["Received"], context.measures["PacketsReceived"]) == (40, 1)
-    assert any("set up anew" in finding.problem for finding in context.broker.findings)
+    assert any("set up again" in finding.problem for finding in context.broker.findings)
 
 
 @pytest.mark.parametrize(("interfaces", "problems"), [(None, 1), (["wlan0"], 0)])

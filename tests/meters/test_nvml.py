@@ -137,12 +137,14 @@ def test_a_gpu_that_computes_and_tells_the_same_power_all_along_may_be_stuck(mea
         return 50.0 + 0.1 * (round(min(time, 25.0) * 10) % 7)
 
     (problem,) = problems(measure(FakeGpu(frozen, has_counter=False)))
-    assert problem == "GPU 0 told the same power 51 times, for 5.0 s, while it computed: it may be stuck"
+    assert problem == "GPU 0 reported the same power 51 times, for 5.0 s, while it computed: it may be stuck"
     assert problems(measure(FakeGpu(frozen, has_counter=False, utilisation=0))) == []
 
 
 def test_a_gpu_that_tells_no_power_at_all_is_doubted(measure):
-    assert "GPU 0 told a power of 0 W throughout" in problems(measure(FakeGpu(0.0, has_counter=False, utilisation=0)))
+    assert "GPU 0 reported a power of 0 W throughout" in problems(
+        measure(FakeGpu(0.0, has_counter=False, utilisation=0))
+    )
 
 
 def test_power_that_changes_between_readings_bends_an_energy_that_no_counter_tells(measure):
@@ -177,7 +179,7 @@ def test_power_that_was_told_for_a_part_of_the_time_is_not_taken_for_all_of_it(m
     assert context.measures["Energy"] is None
     assert context.measures["GPU"] == 40.0
     (problem,) = problems(context)
-    assert problem.startswith("the power of GPU 0 was told in 5")
+    assert problem.startswith("the power of GPU 0 was reported in 5")
     assert problem.endswith("of 201 readings only")
 
 

@@ -146,7 +146,7 @@ def test_rows_in_which_the_gpu_was_silent_are_doubted(tmp_path, doubts):
     # nvidia_smi.adb: where nvidia-smi fails or answers no number, PowerJoular adds 0 W.
     FakePowercap(tmp_path)
     (problem,) = doubts(RECORDED.replace("12.50000000000000,0.00000000000000", "12.50000000000000,30.00000000000000"))
-    assert problem.startswith("the GPU told no power in ")
+    assert problem.startswith("the GPU reported no power in ")
 
 
 def test_recorded_rows_are_read():

@@ -394,4 +394,4 @@ class TestScpiOnPyvisaSim(ProfilerContract):
 
     def test_a_query_that_is_answered_with_words_is_told(self):
         finding = only_finding(Scpi("TCPIP::localhost::5025::SOCKET", power="MEAS:POW?", backend=self.backend))
-        assert "'ERROR', which is no number" in finding.problem
+        assert "'ERROR', which is not a number" in finding.problem

@@ -112,7 +112,7 @@ def test_the_outlets_of_a_tasmota_strip_are_told_apart(total, joules):
 
 
 def test_a_number_beyond_all_bounds_is_no_number():
-    with pytest.raises(ValueError, match="says apower = inf, which is no number"):
+    with pytest.raises(ValueError, match="says apower = inf, which is not a number"):
         DIALECTS["shelly2"].read({"": b'{"apower": 1' + b"0" * 400 + b"}"}, 0)
 
 
@@ -127,13 +127,13 @@ def test_a_reading_that_the_plug_itself_says_to_be_wrong_is_none(error):
 
 
 def test_an_answer_that_is_nested_without_end_is_no_answer():
-    with pytest.raises(ValueError, match="which is no JSON"):
+    with pytest.raises(ValueError, match="which is not JSON"):
         DIALECTS["shelly2"].read({"": b"[" * 100_000}, 0)
 
 
 def test_the_single_meter_of_a_tasmota_plug_is_not_that_of_a_further_outlet(plug, on_http):
     problem = only_finding(SmartPlug("tasmota", url=on_http.url, channel=2)).problem
-    assert "told no power" in problem
+    assert "reported no power" in problem
 
 
 def test_a_plug_that_falls_silent_blocks_no_mission(tmp_path, on_http, monkeypatch):
@@ -203,7 +203,7 @@ def test_a_password_that_is_not_there_is_told(on_http, tmp_path, monkeypatch):
 def test_a_plug_without_a_power_sensor_is_told(plug, on_http):
     plug.measures = False
     for kind in KINDS:
-        assert "told no power" in only_finding(SmartPlug(kind, url=on_http.url)).problem
+        assert "reported no power" in only_finding(SmartPlug(kind, url=on_http.url)).problem
 
 
 def test_a_plug_of_another_kind_is_told(on_http, monkeypatch):

@@ -175,7 +175,7 @@ def test_in_the_main_thread_an_instance_and_an_observer_see_everything(
 
 
 def test_what_cannot_be_is_refused_clearly(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="is no config"):
+    with pytest.raises(ConfigError, match="is not a config"):
         run_experiment(42)
     with pytest.raises(ExecutionError, match="an observer can only watch"):
         in_thread(lambda: run_experiment(Study, folder=tmp_path, observer=RecordingObserver()))
@@ -359,7 +359,7 @@ def test_runs_are_chosen_as_on_the_command_line(wherever: Any, tmp_path: Path, o
     [
         ({"only": [1]}, "1 names no run"),
         ({"redo": [None]}, "None names no run"),
-        ({"settings": {1: 2}}, "1 is no name"),
+        ({"settings": {1: 2}}, "1 is not the name of a static parameter"),
     ],
 )
 def test_what_is_no_text_where_a_text_belongs_is_told(tmp_path: Path, asked: dict[str, Any], problem: str) -> None:

@@ -188,6 +188,16 @@ def test_who_comes_while_a_run_goes_on_is_told_what_is_left_by_then(root: Path) 
         assert found.look()["experiments"][0]["left"] == pytest.approx(told - 200, abs=60)
 
 
+@pytest.mark.usefixtures("held")
+def test_a_run_goes_on_for_as_long_however_the_clock_was_set_meanwhile(root: Path) -> None:
+    followed = FollowedExperiment(root)
+    with (root / "journal.jsonl").open("a") as journal:
+        journal.write(begin("r_1") + line("clock_set", seconds=3600.0) + begin("r_2"))
+        journal.write(line("clock_set", seconds=-60.0) + line("clock_set", seconds=1e300))
+    since = {each["run"]: each["since"] for each in settled(followed)["state"]["in_flight"]}
+    assert since == {"r_1": "2026-01-31T12:59:00.000Z", "r_2": "2026-01-31T11:59:00.000Z"}
+
+
 def test_a_folder_that_is_gone_is_told_and_shown_again_once_it_is_back(root: Path) -> None:
     followed = FollowedExperiment(root)
     settled(followed)

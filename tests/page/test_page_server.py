@@ -217,8 +217,8 @@ def test_it_sees_what_is_recorded_within_a_second_and_ends_without_a_trace(
     ("words", "problem"),
     [
         (["no-such"], "there is no such folder"),
-        (["--port", "99999"], "'99999' is no port"),
-        (["--host", "robot"], "'robot' is no address"),
+        (["--port", "99999"], "'99999' is not a port"),
+        (["--host", "robot"], "'robot' is not an address"),
         (["--host", "192.0.2.7"], "this machine has no such address"),
     ],
 )

@@ -294,8 +294,8 @@ def test_what_is_damaged_changed_gone_or_not_to_be_kept_is_told_and_holds_up_nob
     assert listed.code == 0
     assert "the config has changed since then" in listed.out
     assert "the config cannot be read" in listed.out
-    for number, problem in ((4, "config is 7, not a text"), (5, "a symbolic link"), (6, "no text in UTF-8")):
-        assert problem in listed.err.replace("not valid JSON", "no text in UTF-8")
+    for number, problem in ((4, "config is 7, not a text"), (5, "a symbolic link"), (6, "not text in UTF-8")):
+        assert problem in listed.err.replace("not valid JSON", "not text in UTF-8")
         assert f"robot-runner queue drop {number}" in listed.err
     runner = start("queue", "run")
     output, _ = runner.communicate(timeout=PATIENCE)

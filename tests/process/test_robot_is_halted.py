@@ -108,6 +108,7 @@ def named(experiment: Experiment, part: bytes) -> list[int]:
         pytest.param("the program", marks=pytest.mark.long),
         pytest.param("the process that halts", marks=pytest.mark.long),
         pytest.param("the orchestrator and the process that halts", marks=pytest.mark.long),
+        pytest.param("the orchestrator, as the supervisor is stopped", marks=pytest.mark.long),
     ],
 )
 def test_a_robot_that_a_program_of_all_runs_drives_stands_still_between_two_runs_whoever_is_killed(
@@ -132,7 +133,10 @@ def test_a_robot_that_a_program_of_all_runs_drives_stands_still_between_two_runs
         else:
             doomed = {"the orchestrator": [experiment.process.pid], "the supervisor": named(experiment, SUPERVISOR)}
             doomed |= {"the process that halts": named(experiment, HALTING)}
-            kill_together(pid for who in killed.split(" and ") for pid in doomed[who])
+            who, _, is_stopped = killed.partition(", as ")
+            for pid in doomed["the supervisor"] if is_stopped else ():
+                os.kill(pid, signal.SIGSTOP)
+            kill_together(pid for each in who.split(" and ") for pid in doomed[each])
             if killed == "the supervisor":
                 wait_until(lambda: not robot.moves(), "it stands still")
             if "orchestrator" not in killed:
@@ -154,6 +158,31 @@ def test_a_robot_that_a_program_of_all_runs_drives_stands_still_between_two_runs
             experiment.nobody_is_left()
         told = sorted((experiment.folder / "subjects" / "Planner").glob("*/commanded.jsonl"))
         assert not robot.moves(), [each.read_text() for each in told]
+
+
+@over("dds")
+@pytest.mark.long
+@pytest.mark.parametrize("with_all", [False, True], ids=["the run", "the run, its keeper and the orchestrator"])
+def test_a_program_that_takes_longer_to_end_than_its_killed_run_is_made_safe_drives_the_robot_no_further(
+    graph: str, start: Callable[..., Experiment], tmp_path: Path, with_all: bool
+) -> None:
+    obstinate = PLANNER.replace("lambda *_: os._exit(0)", "signal.SIG_IGN").replace("0.05", "0.001")
+    (tmp_path / "planner.py").write_text(obstinate)
+    config = tmp_path / "config.py"
+    text = CONFIG.format(robot=graph).replace('per="experiment"', "grace_s=60").replace("sleep(0.1)", "sleep(3600)")
+    text = text.replace('"sh", "-c", \'"$0" "$@" & wait\', ', "").replace('["hall", "kitchen"]', '["hall"]')
+    config.write_text(text)
+    with open_robot(graph) as (link, _):
+        robot = Robot(link)
+        experiment = start(config=config)
+        wait_until(robot.moves, "the program drives it")
+        told = experiment.folder / ".to_make_safe"
+        wait_until(lambda: told.exists() and "/cmd_vel" in told.read_text(), "the run has seen that")
+        others = [experiment.keeper(), experiment.process.pid] if with_all else []
+        kill_together([experiment.run_process(), *others])
+        assert experiment.end() == (-signal.SIGKILL if with_all else 1)
+        assert experiment.nobody_is_left()
+        assert not robot.moves(), experiment.output
 
 
 AT_FIRST = """

@@ -196,6 +196,23 @@ def test_where_the_keeper_is_stopped_and_the_run_is_killed_its_systems_are_made_
 
 
 @pytest.mark.long
+def test_where_the_standby_is_stopped_and_the_keeper_killed_neither_is_left_once_the_run_has_closed(
+    lamp: Callable[..., Any], start: Start
+) -> None:
+    experiment = lamp(tasks='"Video", "Network"', mission=f"(HERE / 'killed').exists() or {LONG}")
+    (experiment.config.parent / "killed").touch()
+    keeper, standby = experiment.keeper(), experiment.standby()
+    os.kill(standby, signal.SIGSTOP)
+    kill(keeper)
+    assert experiment.end() == 1
+    assert experiment.statuses == ["Failed", "Done"]
+    assert experiment.nobody_is_left()
+    again = start(config=experiment.config)
+    assert again.end() == 0, again.output
+    assert "still being made safe" not in again.output
+
+
+@pytest.mark.long
 def test_a_run_whose_keeper_is_stopped_is_done_when_it_ends(lamp: Callable[..., Any]) -> None:
     experiment = lamp(mission="[time.sleep(0.02) for _ in range(3000) if not (HERE / 'stopped').exists()]")
     os.kill(experiment.keeper(), signal.SIGSTOP)

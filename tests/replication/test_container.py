@@ -60,7 +60,7 @@ def test_a_base_with_its_digest_is_taken_and_what_is_no_image_is_refused():
     assert f"ARG BASE={pinned}\n" in recipe
     assert "is pinned by the digest" in recipe
     for wrong in ("python@sha256:12", "a b", "x\nRUN evil", ""):
-        with pytest.raises(PackageError, match="is no image"):
+        with pytest.raises(PackageError, match="is not an image"):
             as_base(wrong)
 
 

@@ -84,7 +84,7 @@ def test_nothing_else_counts(package, keys, tmp_path):
     signature_of(package).write_text("-----BEGIN SSH SIGNATURE-----\nU1NI\n-----END SSH SIGNATURE-----\n")
     assert "not one of this package" in refusal()
     signature_of(package).write_bytes(b"x" * 100_000)
-    assert "no file of a signature's size" in refusal()
+    assert "not a file of a signature's size" in refusal()
 
 
 @pytest.mark.long

@@ -90,7 +90,7 @@ def test_noise_within_the_default_bound_is_equivalent_and_the_default_is_said_to
         "Energy is equivalent within 5 % (the default, as neither --bound nor the plan says what matters)" in answer.out
     )
     assert _last(answer) == "The results are equivalent: no difference reaches the bound of 5 %."
-    assert "Label could not be decided: it differs in 12 of 12 runs, and its values are no numbers" in answer.out
+    assert "Label could not be decided: it differs in 12 of 12 runs, and its values are not numbers" in answer.out
     assert "It does not count: the plan does not name it as primary." in answer.out
     facts = json.loads((tmp_path / "again" / "verdict.json").read_text("utf-8"))
     assert (facts["verdict"], facts["exit_code"], facts["environment"]) == ("equivalent", 0, "here")

@@ -103,7 +103,7 @@ def test_a_missing_file_and_an_added_one_are_found(packed, tmp_path):
     more = _rezipped(packed, tmp_path / "b.zip", lambda name, data: (name, data))
     with zipfile.ZipFile(more, "a") as archive:
         archive.writestr("config/sitecustomize.py", "print('mine')")
-    assert "no part of the package" in _refusal(more).problem
+    assert "not part of the package" in _refusal(more).problem
 
 
 @pytest.mark.parametrize("name", ["../outside.txt", "config/../../outside.txt", "/outside.txt", "C:/outside.txt"])
@@ -160,7 +160,7 @@ def test_a_file_that_is_larger_than_it_says_is_refused(packed, tmp_path):
     path.write_bytes(content)
     with open_package(path) as package, pytest.raises(PackageError, match="damaged"):
         list(package.blocks("runs/long.txt"))
-    assert "no part of the package" in _refusal(path).problem
+    assert "not part of the package" in _refusal(path).problem
 
 
 def test_files_that_share_bytes_are_refused(packed, tmp_path):
@@ -227,7 +227,7 @@ def test_descriptions_of_a_stranger_are_looked_at_before_they_are_used(unpacked,
 
 def test_what_is_no_package_is_refused(tmp_path):
     (tmp_path / "notes.zip").write_text("mine", encoding="utf-8")
-    assert "no zip file" in _refusal(tmp_path / "notes.zip").problem
+    assert "not a zip file" in _refusal(tmp_path / "notes.zip").problem
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         archive.writestr("a.txt", "a")
@@ -235,7 +235,7 @@ def test_what_is_no_package_is_refused(tmp_path):
     assert "not made by" in _refusal(tmp_path / "other.zip").problem
     assert "no such file" in _refusal(tmp_path / "nowhere.zip").problem
     (tmp_path / "empty").mkdir()
-    assert "no package" in _refusal(tmp_path / "empty").problem
+    assert "not a package" in _refusal(tmp_path / "empty").problem
 
 
 def test_faults_do_not_grow_without_end(unpacked):
@@ -313,5 +313,5 @@ def test_a_folder_that_is_no_package_is_said_to_be_none_though_files_of_it_go_me
     monkeypatch.setattr(os, "walk", walk)
     with open_package(tmp_path) as package:
         assert list(package.sizes) == ["run_table.csv"]
-        with pytest.raises(PackageError, match="this is no package"):
+        with pytest.raises(PackageError, match="this is not a package"):
             verify_package(package)

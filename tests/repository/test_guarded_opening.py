@@ -38,6 +38,7 @@ OTHERS: dict[str, str] = {
             "core/storage/manifest.py: installed_system_packages",
             "core/storage/manifest.py: _sha256",
             "core/execution/left_over.py: _is_lock",
+            "core/execution/left_over.py: _boot",
             "core/storage/outliving.py: has_in_environment",
             "notebook/apart.py: _be_apart",
             "cli/guard.py: _replace_closed_streams",

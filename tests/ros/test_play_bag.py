@@ -191,7 +191,7 @@ def test_what_stands_in_the_way_is_found_before_anything_moves(tmp_path, scans):
     assert "which this plugin tells" in clocks
     assert problems(scans["mcap"], robot="ros2:clock=graph") == []
     (tmp_path / "note.txt").write_text("no bag")
-    assert problems(tmp_path / "note.txt")[0][0] == "'note.txt' is no bag"
+    assert problems(tmp_path / "note.txt")[0][0] == "'note.txt' is not a bag"
     assert problems(tmp_path)[0][0].startswith("there are no bags in")
     assert problems(scans["bag"].parent)[0][1].startswith("Name one of them: ")
 
@@ -205,7 +205,7 @@ def test_a_bag_that_was_cut_off_is_an_error_and_no_traceback(tmp_path, scans, ki
     cut.write_bytes(data[: round(share * len(data))])
     ((problem, fix),) = problems(cut)
     assert problem.startswith("the bag cannot be read: ")
-    assert "Record it anew" in fix
+    assert "Record it again" in fix
 
 
 @pytest.mark.parametrize("compression", list(Writer.CompressionFormat))
@@ -215,7 +215,7 @@ def test_a_bag_whose_compressed_bytes_are_damaged_is_an_error_and_no_traceback(t
     begin = data.index(magic) + len(magic)
     bag.write_bytes(data[:begin] + bytes(100) + data[begin + 100 :])
     ((problem, _),) = problems(bag)
-    assert problem.startswith("the first message on /scan is no sensor_msgs/LaserScan: ")
+    assert problem.startswith("the first message on /scan is not of type sensor_msgs/LaserScan: ")
     with RecordedBag(bag) as opened, pytest.raises(PluginError, match="the bag cannot be read"):
         list(opened.messages(list(opened.topics.values()), Encoding.ROS1))
 

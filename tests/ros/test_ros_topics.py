@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import time
 
 import pytest
 
@@ -113,6 +114,20 @@ def test_stamps_of_a_simulation_s_time_or_a_recording_yield_no_age_and_a_warning
     assert context.measures["OdomRate"] == pytest.approx(20.0, rel=0.01)
     (finding,) = context.broker.findings
     assert "topic odom: a message was stamped 20000.0 days before it arrived" in finding.problem
+
+
+def test_ages_are_doubtful_and_they_alone_where_this_machine_s_clock_was_set_meanwhile(measure, monkeypatch):
+    real, set_by = time.clock_gettime, [0.0]
+    monkeypatch.setattr(time, "clock_gettime", lambda clock: real(clock) + set_by[0] * (clock == time.CLOCK_REALTIME))
+
+    def is_sent(now):
+        set_by[0] = 3600.0 if now > 55.0 else 0.0
+        return True
+
+    context = measure(RosTopics({"odom": 20.0}), is_sent)
+    (doubt,) = [fields for kind, fields in context.broker.records if kind == "finding"]
+    assert "topic odom: this machine's clock was set by +3,600.0 s" in doubt["problem"]
+    assert doubt["measures"] == ["OdomAge", "OdomMaxAge"]
 
 
 def test_messages_without_a_stamp_have_no_age_and_that_is_said(tmp_path):

@@ -153,4 +153,4 @@ def test_who_offers_an_action_again_that_its_server_keeps_is_told_to_start_the_s
         robot.offer_action("count", FIBONACCI, count)
     with pytest.raises(LinkError, match="offers the action '/count' already") as caught:
         link.offer_action("count", FIBONACCI, count)
-    assert "start it anew" in caught.value.fix
+    assert "restart it" in caught.value.fix

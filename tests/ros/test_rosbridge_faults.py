@@ -227,6 +227,12 @@ def test_a_robot_is_stopped_and_reached_anew_while_rosapi_hangs(generation, monk
         server._rosapi.hangs = False
 
 
+def test_what_a_server_publishes_is_told_to_be_that_of_all_its_clients():
+    with closing(RosbridgeServer()) as server, closing(linked(server)) as planner, closing(linked(server)) as link:
+        planner.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
+        assert [(each.is_own, each.is_shared) for each in link.publishers("cmd_vel")] == [(True, True)]
+
+
 def test_the_wheels_of_a_robot_are_stopped_by_the_type_that_was_commanded_once_rosapi_has_ended():
     stamped = "geometry_msgs/TwistStamped"
     with closing(RosbridgeServer(generation=2)) as server, closing(linked(server)) as robot:

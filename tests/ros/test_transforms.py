@@ -115,7 +115,7 @@ def test_what_is_older_than_the_horizon_goes():
 
 def test_unknown_and_unconnected_frames_are_named():
     buffer = TransformBuffer()
-    assert "nobody has told of any frame yet" in refused(lambda: buffer.look_up("map", "base_link")).fix
+    assert "no frame has been published yet" in refused(lambda: buffer.look_up("map", "base_link")).fix
     buffer.add("odom", "base_link", 1.0, (0.0, 0.0, 0.0), STRAIGHT)
     buffer.add("map", "goal", 1.0, (0.0, 0.0, 0.0), STRAIGHT)
     error = refused(lambda: buffer.look_up("map", "base_lnik"))
@@ -140,10 +140,10 @@ def test_what_cannot_be_true_is_left_out_and_told_once():
     assert len(problems) == 4
     assert problems[0] == "'map' would be its own ancestor, as a child of 'base': that is left out"
     assert "has no name or no numbers" in problems[2]
-    assert "no unit quaternion" in problems[3]
+    assert "not a unit quaternion" in problems[3]
     buffer.add("map", "base", 3.0, (7.0, 0.0, 0.0), STRAIGHT)
     assert buffer.look_up("map", "base").translation == (7.0, 0.0, 0.0)
-    assert buffer.findings[-1].problem == "'base' has two parents, 'odom' and 'map': the last one told holds"
+    assert buffer.findings[-1].problem == "'base' has two parents, 'odom' and 'map': the last one published holds"
 
 
 def test_a_simulation_that_was_reset_is_not_mixed_with_the_one_before():

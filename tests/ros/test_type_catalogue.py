@@ -125,7 +125,7 @@ def test_bytes_that_are_cut_off_are_refused(generation):
     catalogue = TypeCatalogue.of(number)
     whole = completed(catalogue.shape("nav_msgs/Odometry"), {}, where="odom")
     data = catalogue.serialise("nav_msgs/Odometry", whole, encoding)
-    with pytest.raises(LinkError, match="50 bytes are no message of this type"):
+    with pytest.raises(LinkError, match="50 bytes are not a message of this type"):
         catalogue.deserialise("nav_msgs/Odometry", data[:50], encoding)
 
 
@@ -209,7 +209,7 @@ def test_a_package_in_a_folder_of_another_name_is_called_as_its_package_xml_says
 @pytest.mark.parametrize("folder", ["robot_msgs-main", "3robots"])
 def test_a_folder_that_cannot_be_the_name_of_a_package_is_told(tmp_path, folder):
     _written(tmp_path, f"{folder}/msg/Wheel.msg", "float32 speed\n")
-    with pytest.raises(LinkError, match=f"{folder!r} is no name of a package") as refused:
+    with pytest.raises(LinkError, match=f"{folder!r} is not the name of a package") as refused:
         TypeCatalogue.of(2, extra=(tmp_path,))
     assert "package.xml" in refused.value.fix
 

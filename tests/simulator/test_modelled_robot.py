@@ -112,7 +112,7 @@ def test_the_joints_of_an_arm_take_what_their_actuators_take(simulate):
     assert state["name"] == ["shoulder", "elbow"]
     assert state["position"][0] == pytest.approx(0.8, abs=0.05)
     assert state["velocity"][1] > 0.2
-    with pytest.raises(LinkError, match="'elbo' is no joint") as raised:
+    with pytest.raises(LinkError, match="'elbo' is not a joint") as raised:
         link.publish("joint_commands", "sensor_msgs/JointState", {"name": ["elbo"], "position": [1.0]})
     assert "elbow" in raised.value.fix
     with pytest.raises(LinkError, match="driven by its velocity, and none is given"):
@@ -141,7 +141,7 @@ def test_a_model_has_no_power_meter_and_no_computer(simulate):
     [
         ("<mujoco", {}, "MuJoCo does not take the model"),
         (ROVER[: ROVER.index("<actuator>")] + "</mujoco>", {}, "no actuator that drives"),
-        (ROVER, {"left": "lef_wheel", "right": "right_wheel"}, "left='lef_wheel' is no joint"),
+        (ROVER, {"left": "lef_wheel", "right": "right_wheel"}, "left='lef_wheel' is not a joint"),
         (ROVER.replace('pos="0 -0.15 0"', 'pos="0 0.15 0"'), {}, "are 0 m apart"),
     ],
 )
@@ -202,7 +202,7 @@ def test_an_actuator_that_takes_several_values_moves_none_of_the_others(simulate
     link.publish("joint_commands", "sensor_msgs/JointState", {"name": ["elbow"], "effort": [0.5]})
     state = last(simulation, link, "joint_states", after=3.0)
     assert state["velocity"][1] == pytest.approx(0.5, abs=0.1)
-    with pytest.raises(LinkError, match="'shoulder' is no joint of the model that is driven"):
+    with pytest.raises(LinkError, match="'shoulder' is not a joint of the model that is driven"):
         link.publish("joint_commands", "sensor_msgs/JointState", {"name": ["shoulder"], "effort": [0.5]})
 
 

@@ -182,5 +182,5 @@ def test_all_that_is_wrong_is_said_at_once(tmp_path):
 
 def test_a_named_pipe_is_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "room.toml")
-    with pytest.raises(LinkError, match="the room is no regular file"):
+    with pytest.raises(LinkError, match="the room is not a regular file"):
         read_room(tmp_path / "room.toml")

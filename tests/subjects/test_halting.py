@@ -6,6 +6,8 @@ import fcntl
 import json
 import os
 import shutil
+import signal
+import subprocess
 import sys
 import time
 from types import SimpleNamespace
@@ -180,6 +182,26 @@ def test_zero_has_to_arrive_only_where_somebody_was_seen_to_command(
     assert graph.insisted == {"/joy_vel": False, "/nav_vel": True}
 
 
+class GraphOfClients(GraphOfNodes):
+    """A graph behind a server whose clients cannot be told apart, this link being one of them."""
+
+    def publishers(self, topic: str) -> list[GraphEndpoint]:
+        return [GraphEndpoint(node, TWIST, is_own=True, is_shared=True) for node in self._nodes[topic]]
+
+
+def test_a_server_that_publishes_for_software_as_for_this_link_counts_as_somebody_who_commands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    graph = GraphOfClients({"/cmd_vel": ["/rosbridge_websocket"]})
+    robot = CommandedRobot(make_context(tmp_path, robot="rosbridge://robot"))
+    monkeypatch.setattr(robot, "_link", graph)
+    told: list[str] = []
+    robot.tell = lambda topic, _: told.append(topic)
+    robot.look()
+    assert graph.insisted == {"/cmd_vel": True}
+    assert told == ["/cmd_vel"]
+
+
 def begun(root: Path) -> Start:
     """Return a start of an experiment in this folder."""
     start = Start(root / "subjects" / "Planner" / "1")
@@ -242,3 +264,26 @@ def test_a_copy_that_was_made_while_a_program_commanded_a_robot_leaves_that_to_t
     assert len(list(end_left_subjects(other, lambda _: True))) == is_moved
     assert len(halted) == is_moved
     assert len(list(end_left_subjects(root, lambda _: True))) == (not is_moved)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell who holds a lock")
+def test_who_was_to_halt_the_robot_and_is_stopped_holds_nobody_up_and_is_ended_by_the_next_execution(
+    tmp_path: Path, halted: list[Path]
+) -> None:
+    start = begun(tmp_path)
+    commanded = CommandedTopics(start)
+    commanded.add("ros2", "/cmd_vel", TWIST)
+    with commanded.locked() as inherited:
+        stopped = subprocess.Popen(["/bin/sleep", "60"], pass_fds=inherited)
+    with stopped:
+        try:
+            assert is_subject_left(ExperimentFolder(tmp_path))
+            os.kill(stopped.pid, signal.SIGSTOP)
+            os.waitid(os.P_PID, stopped.pid, os.WSTOPPED)
+            assert not is_subject_left(ExperimentFolder(tmp_path)), "it stops no robot"
+            (told,) = end_left_subjects(tmp_path, lambda _: True)
+            assert "it was commanded to stand still now" in told.problem
+            assert stopped.wait(5) == -signal.SIGKILL, "once continued, it would stop the robot in the midst of a run"
+            assert halted == [start.folder]
+        finally:
+            stopped.kill()

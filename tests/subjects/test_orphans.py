@@ -10,10 +10,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from robot_runner.core.storage.outliving import is_alive
+from robot_runner.subjects.halting import end_left_subjects
 from robot_runner.subjects.orphans import end_orphans, mark_of
+from robot_runner.subjects.supervised_program import SupervisedProgram, Task
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+SLEEPS = Task(command=("sleep", "1000"), environment={})
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="found by /proc")
@@ -28,3 +33,28 @@ def test_what_is_left_is_killed_whatever_its_folder_is_called(tmp_path: Path, na
             assert left.wait(5) == -signal.SIGKILL
         finally:
             left.kill()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="found by /proc")
+def test_a_program_whose_supervisor_is_stopped_ends_when_it_is_told_to(tmp_path: Path) -> None:
+    program = SupervisedProgram(tmp_path, SLEEPS, name="Planner")
+    os.kill(program._supervisor.pid, signal.SIGSTOP)
+    ended = program.stop()
+    assert (ended.was_asked, ended.code) == (True, -signal.SIGTERM)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="found by /proc")
+def test_a_program_of_a_killed_execution_whose_supervisor_is_stopped_is_ended_by_the_next(tmp_path: Path) -> None:
+    program = SupervisedProgram(tmp_path / "subjects" / "Planner" / "1", SLEEPS, name="Planner")
+    supervisor, pid = program._supervisor, program.pid
+    assert pid is not None
+    os.kill(supervisor.pid, signal.SIGSTOP)
+    assert supervisor.stdin is not None
+    supervisor.stdin.close()  # as its starter is dead
+    try:
+        assert list(end_left_subjects(tmp_path, lambda _: True)) == []
+        supervisor.wait(20)
+        assert not is_alive(pid)
+    finally:
+        supervisor.kill()
+        supervisor.wait()

@@ -234,7 +234,7 @@ def test_ros2_run_gets_the_words_of_a_node_and_its_middleware(
         ({"node_name": "a/b"}, "cannot be named"),
         ({"namespace": "a b"}, "cannot be the name of a namespace"),
         ({"parameters": {"speed": float("nan")}}, "'speed' cannot be nan"),
-        ({"parameters": {"a b": 1}}, "'a b' is no name"),
+        ({"parameters": {"a b": 1}}, "'a b' is not the name of a parameter"),
         ({"parameters": {"a": {"b": object()}}}, "'a.b' cannot be"),
         ({"ros": 1, "rmw": "rmw_fastrtps_cpp"}, "and ros is 1"),
     ],

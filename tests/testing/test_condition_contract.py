@@ -119,7 +119,7 @@ BREACHES = [
     (Shared, "test_two_watches_know_nothing_of_each_other", "watching changed the condition"),
     (Leaking, "test_what_was_opened_is_closed", "left behind"),
     (Fixless, "test_its_check_speaks_in_findings", "offers no fix"),
-    (Blind, "test_it_holds_once_what_it_asks_for_is_there", "which is no Look"),
+    (Blind, "test_it_holds_once_what_it_asks_for_is_there", "which is not a Look"),
 ]
 
 

@@ -262,7 +262,7 @@ def test_a_check_that_returns_no_findings_breaks_the_contract():
         def make_plugin(self):
             return Unhelpful()
 
-    with pytest.raises(AssertionError, match="which is no Finding"):
+    with pytest.raises(AssertionError, match="which is not a Finding"):
         Facts().test_its_check_finds_nothing_wrong_where_it_works()
 
 

@@ -64,7 +64,7 @@ def explored(told: Sequence[Told], measures: Sequence[str]) -> tuple[list[Explor
         measures: those of the search.
 
     Returns:
-        the combinations, and problem and fix for values that are no numbers.
+        the combinations, and problem and fix for values that are not numbers.
     """
     found: dict[tuple[str, ...], Explored] = {}
     odd = []
@@ -80,8 +80,8 @@ def explored(told: Sequence[Told], measures: Sequence[str]) -> tuple[list[Explor
                 continue
             own.has_failed |= not each.is_excluded
             if value is not None:
-                why = "too large to compute with" if is_number(value) else f"which is no number of {name}"
-                odd.append((f"{each.run.run_id} has {value!r}, {why}", "Name another measure."))
+                why = "too large to compute with" if is_number(value) else "which is not a number"
+                odd.append((f"{each.run.run_id} has {value!r} for {name}, {why}", "Name another measure."))
     searched = {each.run.combination.texts for each in told if each.run.batch == 1}
     return [each for key, each in found.items() if key in searched], odd
 
@@ -153,7 +153,7 @@ def direction_findings(where: str, directions: object) -> Iterator[Finding]:
 
 
 def count_findings(where: str, least: int = 0, **counts: object) -> Iterator[Finding]:
-    """Yield an error for each count that is no integer of at least `least`."""
+    """Yield an error for each count that is not an integer of at least `least`."""
     for name, value in counts.items():
         if not is_whole(value):
             yield Finding.error(where, f"{name} is {value!r}, of type {type(value).__name__}", "Give a whole number.")
@@ -277,7 +277,7 @@ def settings(factor: Factor) -> list[Any]:
 
 
 def baseline_findings(where: str, factors: Sequence[Factor], baseline: Mapping[str, Any]) -> Iterator[Finding]:
-    """Yield errors where a baseline is no combination of these factors."""
+    """Yield errors where a baseline is not a combination of these factors."""
     known = {factor.name: factor for factor in factors}
     for name, treatment in baseline.items():
         if name not in known:
@@ -285,7 +285,7 @@ def baseline_findings(where: str, factors: Sequence[Factor], baseline: Mapping[s
             continue
         whole = known[name].with_treatments(settings(known[name]))
         if whole.position_of(treatment) is None:
-            problem = f"the baseline has {treatment!r}, which is no treatment of {name}"
+            problem = f"the baseline has {treatment!r}, which is not a treatment of {name}"
             yield Finding.error(where, problem, whole.suggestion(treatment))
     for factor in factors:
         if factor.name not in baseline and len(factor.treatments) > 1:

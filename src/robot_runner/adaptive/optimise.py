@@ -261,7 +261,7 @@ class _Search:
         }
         try:
             # A group of its own: Ctrl-C is for the experiment, which ends once this is answered.
-            asked = subprocess.run(  # noqa: S603 - a program of ours, and what it is told is no command
+            asked = subprocess.run(  # noqa: S603 - a program of ours, and what it is told is not a command
                 [sys.executable, "-P", "-m", _PROGRAM],
                 input=json.dumps(question),
                 capture_output=True,

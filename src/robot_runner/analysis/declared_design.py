@@ -278,7 +278,7 @@ def _plots(declared: DeclaredDesign, runs: pd.DataFrame, varied: Sequence[str], 
     if (kinds > 1).all():
         problem = f"no factor stays as it is for a whole plot ({enumerated(plot)})"
         yield Finding.error(
-            where, problem, "Name the column of the whole plots, and blocks if they count anew in each."
+            where, problem, "Name the column of the whole plots, and blocks if their count starts again in each."
         )
     elif (kinds == 1).all():
         problem = f"no factor varies within a whole plot ({enumerated(plot)})"

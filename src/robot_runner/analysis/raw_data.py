@@ -170,7 +170,7 @@ class RawData:
         """Return samples of several profilers on one time grid, run by run; see `Results.aligned_samples`."""
         if not (math.isfinite(period) and period > 0):
             fix = "Give seconds, as in 0.1."
-            raise AnalysisError(f"{period!r} is no period of a grid", where="aligned samples", fix=fix)
+            raise AnalysisError(f"{period!r} is not a period of a grid", where="aligned samples", fix=fix)
         if not columns:
             fix = "Name them by plugin, as in {'Ina219': ['power_W']}."
             raise AnalysisError("no columns are given", where="aligned samples", fix=fix)

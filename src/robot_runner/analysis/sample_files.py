@@ -188,7 +188,7 @@ def headings_of(path: Path) -> tuple[str, ...]:
     try:
         return tuple(next(csv.reader([line]), ()))
     except csv.Error as error:
-        raise AnalysisError(f"the file's first line is no CSV: {error}", where=str(path), fix=_CORRECT) from error
+        raise AnalysisError(f"the file's first line is not CSV: {error}", where=str(path), fix=_CORRECT) from error
 
 
 def _time_of(headings: Sequence[str]) -> str | None:
@@ -304,7 +304,7 @@ def _rows(path: Path) -> list[dict[str, str]]:
             # The last row of a run that is being executed may be cut off.
             return [row for row in rows if None not in row and None not in row.values()]
     except csv.Error as error:
-        raise AnalysisError(f"the file is no CSV: {error}", where=str(path), fix=_CORRECT) from error
+        raise AnalysisError(f"the file is not CSV: {error}", where=str(path), fix=_CORRECT) from error
 
 
 def _type(name: str) -> str:

@@ -314,7 +314,7 @@ class _Reader:
         except pa.ArrowInvalid as error:
             if not types:
                 fix = "Correct it, or move it away."
-                raise AnalysisError(f"the file is no table of samples: {error}", where=str(path), fix=fix) from error
+                raise AnalysisError(f"the file is not a table of samples: {error}", where=str(path), fix=fix) from error
         except OSError as error:
             raise storage_error(path, "read", error) from error
         return self._read_one(run_id, {})

@@ -25,7 +25,7 @@ from robot_runner.cli.harmless_stream import HarmlessStream, unguarded
 from robot_runner.core.storage.declared_shapes import finite
 from robot_runner.core.words import harmless, harmless_json, one_line
 
-#: Wide enough that nothing is folded where the output is no terminal.
+#: Wide enough that nothing is folded where the output is not a terminal.
 _UNLIMITED = 100_000
 _PROGRAM = "robot-runner"
 

@@ -117,7 +117,7 @@ def _correcting(folder: ExperimentFolder) -> Iterator[_Table]:
         refuse_without_journal(folder)
         for path in (folder.run_table, folder.schema):
             if not path.exists():
-                fix = "Execute the experiment once more with its config (robot-runner run): it is made anew."
+                fix = "Execute the experiment once more with its config (robot-runner run): it is rebuilt."
                 raise StorageError(f"{path.name} is missing", where=str(folder.root), fix=fix)
         schema = read_schema(folder.schema)
         rows = _read_rows(folder, schema)

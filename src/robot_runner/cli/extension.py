@@ -179,7 +179,7 @@ class _Extending:
         written = [each.get("sha256") for each in read_journal(self._folder.journal, kinds={"table_written"})]
         if not path.exists():
             problem = "the run table is missing and the design has changed: nothing tells which runs were planned"
-            fix = "Restore the run table. Or undo the change, and execute the experiment: the table is made anew."
+            fix = "Restore the run table. Or undo the change, and execute the experiment: the table is rebuilt."
             raise ExecutionError(problem, where=str(path), fix=fix)
         if digest_of(path) != written[-1] and not self._request.accept_changes:
             problem = "both the config's design and the run table were changed: nothing tells which runs were planned"

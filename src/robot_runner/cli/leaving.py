@@ -1,6 +1,6 @@
 """Exits in time: what a callback has started and not ended is named, and does not keep the program for ever.
 
-Python waits for threads that are no daemons, for children of `multiprocessing`, and for functions registered with
+Python waits for threads that are not daemons, for children of `multiprocessing`, and for functions registered with
 `atexit`. It has no deadline and says nothing: a queue or a CI job would wait as well.
 """
 

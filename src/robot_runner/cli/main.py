@@ -12,7 +12,7 @@ TYPE_CHECKING = False  # `typing` takes long to import, and `--help` is to be qu
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-#: Wide enough that nothing is folded where the output is no terminal.
+#: Wide enough that nothing is folded where the output is not a terminal.
 _UNLIMITED = 100_000
 
 

@@ -196,7 +196,7 @@ def _with_begun_runs(
         planned = replace(plan, runs=table, seed=table.seed, is_recorded=True)
         if not folder.run_table.exists():
             history.read_table(folder)
-            problem = "the run table is missing: it is made anew from the journal when the experiment is executed next"
+            problem = "the run table is missing: it is rebuilt from the journal when the experiment is executed next"
             missing = Finding.warning(str(folder.run_table), problem)
             return replace(planned, findings=(*warnings, missing)), history.settled
         rows = read_run_table(folder.run_table, layout, table)

@@ -252,7 +252,7 @@ class ExperimentQueue:
         except StorageError as error:
             findings.append(Finding.error(str(path), error.problem, fix))
             return None
-        faults = shape_findings(str(path), "experiment of the queue", said, QueuedFile, fix)
+        faults = shape_findings(str(path), "an experiment of the queue", said, QueuedFile, fix)
         findings += faults
         return None if faults else QueuedExperiment(number, **{name: said[name] for name in _READ})
 

@@ -101,7 +101,7 @@ def _leave_out(config: Any, wishes: Mapping[str, Any], told: Shortening) -> None
         restarted = [name for name, host in hosts.items() if isinstance(host, Host) and host.reboot != Reboot.NEVER]
         if restarted:
             config.hosts = {**hosts, **{name: replace(hosts[name], reboot=Reboot.NEVER) for name in restarted}}
-            told.left_out.append(f"starting {enumerated(restarted)} anew")
+            told.left_out.append(f"restarting {enumerated(restarted)}")
 
 
 def _plugins(loaded: LoadedConfig) -> list[Plugin]:

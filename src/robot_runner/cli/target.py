@@ -100,7 +100,7 @@ def _is_begun(folder: ExperimentFolder, *, takes_older: bool) -> bool:
         return True
     where = shown_path(folder.root)
     if folder.journal.exists():
-        fix = "Execute the experiment once more with its config (robot-runner run): it is made anew."
+        fix = "Execute the experiment once more with its config (robot-runner run): it is rebuilt."
         raise StorageError("manifest.json is missing, and the journal is there", where=where, fix=fix)
     rows = read_run_table(folder.run_table, TableLayout((), stamps=())) if folder.run_table.exists() else None
     is_of_older_tool = rows is not None and len(rows) > rows.count(RunStatus.TODO)

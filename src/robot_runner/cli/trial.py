@@ -329,7 +329,7 @@ def _class_in(module: ModuleType, name: str, *, where: str) -> type[Plugin]:
         raise PluginError(f"the module has no class {name!r}", where=where, fix=did_you_mean(name, own))
     if not (isinstance(found, type) and issubclass(found, Plugin)):
         raise PluginError(
-            f"{name} is no plugin", where=where, fix="Derive it from robot_runner.plugins.Profiler or .System."
+            f"{name} is not a plugin", where=where, fix="Derive it from robot_runner.plugins.Profiler or .System."
         )
     return found
 

@@ -39,7 +39,7 @@ def cluster_settings() -> dict[str, Any]:
     """Return our settings in Dask's own configuration: `lease` and `patience` in s, and `in_place`.
 
     Raises:
-        ConfigError: a setting is no length of time, or neither True nor False.
+        ConfigError: a setting is not a length of time, or neither True nor False.
     """
     import dask.config  # noqa: PLC0415 - of an extra
 
@@ -51,7 +51,7 @@ def cluster_settings() -> dict[str, Any]:
         value = (bool(given) if given in (True, False) else None) if is_switch else _seconds(given)
         if value is None:
             variable = f"DASK_ROBOT_RUNNER__{name.replace('-', '_').upper()}"
-            what = "neither True nor False" if is_switch else "no length of time"
+            what = "neither True nor False" if is_switch else "not a length of time"
             findings.append(Finding.error(variable, f"{given!r} is {what}", f"Set it as in {variable}={example}."))
         settings[name.replace("-", "_")] = value
     ConfigError.refuse(findings)

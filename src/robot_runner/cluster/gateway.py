@@ -37,7 +37,9 @@ from robot_runner.cluster.piped_process import Replies
 from robot_runner.cluster.raw_data_transfer import TransferError, bring_home
 from robot_runner.cluster.run_host import ended_unbegun
 from robot_runner.core.errors import StorageError
+from robot_runner.core.execution.left_over import renew_mark
 from robot_runner.core.execution.run_records import RecordReader
+from robot_runner.core.storage.layout import ExperimentFolder
 
 #: How many runs are brought home at a time: this many pieces are in memory.
 _TRANSFERS = 4
@@ -185,10 +187,11 @@ class Gateway:
                 self._replies.tell("refused", {"address": member.address, "findings": findings})
                 return
             self._replies.tell("joined", member.facts())
+            folder, mark = self._facts["root"], self._facts["worker_facts"]["probe"]["path"]
             while not (member.is_lost or self._is_ending.is_set()):
                 member.renewed = time.monotonic()
                 with contextlib.suppress(OSError):  # other experiments see by it since when nobody looks after the runs
-                    os.utime(self._facts["worker_facts"]["probe"]["path"], follow_symlinks=False)
+                    renew_mark(Path(mark), ExperimentFolder(Path(folder)))
                 await cluster_members.answer_of(client, member, self._facts["lease"], on_worker.renew, self._session)
                 await asyncio.sleep(self._facts["lease"] / 4)
         except cluster_members.ANSWER as error:

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.cluster.piped_process import HostProcess, Outgoing
 from robot_runner.cluster.run_host import INPUTS, OUTBOX, ended_unbegun
 from robot_runner.cluster.worker_versions import described_versions
+from robot_runner.core.execution.clock_jumps import now_counting_suspension
 
 if TYPE_CHECKING:
     from distributed import Worker
@@ -181,7 +182,7 @@ class _Session:
         self._hosts: list[HostProcess] = []
         self._of_attempt: dict[str, HostProcess] = {}
         self._has_left = False
-        self._seen = self._until = time.monotonic()
+        self._seen = self._until = now_counting_suspension()
         self.answer, self.answer_digest = self._answered_probe()
 
     def _answered_probe(self) -> tuple[str, str]:
@@ -214,7 +215,7 @@ class _Session:
     def unfitness(self) -> str | None:
         """Return why the first of these processes cannot execute runs, as in `unfitness` above."""
         with self._lock:
-            self._seen = time.monotonic()
+            self._seen = now_counting_suspension()
             (first,) = self._idle
             unfitness = first.unfitness()
             if unfitness:
@@ -226,10 +227,11 @@ class _Session:
         """Postpone the end of the lease.
 
         The orchestrator calls again only once it has the answer to the last call. So it was there at the time of that
-        answer, from which the lease is counted; and it knows that the lease ends at most its length after this call.
+        answer, from which the lease is counted; and it knows that the lease ends at most its length after this call,
+        even if this machine is suspended meanwhile.
         """
         with self._changed:
-            self._until, self._seen = self._seen + self._facts["lease"], time.monotonic()
+            self._until, self._seen = self._seen + self._facts["lease"], now_counting_suspension()
             self._changed.notify_all()
             for host in self._hosts:
                 host.ask("lease", {"until": self._until})
@@ -238,7 +240,7 @@ class _Session:
         """Wait until the lease has not been renewed for long, or this session has ended."""
         with self._changed:
             while not self._has_left:
-                left = self._seen + _ABANDONED * self._facts["lease"] - time.monotonic()
+                left = self._seen + _ABANDONED * self._facts["lease"] - now_counting_suspension()
                 if left <= 0:
                     return
                 self._changed.wait(left)
@@ -298,8 +300,11 @@ class _Session:
             RuntimeError: the lease is not renewed any more.
         """
         lease = self._facts["lease"]
-        enough = lambda: token in self._stopped or self._until - time.monotonic() >= lease * _ENOUGH  # noqa: E731
-        if not self._changed.wait_for(enough, timeout=lease):
+
+        def is_enough() -> bool:
+            return token in self._stopped or self._until - now_counting_suspension() >= lease * _ENOUGH
+
+        if not self._changed.wait_for(is_enough, timeout=lease):
             raise RuntimeError("the orchestrator did not renew the lease of its worker")
 
     def outbox(self, token: str, name: str) -> Path:

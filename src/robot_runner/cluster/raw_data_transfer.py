@@ -105,7 +105,7 @@ async def _copy(read: Read, name: str, size: int, digest: str, descriptor: int) 
         while view:
             view = view[os.write(descriptor, view) :]
     if whole.hexdigest() != digest:
-        raise TransferError(f"the file {name[:200]!r} has another SHA-256 than the worker told")
+        raise TransferError(f"the file {name[:200]!r} has another SHA-256 than the worker reported")
 
 
 async def _piece(read: Read, name: str, offset: int, left: int) -> bytes:

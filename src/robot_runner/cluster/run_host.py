@@ -31,6 +31,7 @@ from robot_runner.cluster.experiment_snapshot import SOURCE, experiment_of, inpu
 from robot_runner.core.config.claims import Claims
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.errors import ExecutionError, RobotRunnerError
+from robot_runner.core.execution.clock_jumps import now_counting_suspension
 from robot_runner.core.execution.executor import begin_run, load_before_forks
 from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.keeper import reap_keepers
@@ -57,6 +58,8 @@ _READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
 _BLOCK = 1 << 20
 #: How often to look whether another experiment has let go of what a run claims, s.
 _LOOK = 0.25
+#: How often to look whether the lease has ended, s: a poll does not count for how long the machine is suspended.
+_LOOK_AT_LEASE = 1.0
 _WAITS_FIX = "It begins once that is free; end the other with Ctrl-C in its terminal if it is not to wait."
 
 
@@ -112,7 +115,7 @@ class _Host:
         if self._run is not None:
             for descriptor in self._run.descriptors:
                 poll.register(descriptor, _READABLE)
-            due = [each for each in (self._run.due, self._lease_end) if each is not None]
+            due = [each for each in (self._run.due, self._lease_due) if each is not None]
         if self._order is not None:
             due = [time.monotonic() + _LOOK]
         waited = min(due, default=float("inf")) - time.monotonic()
@@ -121,9 +124,16 @@ class _Host:
         self._interruption.forget_wakeups()
 
     @property
-    def _lease_end(self) -> float | None:
-        """When to stop the run unless the lease is renewed; None once it was stopped for that."""
-        return None if self._is_leaving or self._is_stopped else self._lease
+    def _has_lease(self) -> bool:
+        """Whether the lease goes on, during which the orchestrator has this run executed nowhere else."""
+        return now_counting_suspension() < self._lease
+
+    @property
+    def _lease_due(self) -> float | None:
+        """When to look at the lease next, on the monotonic clock, s; None once the run was stopped for its end."""
+        if self._is_leaving or self._is_stopped:
+            return None
+        return time.monotonic() + min(_LOOK_AT_LEASE, self._lease - now_counting_suspension())
 
     def _take_requests(self) -> None:
         if self._is_leaving:
@@ -152,7 +162,7 @@ class _Host:
     def _begin_or_wait(self, order: Mapping[str, Any]) -> None:
         """Begin a run once no other experiment on this machine has what it claims, unless it is stopped before."""
         told: dict[str, Any] | None = None
-        if self._is_leaving or time.monotonic() >= self._lease:
+        if self._is_leaving or not self._has_lease:
             told = {"lost": GONE, "is_certain": True}
         elif (asked := self._stopped) is not None:
             told = ended_unbegun(asked)
@@ -195,7 +205,7 @@ class _Host:
         self._run = begin_run(self._experiment, task, self._builder, watch)
 
     def _see_to_run(self, run: RunInFlight) -> None:
-        if self._lease_end is not None and time.monotonic() >= self._lease_end:
+        if not (self._is_leaving or self._is_stopped or self._has_lease):
             self._is_stopped = True
             run.stop(GONE)
         ended = None
@@ -274,7 +284,7 @@ class _Host:
         with source.open("rb") as file, os.fdopen(descriptor, "wb") as copy:
             while block := file.read(_BLOCK):
                 self._take_requests()
-                if self._is_leaving or time.monotonic() >= self._lease:
+                if self._is_leaving or not self._has_lease:
                     raise OSError(GONE)
                 copy.write(block)
 

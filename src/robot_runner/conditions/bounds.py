@@ -56,7 +56,7 @@ class Bound(Condition):
         is_below: whether the quantity must be below the limit, otherwise above.
 
     Raises:
-        ConditionError: the limit is no number.
+        ConditionError: the limit is not a number.
     """
 
     quantity: Quantity
@@ -65,7 +65,9 @@ class Bound(Condition):
 
     def __post_init__(self) -> None:
         if not is_number(self.limit):
-            raise ConditionError(f"{self.limit!r} is no limit", where=str(self.quantity), fix="Give a finite number.")
+            raise ConditionError(
+                f"{self.limit!r} is not a limit", where=str(self.quantity), fix="Give a finite number."
+            )
         object.__setattr__(self, "every_s", self.quantity.every_s)
         object.__setattr__(self, "is_outside", self.quantity.is_outside)
 
@@ -118,7 +120,7 @@ def measure_above(name: str, limit: float) -> Condition:
         limit: in the measure's unit.
 
     Raises:
-        ConditionError: the limit is no finite number.
+        ConditionError: the limit is not a finite number.
 
     Example:
         >>> print(measure_above("Energy", 500))

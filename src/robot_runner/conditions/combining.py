@@ -18,7 +18,7 @@ def all_of(*conditions: Condition) -> Condition:
     """Return the condition that all of these hold at the same look.
 
     Raises:
-        ConditionError: there are none, or one is no condition.
+        ConditionError: there are none, or one is not a condition.
 
     Example:
         >>> from robot_runner import port_open, process_running
@@ -32,7 +32,7 @@ def any_of(*conditions: Condition) -> Condition:
     """Return the condition that at least one of these holds.
 
     Raises:
-        ConditionError: there are none, or one is no condition.
+        ConditionError: there are none, or one is not a condition.
     """
     return _AnyOf(conditions)
 
@@ -44,7 +44,7 @@ def not_(condition: Condition) -> Condition:
     gone, and so it does where its name is misspelt.
 
     Raises:
-        ConditionError: it is no condition.
+        ConditionError: it is not a condition.
 
     Example:
         >>> from robot_runner import port_open
@@ -88,7 +88,7 @@ class _Combined(Condition):
         for each in conditions:
             if not isinstance(each, Condition):
                 fix = "Give conditions, such as port_open(8080)."
-                raise ConditionError(f"{each!r} is no condition", where=type(self).__name__.strip("_"), fix=fix)
+                raise ConditionError(f"{each!r} is not a condition", where=type(self).__name__.strip("_"), fix=fix)
         if not conditions:
             raise ConditionError("there is no condition", where=type(self).__name__.strip("_"), fix="Give one or more.")
         self._parts = tuple(conditions)

@@ -40,7 +40,7 @@ def temperature_below(
         ssh_config: a file to take the place of the user's ssh config.
 
     Raises:
-        ConditionError: the limit is no finite number.
+        ConditionError: the limit is not a finite number.
         LinkError: the host cannot be named so.
 
     Example:
@@ -66,7 +66,7 @@ def load_below(limit: float, *, host: str = LOCAL, ssh_config: str | Path | None
         ssh_config: a file to take the place of the user's ssh config.
 
     Raises:
-        ConditionError: the limit is no finite number.
+        ConditionError: the limit is not a finite number.
         LinkError: the host cannot be named so.
 
     Example:
@@ -90,7 +90,7 @@ def clock_offset_below(limit: float, *, host: str, ssh_config: str | Path | None
         ssh_config: a file to take the place of the user's ssh config.
 
     Raises:
-        ConditionError: the limit is no finite number, or the computer is this machine.
+        ConditionError: the limit is not a finite number, or the computer is this machine.
         LinkError: the host cannot be named so.
 
     Example:

@@ -74,7 +74,7 @@ def lifecycle_state(node: str, state: str = "active", *, namespace: str = "") ->
         the node /slam_toolbox is active
     """
     if state not in _STATES:
-        raise ConditionError(f"{state!r} is no state of a node", where=node, fix=did_you_mean(str(state), _STATES))
+        raise ConditionError(f"{state!r} is not a state of a node", where=node, fix=did_you_mean(str(state), _STATES))
     return _InState(_checked(node), state, namespace)
 
 

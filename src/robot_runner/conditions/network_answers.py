@@ -42,10 +42,10 @@ def port_open(port: int, *, host: str = LOCAL) -> Condition:
         port 9090 of robot.local is open
     """
     if not is_whole(port) or not 0 < port <= _MOST_PORT:
-        raise ConditionError(f"{port!r} is no port", where="port_open", fix=f"Give a number from 1 to {_MOST_PORT}.")
+        raise ConditionError(f"{port!r} is not a port", where="port_open", fix=f"Give a number from 1 to {_MOST_PORT}.")
     if not isinstance(host, str) or not host or re.search(r"[\s@/]", host) or not _is_name(host):
         fix = "Give its name or address on the network, such as 'robot.local', without a user."
-        raise ConditionError(f"{host!r} is no computer of a network", where="port_open", fix=fix)
+        raise ConditionError(f"{host!r} is not a computer of a network", where="port_open", fix=fix)
     return _PortOpen(port, host)
 
 
@@ -66,9 +66,9 @@ def http_answers(url: str, *, status: int | None = None, text: str = "") -> Cond
     """
     if status is not None and (isinstance(status, bool) or status not in range(100, 600)):
         fix = "Give a number from 100 to 599, such as 200, or leave it out."
-        raise ConditionError(f"{status!r} is no status of an answer", where="http_answers", fix=fix)
+        raise ConditionError(f"{status!r} is not the status of an answer", where="http_answers", fix=fix)
     if not isinstance(text, str):
-        raise ConditionError(f"{text!r} is no text", where="http_answers", fix="Give a text: text='ok'.")
+        raise ConditionError(f"{text!r} is not text", where="http_answers", fix="Give a text: text='ok'.")
     try:
         parts = urllib.parse.urlsplit(url)
         is_good = parts.scheme in {"http", "https"} and _is_name(parts.hostname or "") and parts.port != 0
@@ -81,7 +81,7 @@ def http_answers(url: str, *, status: int | None = None, text: str = "") -> Cond
         )
     if not is_good or re.search(r"\s", url) or not (parts.path + parts.query).isascii():
         fix = "Give one such as 'http://localhost:8080/health', with other letters written as %C3%A4."
-        raise ConditionError(f"{url!r} is no address of a web server", where="http_answers", fix=fix)
+        raise ConditionError(f"{url!r} is not the address of a web server", where="http_answers", fix=fix)
     return _HttpAnswers(url, status, text)
 
 

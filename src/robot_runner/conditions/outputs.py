@@ -38,7 +38,7 @@ def text_in(path: str | Path, text: str | re.Pattern[str], *, new_only: bool = F
             run to run, such as a system log.
 
     Raises:
-        ConditionError: it is no text, or an empty one.
+        ConditionError: it is not text, or an empty one.
 
     Example:
         >>> print(text_in("server/output.txt", "ready"))
@@ -47,7 +47,7 @@ def text_in(path: str | Path, text: str | re.Pattern[str], *, new_only: bool = F
     pattern = re.compile(re.escape(text)) if isinstance(text, str) else text
     if not isinstance(pattern, re.Pattern) or not isinstance(pattern.pattern, str):
         fix = "Give text_in a text, or a pattern of text: re.compile('...')."
-        raise ConditionError(f"{text!r} is no text", where=str(path), fix=fix)
+        raise ConditionError(f"{text!r} is not text", where=str(path), fix=fix)
     if not pattern.pattern:
         raise ConditionError("no text is looked for", where=str(path), fix="Give text_in a text that is not empty.")
     return _TextIn(Path(path), pattern, text if isinstance(text, str) else pattern.pattern, new_only)
@@ -148,7 +148,7 @@ class _GrowingText:
         try:
             status = os.fstat(descriptor)
             if not stat.S_ISREG(status.st_mode):
-                return f"{self._path.name} is no file"
+                return f"{self._path.name} is not a file"
             self._go_to_place(descriptor, status)
             while self.match is None and (data := os.read(descriptor, _CHUNK)):
                 self._place += len(data)
@@ -191,7 +191,7 @@ class _FileComplete(Condition):
             try:
                 status = path.stat()
                 if not stat.S_ISREG(status.st_mode):
-                    return Look(holds=False, seen=f"{path.name} is no file")
+                    return Look(holds=False, seen=f"{path.name} is not a file")
                 return Look(is_complete(path, status), f"{status.st_size} bytes", status.st_size)
             except OSError as error:
                 return Look(holds=False, seen=f"{path.name} cannot be read: {error.strerror}")

@@ -55,7 +55,7 @@ def message_on(
     """
     if predicate is not None and not callable(predicate):
         fix = "Give what takes a message: lambda message: message['data']."
-        raise ConditionError(f"{predicate!r} is no predicate", where=topic, fix=fix)
+        raise ConditionError(f"{predicate!r} is not a predicate", where=topic, fix=fix)
     return _MessageOn(topic, message_type, predicate, namespace)
 
 
@@ -73,7 +73,7 @@ def topic_above(
         within_s: how old the newest message may be, s of the run's clock.
 
     Raises:
-        ConditionError: the limit is no finite number, or `within_s` is not positive.
+        ConditionError: the limit is not a finite number, or `within_s` is not positive.
         LinkError: it cannot be the name of a topic.
 
     Example:
@@ -108,7 +108,7 @@ def battery_above(
         ssh_config: a file to take the place of the user's ssh config.
 
     Raises:
-        ConditionError: the limit is no finite number.
+        ConditionError: the limit is not a finite number.
         LinkError: the host or the topic cannot be named so.
 
     Example:
@@ -273,7 +273,7 @@ class _TopicField(Quantity):
         """Return the field of a message.
 
         Raises:
-            ConditionError: it has no such field, or that is no number.
+            ConditionError: it has no such field, or that is not a number.
         """
         return _number_at(message, self.field, str(self))
 
@@ -326,4 +326,4 @@ def _number_at(message: Message, field: str, where: str) -> float:
     if isinstance(found, bool | int | float):
         return float(found)
     shown = one_line(repr(found))[:60]
-    raise ConditionError(f"the field {field!r} is no number: {shown}", where=where, fix="Name a field that is one.")
+    raise ConditionError(f"the field {field!r} is not a number: {shown}", where=where, fix="Name a field that is one.")

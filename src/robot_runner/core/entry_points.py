@@ -122,7 +122,7 @@ def instances_of(kind: type[T], returned: Iterable[T]) -> list[T]:
     found = list(returned)
     for each in found:
         if not isinstance(each, kind):
-            raise TypeError(f"{each!r} is no {kind.__name__}")
+            raise TypeError(f"{each!r} is not of type {kind.__name__}")
     return found
 
 

@@ -241,13 +241,13 @@ def load_plugin(point: EntryPoint) -> type[Plugin]:
     """Import the class of an installed plugin.
 
     Raises:
-        PluginError: the import fails, or the object is no plugin of its kind.
+        PluginError: the import fails, or the object is not a plugin of its kind.
     """
     found: Any = point.load()
     expected = GROUPS[point.kind]
     if not (isinstance(found, type) and issubclass(found, expected)):
         fix = f"Derive it from robot_runner.plugins.{expected.__name__}."
-        raise PluginError(f"{found!r} is no {expected.__name__}", where=point.where, fix=fix)
+        raise PluginError(f"{found!r} is not a {expected.__name__}", where=point.where, fix=fix)
     return found
 
 

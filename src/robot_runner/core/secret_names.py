@@ -105,7 +105,7 @@ def secrets_of_environment() -> tuple[str, ...]:
     """Return the values of variables with names such as `LAB_TOKEN`, the longest first.
 
     Texts of less than six characters, numbers of less than eight digits and paths are left out: replacing them
-    everywhere would damage what is no secret.
+    everywhere would damage what is not a secret.
     """
     names = _names_in_process(len(os.environ), int(time.monotonic()))
     return _secrets_among(tuple(os.environ.get(name, "") for name in names))

@@ -64,7 +64,7 @@ def treatment(factor: str) -> Any:
         factor: the name of a factor of the run table.
 
     Raises:
-        PluginError: `factor` is no name.
+        PluginError: `factor` is not a name.
 
     Example:
         >>> from robot_runner.plugins.systems import BasicTurtlebot3

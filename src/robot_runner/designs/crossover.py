@@ -65,7 +65,7 @@ class Crossover(Described):
         named = [("unit", factor_name(self.unit)), ("period", factor_name(self.period))]
         yield from role_findings("Crossover", named, factors)
         if not is_number(self.washout_in_s) or self.washout_in_s < 0:
-            problem = f"{self.washout_in_s!r} is no time to wait"
+            problem = f"{self.washout_in_s!r} is not a time to wait"
             yield Finding.error("design: Crossover(washout_in_s=...)", problem, "Give seconds, from 0.")
 
     def runs(

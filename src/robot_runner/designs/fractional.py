@@ -121,7 +121,7 @@ class FractionalFactorial:
         if runs & (runs - 1):
             possible = sorted({min(max(below, least), 1 << factors), min(max(above, 2 * least), 1 << factors)})
             fix = f"Give {' or '.join(map(str, possible))}."
-            yield Finding.error("design", f"runs={runs} is no power of two", fix)
+            yield Finding.error("design", f"runs={runs} is not a power of two", fix)
         elif runs < least:
             problem = f"runs={runs} cannot tell the main effects of {factors} factors apart"
             yield Finding.error("design", problem, f"Give {least} or more.")

@@ -52,7 +52,9 @@ class OneFactorAtATime:
             if name not in by_name:
                 yield Finding.error(where, f"there is no factor {name!r}", did_you_mean(str(name), by_name))
             elif not _is_treatment(by_name[name], value):
-                yield Finding.error(where, f"{value!r} is no treatment of factor {name!r}", _fix(by_name[name], value))
+                yield Finding.error(
+                    where, f"{value!r} is not a treatment of factor {name!r}", _fix(by_name[name], value)
+                )
 
     def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
         """Return the base and the combinations that differ from it in one factor."""

@@ -132,7 +132,7 @@ class Sobol(_SpaceFilling):
 
         odd = self.runs & (self.runs - 1)
         below = 1 << (self.runs.bit_length() - 1)
-        problem = f"runs={self.runs} is no power of two, and the points are spread less evenly"
+        problem = f"runs={self.runs} is not a power of two, and the points are spread less evenly"
         uneven = Finding.warning("design", problem, f"Give {below} or {2 * below}.")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # not a power of two: reported by the finding

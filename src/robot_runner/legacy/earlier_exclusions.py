@@ -117,7 +117,7 @@ def _named_by_user(
         for value in treatments:
             if not _resolved(value, factors[place].treatments):
                 fix = did_you_mean(str(value), map(str, factors[place].treatments))
-                session.warn(_WHERE, f"{value!r} is no treatment of factor {name!r}, so it excludes nothing", fix)
+                session.warn(_WHERE, f"{value!r} is not a treatment of factor {name!r}, so it excludes nothing", fix)
         yield place, [each for value in treatments for each in _resolved(value, factors[place].treatments)]
 
 

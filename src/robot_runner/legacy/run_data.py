@@ -184,7 +184,7 @@ def _keep_aside(context: RobotRunnerContext, design: EarlierDesign, column: Any,
     with suppress(MeasureError):
         context.publish(str(column), value)
     context.warn(
-        f"{column!r} is no data column: its value is kept in refused.jsonl; the earlier tool shifted the row",
+        f"{column!r} is not a data column: its value is kept in refused.jsonl; the earlier tool shifted the row",
         fix=f"{did_you_mean(str(column), map(str, design.data_columns))} Or add it to data_columns.".strip(),
     )
 

@@ -98,7 +98,7 @@ def script_inputs(paths: Iterable[Path]) -> Iterator[InputFile]:
     """
     for path in paths:
         found = input_file(path)
-        # Python and Node execute folders, too. Modules that they compile are no inputs.
+        # Python and Node execute folders, too. Modules that they compile are not inputs.
         if os.path.isdir(found):  # noqa: PTH112 - false of a name that no path can have
             yield InputFile(path, tuple(files_below(found)))
         elif os.access(found, os.R_OK):

@@ -63,7 +63,7 @@ _PATIENCE = 2.0
 _URL = "://"
 
 _INSTALL = "Install it: pip install 'robot-runner[serial]'."
-_PERMIT = "Join the group that owns it (sudo usermod -aG dialout $USER on Debian), then log in anew."
+_PERMIT = "Join the group that owns it (sudo usermod -aG dialout $USER on Debian), then log in again."
 _SHARE = "End the other program that has it open (a serial monitor, a second experiment)."
 
 
@@ -94,7 +94,7 @@ def port_problem(port: str) -> LinkError | None:
     if _URL in port:
         return None
     if not stat.S_ISCHR(Path(port).stat().st_mode):
-        return LinkError(f"{port!r} is no serial port", where=f"serial port {port}", fix=_choice(port))
+        return LinkError(f"{port!r} is not a serial port", where=f"serial port {port}", fix=_choice(port))
     if not os.access(port, os.R_OK | os.W_OK):
         return LinkError("the port may not be opened by this user", where=f"serial port {port}", fix=_PERMIT)
     return None

@@ -215,7 +215,7 @@ class Battery(Profiler):
         used, step = values.get("ChargeUsed"), _step(heard.series(heard.charge).values)
         if used and step > _COARSE * abs(used):
             off = f"{100 * step / abs(used):.0f} %"
-            yield f"the charge is told in steps of {step:.2g} %: ChargeUsed may be off by {off}", ("ChargeUsed",)
+            yield f"the charge is reported in steps of {step:.2g} %: ChargeUsed may be off by {off}", ("ChargeUsed",)
         if used == 0:
             yield "the charge stayed as it was: ChargeUsed lacks what is less than a step of it", ("ChargeUsed",)
         joules = values.get("Energy")

@@ -187,7 +187,7 @@ _BOARD = Path("/proc/device-tree/model")
 
 
 def parse_powerjoular(records: Sequence[str]) -> list[Row | None]:
-    """Return the rows. A power of exactly 0 is no value: PowerJoular writes it if it found nothing to measure.
+    """Return the rows. A power of exactly 0 is not a value: PowerJoular writes it if it found nothing to measure.
 
     Example:
         >>> parse_powerjoular(["Date,CPU Utilization,Total Power", "2026-01-01 10:00:00,0.5,0.00000000000000"])[1]
@@ -269,7 +269,7 @@ class PowerJoular(CommandProfiler):
         powers = CommandColumn(_GPU_POWER, self.measures[1]).values(rows)
         if any(powers) and (silent := powers.count(0.0)):
             # PowerJoular adds 0 W if nvidia-smi fails, or has no number for one of several GPUs (src/nvidia_smi.adb).
-            problem = f"the GPU told no power in {silent} of {len(powers)} rows, which lack it"
+            problem = f"the GPU reported no power in {silent} of {len(powers)} rows, which lack it"
             context.doubt(problem, fix="Check what `nvidia-smi` says.", measures=_OF_ENERGY)
         super().populate_run_data(context)
 
@@ -388,5 +388,5 @@ class Powermetrics(CommandProfiler):
         self._programs = [word for word in command if not word.startswith("-")]
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return errors: this is no Mac, or the program is missing."""
+        """Return errors: this is not a Mac, or the program is missing."""
         return [*self._missing_programs(*self._programs), *simulation_findings(self.name, circumstances.robot)]

@@ -17,7 +17,7 @@ from robot_runner.measuring.series import Series, cut, growth, mean_of_intervals
 
 #: The cells of one row by the name of their column, as text or as numbers.
 Row = Mapping[str, str | float | None]
-#: Converts the records of the output to a row each; None for a record that is no row, such as a heading.
+#: Converts the records of the output to a row each; None for a record that is not a row, such as a heading.
 Parse = Callable[[Sequence[str]], Sequence[Row | None]]
 
 
@@ -218,7 +218,7 @@ def repeated_rows(times: Sequence[float], rows: Sequence[Row]) -> int:
 def parse_csv(records: Sequence[str], *, delimiter: str = ",", comment: str = "#") -> list[Row | None]:
     """Return one row for each line of CSV; the first line that is not empty is the heading.
 
-    A line with another number of cells than the heading (torn, or a message of the program) is no row.
+    A line with another number of cells than the heading (torn, or a message of the program) is not a row.
 
     Example:
         >>> parse_csv(["watts,volts", "7.5,12.1", "bye"])

@@ -94,7 +94,7 @@ def stepped(power: Series, sampling: Sampling[Any], joules: float | None) -> Ite
 
 
 def _quantity(reading: ElectricalReading, quantity: str) -> float | None:
-    """Return a quantity of a reading; None also for values that are no quantity, such as NaN and overflows."""
+    """Return a quantity of a reading; None also for values that are not a quantity, such as NaN and overflows."""
     value: float | None = getattr(reading, quantity)
     return value if value is not None and abs(value) < _BEYOND else None
 
@@ -126,7 +126,7 @@ def partly_told(sampling: Sampling[Readings], place: int) -> Iterator[str]:
         told = sum(_quantity(reading, quantity) is not None for reading in readings)
         is_known = any(getattr(reading, quantity) is not None for reading in readings)
         if is_known and told < len(readings) and not len(told_series(sampling, place, quantity)):
-            yield f"the {word}{{of}} was told in {told} of {len(readings)} readings only"
+            yield f"the {word}{{of}} was reported in {told} of {len(readings)} readings only"
 
 
 def falls_of(sampling: Sampling[Readings], place: int) -> int:

@@ -81,12 +81,12 @@ def check_url(url: str, *, where: str, schemes: tuple[str, ...] = ("http", "http
         parts = urllib.parse.urlsplit(url)
         host, _ = parts.hostname, parts.port
     except ValueError as error:
-        raise PluginError(f"{url!r} is no address: {error}", where=where, fix=_example(schemes)) from error
+        raise PluginError(f"{url!r} is not an address: {error}", where=where, fix=_example(schemes)) from error
     if parts.password is not None or parts.username is not None:
         fix = f"Leave it out of the config. {_NAME_PASSWORD}"
         raise PluginError(f"the address of {host} holds a user or a password", where=where, fix=fix)
     if parts.scheme not in schemes or not host or any(character.isspace() for character in url):
-        raise PluginError(f"{url!r} is no address of this kind", where=where, fix=_example(schemes))
+        raise PluginError(f"{url!r} is not an address of this kind", where=where, fix=_example(schemes))
     return url.rstrip("/")
 
 

@@ -78,7 +78,7 @@ class _Instrument:
         last = self._last
         silent = self._clock.now() - (last.time if last and last.time else 0.0)
         if last is None or silent > self._patience:
-            raise TimeoutError(f"the Joulescope has told nothing for {silent:.1f} s")
+            raise TimeoutError(f"the Joulescope has reported nothing for {silent:.1f} s")
         new = [self._new.popleft() for _ in range(len(self._new))]
         if new:
             self._means = tuple(map(fmean, zip(*new, strict=True)))

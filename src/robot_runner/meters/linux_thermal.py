@@ -264,8 +264,8 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
         odd = sum(0 < celsius < _WHOLE_DEGREES for celsius in temperatures)
         if odd > _A_MOMENT * len(temperatures):
             yield (
-                f"a thermal zone told temperatures below {_WHOLE_DEGREES} °C in {odd} of {len(temperatures)} samples: "
-                "it may tell whole degrees, not thousandths"
+                f"a thermal zone reported temperatures below {_WHOLE_DEGREES} °C in {odd} of {len(temperatures)} "
+                "samples: it may tell whole degrees, not thousandths"
             )
         held_back = _held_back(sampling.readings)
         if any(held_back):
@@ -313,7 +313,7 @@ def _silences(sampling: Sampling[ThermalReading]) -> Iterable[str]:
     for quantity in ("temperature", "frequency"):
         told = len(_series(within, quantity))
         if told and not len(_sufficient(sampling, quantity)):
-            yield f"the {quantity} was told in {told} of {len(within.readings)} samples only: no value"
+            yield f"the {quantity} was reported in {told} of {len(within.readings)} samples only: no value"
 
 
 def _held_back(readings: Sequence[ThermalReading]) -> list[bool]:

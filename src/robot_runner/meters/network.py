@@ -194,7 +194,7 @@ class Network(PolledProfiler[Counters]):
             if self._index(name) not in {index, ""}:
                 yield f"interface {name!r} is another one now: its counters are those of two"
             elif any(fall_count(each, wraps_at(its)) for each in its):
-                yield f"interface {name!r} was set up anew: what it counted shortly before that is lost"
+                yield f"interface {name!r} was set up again: what it counted shortly before that is lost"
         if self._ending is not None and (
             not self._ending.was_asked or self._ending.exit_code not in {0, -signal.SIGINT}
         ):

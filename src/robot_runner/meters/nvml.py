@@ -206,7 +206,7 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
             for quantity, word in _WORDS.items():
                 told, count = len(_known(within, place, quantity)), len(within.readings)
                 if 0 < told < count and not len(_series(sampling, place, quantity)):
-                    yield f"the {word} of GPU {gpu} was told in {told} of {count} readings only"
+                    yield f"the {word} of GPU {gpu} was reported in {told} of {count} readings only"
             if self._counted(sampling, place):
                 yield from self._doubts_about_counter(sampling, place, gpu)
             else:
@@ -238,7 +238,7 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
             how = "was set back" if self._counted(sampling, place) is None else "stood still"
             yield f"the energy counter of GPU {gpu} {how}: its energy is the integral of its power"
         if not joules:
-            yield f"GPU {gpu} told a power of 0 W throughout"
+            yield f"GPU {gpu} reported a power of 0 W throughout"
         within = sampling.within()
         for doubt in (
             *seldom_renewed(_known(within, place, "power"), sampling),
@@ -248,7 +248,7 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
         # An idle GPU may draw the same power for a long time.
         busy = [each[place].power if each[place].utilisation else object() for each in within.readings]
         for standstill in standstills(within.times, busy, sampling):
-            yield f"GPU {gpu} told the same power {standstill}, while it computed: it may be stuck"
+            yield f"GPU {gpu} reported the same power {standstill}, while it computed: it may be stuck"
 
     def details(self) -> Mapping[str, Any]:
         """Return the names of the GPUs."""

@@ -10,7 +10,7 @@ from robot_runner.core.errors import PluginError
 
 
 def check_positive(where: str, **parameters: object) -> None:
-    """Refuse parameters that are no finite numbers above 0.
+    """Refuse parameters that are not finite numbers above 0.
 
     Raises:
         PluginError: one of the parameters is not.
@@ -24,7 +24,7 @@ def check_positive(where: str, **parameters: object) -> None:
 
 
 def check_list(where: str, **parameters: object) -> None:
-    """Refuse parameters that are no lists, such as a text, whose letters would be taken for items.
+    """Refuse parameters that are not lists, such as a text, whose letters would be taken for items.
 
     Raises:
         PluginError: one of the parameters is not.

@@ -211,5 +211,5 @@ def _measure_of(event: str, pid: int | None = None) -> Measure:
 
 
 def _seconds(event: str) -> float | None:
-    """Return perf's unit for an event as a share of a second; None if the event is no time."""
+    """Return perf's unit for an event as a share of a second; None if the event is not a time."""
     return _OF_SECOND.get(event.partition(":")[0])

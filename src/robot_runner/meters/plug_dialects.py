@@ -55,9 +55,9 @@ def _decoded(body: bytes) -> Mapping[str, Any]:
     try:
         decoded = json.loads(body, parse_int=float)  # an int may be larger than any float
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"the plug answered {body[:40]!r}, which is no JSON") from error
+        raise ValueError(f"the plug answered {body[:40]!r}, which is not JSON") from error
     if not isinstance(decoded, dict):
-        raise ValueError(f"the plug answered {body[:40]!r}, which is no object")  # noqa: TRY004 - it came from outside
+        raise ValueError(f"the plug answered {body[:40]!r}, which is not an object")  # noqa: TRY004 - it came from outside
     return decoded
 
 
@@ -66,7 +66,7 @@ def _number(fields: Mapping[str, Any], name: str, *, unit: float = 1.0) -> float
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"the plug says {name} = {value!r}, which is no number")
+        raise ValueError(f"the plug says {name} = {value!r}, which is not a number")
     return value * unit
 
 
@@ -81,7 +81,7 @@ def _fields(told: Mapping[str, Any], *names: str) -> Mapping[str, Any]:
 def _required(reading: ElectricalReading, said: object) -> ElectricalReading:
     if reading.power is None:
         raise ValueError(
-            f"the plug told no power, only {str(said)[:80]}: does this model, or this channel, measure it?"
+            f"the plug reported no power, only {str(said)[:80]}: does this model, or this channel, measure it?"
         )
     return reading
 
@@ -110,7 +110,7 @@ class _Tasmota:
             raise ValueError(f"the plug refuses: {told['WARNING']}")
         fields = _fields(told, "StatusSNS", "ENERGY")
         has_several = isinstance(fields.get("Power"), list)
-        # A value that is no list is that of the whole plug, also the single counter of several outlets (without
+        # A value that is not a list is that of the whole plug, also the single counter of several outlets (without
         # SetOption129).
         single = {name: _of_channel(value, channel) for name, value in fields.items() if has_several or not channel}
         is_own = not has_several or isinstance(fields.get("Total"), list)
@@ -162,7 +162,7 @@ def _plain(body: bytes) -> float:
     with suppress(ValueError):
         if math.isfinite(number := float(body)):
             return number
-    raise ValueError(f"the plug sent {body[:40]!r}, which is no number")
+    raise ValueError(f"the plug sent {body[:40]!r}, which is not a number")
 
 
 class _ShellyLater:

@@ -70,7 +70,7 @@ class PowerRails(ElectricalProfiler):
         root: the folder of sysfs.
 
     Raises:
-        PluginError: the rails are no list of names, two would yield measures with the same name, or the rate is not
+        PluginError: the rails are not a list of names, two would yield measures with the same name, or the rate is not
             positive.
 
     Example:

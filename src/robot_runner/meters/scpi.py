@@ -73,7 +73,7 @@ def parse_number(answer: str) -> float:
     """
     match = _NUMBER.match(answer)
     if match is None:
-        raise ValueError(f"the instrument answered {answer.strip()[:_SHOWN]!r}, which is no number")
+        raise ValueError(f"the instrument answered {answer.strip()[:_SHOWN]!r}, which is not a number")
     number = float(match[1])
     if not math.isfinite(number) or abs(number) >= _NO_NUMBER:
         raise OverloadError(f"the instrument answered {answer.strip()[:_SHOWN]!r}: an overload, or no value")

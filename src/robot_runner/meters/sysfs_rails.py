@@ -100,7 +100,7 @@ def _number(file: RailFile, line: str | None) -> float:
     try:
         return (float(line) + file.offset) * file.scale
     except ValueError:
-        raise ValueError(f"{file.path} says {line!r}, which is no number") from None
+        raise ValueError(f"{file.path} says {line!r}, which is not a number") from None
 
 
 def find_rails(host: FileHost, root: str = "/sys") -> list[Rail]:
@@ -111,7 +111,7 @@ def find_rails(host: FileHost, root: str = "/sys") -> list[Rail]:
         root: the folder of its sysfs.
 
     Raises:
-        LinkError: the computer cannot be reached, or the scale of a channel is no number.
+        LinkError: the computer cannot be reached, or the scale of a channel is not a number.
     """
     patterns = ("name", "*_input", "*_average", "*_label", "shunt*_resistor")
     hwmon = _files_of(host, f"{root}/class/hwmon/hwmon*", patterns)
@@ -284,6 +284,6 @@ def _iio_file(path: str, kind: str, match: re.Match[str], unit: float, lines: Ma
             return float(lines[name]) if name else otherwise
         except ValueError as error:
             fix = "Look at the sensor's files there."
-            raise LinkError(f"{name} says {lines[name or '']!r}, which is no number", where=path, fix=fix) from error
+            raise LinkError(f"{name} says {lines[name or '']!r}, which is not a number", where=path, fix=fix) from error
 
     return RailFile(path, setting("scale", 1.0) * unit, setting("offset", 0.0))

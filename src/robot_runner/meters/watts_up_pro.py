@@ -53,7 +53,7 @@ class WattsUpSample:
 
 
 def parse_record(record: str, time: float) -> WattsUpSample | None:
-    """Return the sample of a record without its `;`; None if it is no data record.
+    """Return the sample of a record without its `;`; None if it is not a data record.
 
     Example:
         >>> parse_record("#d,-,18,1053,2301,502,0,0,0,0", time=1.0)

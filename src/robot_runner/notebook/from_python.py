@@ -141,7 +141,7 @@ def run_experiment(  # noqa: PLR0913 - one keyword for each thing that the comma
     resumption = Resumption(**asked)
     if not isinstance(config, str | Path) and not is_config(config):
         raise ConfigError(
-            f"{config!r} is no config",
+            f"{config!r} is not a config",
             where="run_experiment",
             fix="Give the path of a config file, a class with create_run_table, or an instance of one.",
         )

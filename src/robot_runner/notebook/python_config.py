@@ -51,7 +51,7 @@ def as_texts(settings: Mapping[str, Any]) -> dict[str, str]:
     findings: list[Finding] = []
     for name, value in settings.items():
         if not isinstance(name, str):
-            problem = f"{name!r} is no name of a static parameter"
+            problem = f"{name!r} is not the name of a static parameter"
             findings.append(Finding.error("settings", problem, "Give names as texts, such as 'robot'."))
         elif isinstance(value, Enum):
             texts[name] = str(value.value)
@@ -70,7 +70,7 @@ def runs_named(option: str, runs: Sequence[str] | str) -> tuple[str, ...]:
     """Return the runs that are chosen as `--only` and `--redo` take them, where one text alone is one of these, too.
 
     Raises:
-        ConfigError: something among them is no text.
+        ConfigError: something among them is not text.
 
     Example:
         >>> runs_named("only", "r_1,r_2"), runs_named("only", ["r_1", "Task=Video"])
@@ -92,7 +92,7 @@ def config_of_object(given: Any, overrides: Mapping[str, str]) -> Iterator[Loade
     as far as its source can be found, and a finding says so.
 
     Raises:
-        ConfigError: it is no config, making it raised, or a parameter that is to be set does not exist.
+        ConfigError: it is not a config, making it raised, or a parameter that is to be set does not exist.
     """
     kind = given if isinstance(given, type) else type(given)
     with TemporaryDirectory(prefix=PREFIX) as folder:

@@ -6,6 +6,8 @@ import logging
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import suppress
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -178,6 +180,9 @@ class FollowedExperiment:
             if (earlier := self._curves.get(record["run"])) is not None:  # its files are written anew
                 self._curves[record["run"]] = RunCurves(self._files, record["run"], earlier.version + 1)
             self._slots[record["run"]] = record.get("slot", 1)
+        elif kind == "clock_set":  # a run has gone on for as long all the same
+            for each in self._doing.values():
+                each["since"] = _shifted(each["since"], record["seconds"])
         elif kind == "attempt_finished":
             self._doing.pop(record["run"], None)
             self._slots.pop(record["run"], None)
@@ -384,3 +389,11 @@ class FollowedExperiment:
 def _pictured(robot: object) -> str | None:
     """Return how the robot is reached, if pictures of it can be made."""
     return robot if isinstance(robot, str) and named_entry_point("pictures", robot) is not None else None
+
+
+def _shifted(stamp: str, seconds: float) -> str:
+    """Return a time stamp as it would be if the clock had been set before; as it is, beyond what a stamp can show."""
+    with suppress(OverflowError):
+        moment = datetime.fromisoformat(stamp) + timedelta(seconds=seconds)
+        return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    return stamp

@@ -31,7 +31,7 @@ _GONE = (-1, -1)
 class JournalTail:
     """Reads what was appended to the journal since the last call.
 
-    A journal that is another file than before, or shorter, is read from its beginning. A line that is no record is
+    A journal that is another file than before, or shorter, is read from its beginning. A line that is not a record is
     counted and skipped, so that the page shows the rest; `robot-runner status` refuses it.
 
     Args:

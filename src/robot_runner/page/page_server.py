@@ -349,7 +349,7 @@ async def _body(request: Request) -> dict[str, Any]:
     except (ValueError, RecursionError):
         said = None
     if not isinstance(said, dict):
-        raise HTTPException(400, "This request is no JSON object.")
+        raise HTTPException(400, "This request is not a JSON object.")
     return said
 
 

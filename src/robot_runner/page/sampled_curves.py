@@ -109,7 +109,7 @@ class _SampleFile:
         """Read what was appended; return whether there was anything.
 
         Raises:
-            StorageError: it is no regular file, or cannot be read.
+            StorageError: it is not a regular file, or cannot be read.
         """
         with storage_errors(self._path, "read"), open_to_read(self._path, self._root) as file:
             file.seek(self._offset)

@@ -161,7 +161,7 @@ def _port(text: str) -> int:
     if text.isascii() and text.isdecimal() and int(text) <= _LARGEST_PORT:
         return int(text)
     raise ConfigError(
-        f"{text!r} is no port", where="--port", fix=f"Give a number of 0 to {_LARGEST_PORT:,}; 0 takes any."
+        f"{text!r} is not a port", where="--port", fix=f"Give a number of 0 to {_LARGEST_PORT:,}; 0 takes any."
     )
 
 
@@ -171,7 +171,7 @@ def _listening(host: str, port: int) -> socket.socket:
         address = ipaddress.ip_address(name)
     except ValueError:
         fix = "Give an address in figures: 127.0.0.1 for this machine alone, 0.0.0.0 for its networks."
-        raise ConfigError(f"{host!r} is no address", where="--host", fix=fix) from None
+        raise ConfigError(f"{host!r} is not an address", where="--host", fix=fix) from None
     listener = socket.socket(socket.AF_INET6 if address.version == 6 else socket.AF_INET)  # noqa: PLR2004 - IPv6
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:

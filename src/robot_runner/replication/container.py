@@ -72,7 +72,7 @@ def as_base(text: str) -> str:
     """
     if not _IMAGE.fullmatch(text):
         fix = "Give NAME:TAG@sha256:DIGITS, as `podman image inspect --format '{{.Digest}}'` and the like tell it."
-        raise PackageError(f"{text!r} is no image", where="--base-image", fix=fix)
+        raise PackageError(f"{text!r} is not an image", where="--base-image", fix=fix)
     return text
 
 

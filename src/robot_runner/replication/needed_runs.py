@@ -52,7 +52,7 @@ def runs_for_difference(variances: Variances, difference: float, alpha: float) -
 def _fewest(variances: Variances, rooms: Sequence[float], level: float) -> int | None:
     """Return the fewest runs with enough power: the probability that all one-sided tests at these distances reject.
 
-    The degrees of freedom are Welch's. The normal distribution is no substitute for few runs: it gives 2 instead of 4.
+    The degrees of freedom are Welch's. The normal distribution is not a substitute for few runs: it gives 2, not 4.
     """
     largest = max(variances)
     if min(rooms) <= 0:

@@ -74,7 +74,7 @@ def _archive(path: Path, opened: ExitStack) -> zipfile.ZipFile:
         return opened.enter_context(zipfile.ZipFile(opened.enter_context(_BoundedReads(path))))
     # The library raises the others for invalid names, offsets or numbers in the directory.
     except (zipfile.BadZipFile, ValueError, OverflowError, EOFError, struct.error) as error:
-        problem = f"the file is no zip file, or its end is missing: {error}"
+        problem = f"the file is not a zip file, or its end is missing: {error}"
         raise PackageError(problem, where=str(path), fix=_GET_IT_AGAIN) from error
     except (OSError, NotImplementedError) as error:
         raise storage_error(path, "read", error if isinstance(error, OSError) else OSError(str(error))) from error

@@ -136,7 +136,9 @@ def _environment(path: Path, manifest: Mapping[str, Any]) -> Mapping[str, Any]:
     }
     known = {name: manifest.get(name) for name in ("robot", "ros", "host", "programs")}
     found = {"python": software.get("python"), "packages": packages, "system": software.get("system"), **known}
-    PackageError.refuse(shape_findings(str(path), "manifest", found, Environment, "Ask its authors for the original."))
+    PackageError.refuse(
+        shape_findings(str(path), "a manifest", found, Environment, "Ask its authors for the original.")
+    )
     return found
 
 

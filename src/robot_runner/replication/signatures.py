@@ -90,7 +90,7 @@ def check_signature(package: Path, trusted: Path | None = None) -> Signer:
     """
     signature = signature_of(package)
     if not signature.is_file() or signature.stat().st_size > _LARGEST:
-        problem = "the signature is no file of a signature's size" if signature.exists() else "there is no signature"
+        problem = "the signature is not a file of a signature's size" if signature.exists() else "there is no signature"
         raise PackageError(problem, where=str(signature), fix=_GET_IT_AGAIN)
     answer = _ssh_keygen(["-Y", "check-novalidate", "-n", _NAMESPACE, "-s", str(signature)], package)
     made_by = _FINGERPRINT.search(answer.stdout)

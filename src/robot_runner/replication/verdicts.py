@@ -242,7 +242,7 @@ def _judged(judged: _Judged, *, has_comparison: bool, secondary_because: str) ->
         conclusion = Conclusion.UNDECIDED
     elif judged.found is None:
         why = (
-            "its values are no numbers, and one execution does not tell whether that is chance"
+            "its values are not numbers, and one execution does not tell whether that is chance"
             if has_comparison
             else "no statistics were at hand to tell whether that matters (install the extra `analysis`, and repeat "
             "the command: no run is executed again)"

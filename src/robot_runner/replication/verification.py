@@ -23,7 +23,7 @@ from robot_runner.replication.plain_zip import Progress
 #: The size limit of files that are read as a whole: descriptions and checksums, bytes.
 _LARGEST_TEXT = 32 << 20
 _MOST_FINDINGS = 20
-#: The limit of reported lines that are not checksums: a file that is no list of checksums has many.
+#: The limit of reported lines that are not checksums: a file that is not a list of checksums has many.
 _MOST_BAD_LINES = 100
 
 
@@ -157,7 +157,9 @@ def _description(package: OpenPackage) -> Mapping[str, Any]:
     where = f"{package.where}, {contents.DESCRIPTION}"
     if contents.DESCRIPTION not in package.sizes:
         fix = "Name a package; `robot-runner pack` makes one of an experiment's folder."
-        raise PackageError(f"this is no package: it has no {contents.DESCRIPTION}", where=str(package.where), fix=fix)
+        raise PackageError(
+            f"this is not a package: it has no {contents.DESCRIPTION}", where=str(package.where), fix=fix
+        )
     try:
         found = parsed_json(_text(package, contents.DESCRIPTION, JSON_LIMIT))
     except (ValueError, RecursionError) as error:
@@ -213,7 +215,7 @@ def _differing_names(package: OpenPackage, sums: Mapping[str, str]) -> Iterator[
         yield Finding.error(f"{package.where}, {name}", "the file is missing", _ALTERED)
     for name in sorted(set(package.sizes) - set(sums) - {contents.SUMS}):
         yield Finding.error(
-            f"{package.where}, {name}", "the file is no part of the package", "Remove it, or get the package again."
+            f"{package.where}, {name}", "the file is not part of the package", "Remove it, or get the package again."
         )
 
 

@@ -95,7 +95,7 @@ class GoalServer:
         types: its message types.
         execute: executes a goal.
         accept: whether to accept a goal; None accepts all.
-        on_fault: called with exceptions of `execute` or `accept` that are no end of a goal.
+        on_fault: called with exceptions of `execute` or `accept` that are not the end of a goal.
         start: starts a function in a thread of its own, whose name is given.
     """
 
@@ -230,7 +230,7 @@ class GoalServer:
                 self._outlet.tell_result(execution, execution.result)
             self._tell_status()
         except Exception:
-            _logger.info("the end of a goal of %s could not be told", self.action, exc_info=True)
+            _logger.info("the end of a goal of %s could not be reported", self.action, exc_info=True)
         execution.told.set()
 
     def _tell_status(self) -> None:
@@ -239,7 +239,7 @@ class GoalServer:
                 if self._outlet is not None:
                     self._outlet.tell_status(self.executions)
             except Exception:  # goals go on, and can still be cancelled, although their states are not published
-                _logger.warning("the states of the goals of %s could not be told", self.action, exc_info=True)
+                _logger.warning("the states of the goals of %s could not be reported", self.action, exc_info=True)
 
 
 def _start_thread(work: Callable[[], None]) -> None:

@@ -44,7 +44,7 @@ def package_of(file: Path) -> str:
     name = _named_by(folder / "package.xml") or folder.name
     if not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII):
         fix = "Call the folder like the package, or put its package.xml there."
-        raise LinkError(f"{name!r} is no name of a package", where=str(file), fix=fix)
+        raise LinkError(f"{name!r} is not the name of a package", where=str(file), fix=fix)
     return name
 
 

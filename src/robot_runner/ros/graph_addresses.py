@@ -49,7 +49,7 @@ def domain_id(options: Mapping[str, str], environment: Mapping[str, str]) -> int
     """Return the DDS domain from the option `domain`, or else from the environment.
 
     Raises:
-        LinkError: the text is no domain.
+        LinkError: the text is not a domain.
 
     Example:
         >>> domain_id({"domain": "7"}, {}), domain_id({}, {"ROS_DOMAIN_ID": "3"}), domain_id({}, {})
@@ -263,7 +263,7 @@ def _generation(text: str | None, distro: str | None) -> int | None:
         raise LinkError(f"the generation of ROS is {text!r}", where=_WHERE, fix="Write ros=1 or ros=2.")
     told = None if distro is None else 1 if distro in ROS1_DISTROS else 2
     if text is not None and told not in {None, int(text)}:
-        raise LinkError(f"{distro!r} is no distribution of ROS {text}", where=_WHERE, fix="Leave ros= out.")
+        raise LinkError(f"{distro!r} is not a distribution of ROS {text}", where=_WHERE, fix="Leave ros= out.")
     return told if text is None else int(text)
 
 
@@ -274,7 +274,7 @@ def _malformed(text: str) -> LinkError:
 
 def _check_distro(distro: str | None, known: Collection[str], of: str) -> None:
     if distro is not None and distro not in known:
-        problem = f"{distro!r} is no distribution of {of} that is known"
+        problem = f"{distro!r} is not a distribution of {of} that is known"
         raise LinkError(problem, where=_WHERE, fix=did_you_mean(distro, known))
 
 

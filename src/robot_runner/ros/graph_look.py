@@ -138,7 +138,7 @@ def _patiently(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]], sec
     deadline = time.monotonic() + seconds
     while True:
         found = list(_findings(link, needs))
-        # Also wait for the robot where nothing of it is needed, and its absence is no error.
+        # Also wait for the robot where nothing of it is needed, and its absence is not an error.
         if not any(each.is_error or each.where == _ROBOT for each in found) or time.monotonic() > deadline:
             return found
         time.sleep(_PERIOD)

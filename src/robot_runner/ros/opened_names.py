@@ -121,7 +121,7 @@ def halt_all(driven: Iterable[tuple[str, Advertised]]) -> None:
 def stop_all(driven: Sequence[tuple[str, Advertised]]) -> None:
     """Command zero on all of these topics, then check that it was received, so that no robot drives on meanwhile.
 
-    A topic without a known command is not checked: its subscriber may be gone, which is no fault.
+    A topic without a known command is not checked: its subscriber may be gone, which is not a fault.
 
     Raises:
         LinkError: a command was not received on one of the others, or the client library fails.

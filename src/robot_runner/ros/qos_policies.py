@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from robot_runner.core.links.robot import Qos
 
-#: The depth of each profile: how many messages are queued for a slow subscriber; 0 is no limit (rmw/qos_profiles.h).
+#: The depth of each profile: how many messages are queued for a slow subscriber; 0 for no limit (rmw/qos_profiles.h).
 DEPTHS: Mapping[Qos, int] = MappingProxyType(
     {Qos.DEFAULT: 10, Qos.SENSOR_DATA: 5, Qos.RELIABLE: 0, Qos.TRANSIENT_LOCAL: 1}
 )
@@ -22,7 +22,7 @@ class Policies(NamedTuple):
     Attributes:
         is_reliable: whether lost messages are sent again.
         is_kept: whether later subscribers get the last messages (durability).
-        depth: how many messages are queued; 0 is no limit.
+        depth: how many messages are queued; 0 for no limit.
     """
 
     is_reliable: bool

@@ -23,7 +23,7 @@ _METADATA = "metadata.yaml"
 _POINTER = b"version https://git-lfs"
 #: So many topics are written out in a fix at most.
 _FEW = 8
-_LOOK = "Record it anew, or look at it with `ros2 bag info` or `rosbag info`; `rosbag reindex` repairs some."
+_LOOK = "Record it again, or look at it with `ros2 bag info` or `rosbag info`; `rosbag reindex` repairs some."
 #: Schema encodings in MCAP files that are not those of ROS 2 (mcap.dev, Well-known schema encodings).
 _FOREIGN = frozenset({"flatbuffer", "jsonschema", "protobuf", "ros1msg"})
 _WITHOUT = "Make a bag without these topics: mcap filter IN.mcap -o OUT.mcap --exclude-topic-regex '/of|/these'."
@@ -107,7 +107,7 @@ class RecordedBag:
 
     @property
     def files_beside(self) -> int:
-        """How many files the bag has of which this is one; 0 where it is no part of a folder's bag, or is all of it."""
+        """How many files the bag has of which this is one; 0 if it is not part of a folder's bag, or is all of it."""
         folder = self.path.parent
         if not (self.path.is_file() and (folder / _METADATA).is_file()):
             return 0
@@ -128,7 +128,7 @@ class RecordedBag:
             problem = f"the bag has {counted(self.count, 'message')}, but its index tells of no topic"
             raise PluginError(problem, where=str(self.path), fix=_LOOK)
         if not there:
-            raise PluginError("the bag has no messages", where=str(self.path), fix="Record it anew.")
+            raise PluginError("the bag has no messages", where=str(self.path), fix="Record it again.")
         faults = []
         for name in names or ():
             if name not in there:
@@ -198,7 +198,7 @@ class RecordedBag:
                 self._decoded(connection.msgtype, data)
                 return ""
         except Exception as error:  # noqa: BLE001  # as in `_told_as_broken`
-            return f"the first message on {first.topic} is no {message_type}: {_reason(error)}"
+            return f"the first message on {first.topic} is not of type {message_type}: {_reason(error)}"
         count = sum(each.msgcount for each in connections)
         return f"no message on {first.topic} is in the files of the bag, though {_METADATA} counts {count}"
 
@@ -219,7 +219,7 @@ def bag_at(path: Path) -> Path:
         raise PluginError(f"there is no bag {str(path)!r}", where=str(path), fix=fix)
     if path.is_file() and path.suffix not in _SUFFIXES:
         fix = "Name a .bag, .mcap or .db3 file, or the folder of a bag."
-        raise PluginError(f"{path.name!r} is no bag", where=str(path), fix=fix)
+        raise PluginError(f"{path.name!r} is not a bag", where=str(path), fix=fix)
     if path.is_file() and _points(path):
         problem = f"{path.name!r} only points to a file of Git LFS"
         raise PluginError(problem, where=str(path), fix="Bring the file itself: git lfs pull.")
@@ -267,7 +267,7 @@ def _told_as_broken(path: Path) -> Iterator[None]:
 
 
 def _reason(error: Exception) -> str:
-    if isinstance(error, KeyError):  # the key alone would be no reason
+    if isinstance(error, KeyError):  # the key alone would not be a reason
         return f"{error} is neither defined in it nor a part of ROS"
     return (str(error) or type(error).__name__).splitlines()[0][:200]
 

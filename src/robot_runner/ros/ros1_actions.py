@@ -339,7 +339,7 @@ class _Served:
             try:
                 self.tell_status(self._server.executions)
             except LinkError as error:
-                _logger.info("the states of an action are not told any more: %s", error)
+                _logger.info("the states of an action are not reported any more: %s", error)
                 return
 
     def _told(self, key: str, status: GoalStatus, text: str = "") -> dict[str, Any]:

@@ -101,7 +101,7 @@ def _connected(name: str, uri: str, timeout: float) -> Iterator[_Connection]:
     except TimeoutError as error:
         raise service_timeout(name, timeout) from error
     except (OSError, struct.error) as error:
-        fix = "Start its node anew."
+        fix = "Restart its node."
         raise LinkError(f"the service cannot be reached at {uri}: {error}", where=name, fix=fix) from error
     finally:
         if connection is not None:

@@ -172,11 +172,11 @@ class _Client:
         try:
             answer = self._transport.call(self._action + _RESULT, f"{self._type}_GetResult", request, _RESULT_SECONDS)
         except LinkError as error:
-            problem = f"the goal is {status}, and its result is not told: {error.problem}"
+            problem = f"the goal is {status}, and its result is not reported: {error.problem}"
             goal.lose(LinkError(problem, where=self._action, fix=error.fix))
             return
         except Exception as error:  # noqa: BLE001 - closed meanwhile, as each library says it
-            problem = f"the goal is {status}, and its result is not told: {type(error).__name__}: {error}"
+            problem = f"the goal is {status}, and its result is not reported: {type(error).__name__}: {error}"
             goal.lose(LinkError(problem, where=self._action, fix="Wait for the result before the link is closed."))
             return
         finally:

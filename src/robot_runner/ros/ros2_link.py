@@ -77,7 +77,7 @@ def _check_installed() -> None:
         raise LinkError(
             f"robot is reached over ROS 2, but ROS 1 {ros.distro or ''} is sourced, whose messages hide those of ROS 2",
             where=ros.source,
-            fix=f"Start anew in a shell where a ROS 2 is sourced, {_WITHOUT_ROS}.",
+            fix=f"Start again in a shell where a ROS 2 is sourced, {_WITHOUT_ROS}.",
         )
     if other is not None:
         raise _unfitting(ros, other)

@@ -58,7 +58,7 @@ class RosParameters(RestoredSettings):
         self.settings = {node: self._checked(node, values) for node, values in parameters.items()}
 
     def required_graph(self, circumstances: Circumstances) -> Iterator[GraphNeed]:
-        """Yield the nodes, with the values to be set; `/` of ROS 1 is no node."""
+        """Yield the nodes, with the values to be set; `/` of ROS 1 is not a node."""
         del circumstances
         for node, values in self.settings.items():
             if node != "/":

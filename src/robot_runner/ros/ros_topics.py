@@ -10,6 +10,7 @@ from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import Window
+from robot_runner.core.execution.clock_jumps import ClockJumps, told_setting
 from robot_runner.core.links.robot import RawMessage, RobotLink, Subscription
 from robot_runner.measuring.evaluation import publish_measures
 from robot_runner.measuring.live_samples import LiveSamples
@@ -75,6 +76,8 @@ class RosTopics(TopicProfiler):
         self._is_measuring = False
         self._is_simulated = False
         self._begun_at = 0.0
+        self._jumps = ClockJumps()
+        self._clock_set = 0.0
         self._sampled: Window | None = None
 
     def start_run(self, context: RobotRunnerContext) -> None:
@@ -94,6 +97,7 @@ class RosTopics(TopicProfiler):
     def start_measurement(self, context: RobotRunnerContext) -> None:
         """Begin counting."""
         self._begun_at = context.clock.now()
+        self._jumps = ClockJumps()
         self._is_measuring = True
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
@@ -101,6 +105,7 @@ class RosTopics(TopicProfiler):
         if self._is_measuring:
             self._is_measuring = False
             self._sampled = Window(self._begun_at, context.clock.now())
+            self._clock_set = self._jumps.was_set
         self._is_simulated = self.is_of_simulation(context)
 
     def stop_run(self, context: RobotRunnerContext) -> None:
@@ -152,10 +157,13 @@ class RosTopics(TopicProfiler):
             for problem in received.doubts(quality):
                 fix = _CLOCKS_FIX if received.is_ahead else _FIX
                 context.doubt(f"topic {topic}: {problem}", fix=fix, measures=doubted)
+            ages = [received.label + kind for kind in ("Age", "MaxAge")]
             old = received.age_doubt()
             if old is not None:
-                ages = [received.label + kind for kind in ("Age", "MaxAge")]
                 context.doubt(f"topic {topic}: {old}", fix="Go without them: the rest is counted here.", measures=ages)
+            elif self._clock_set and received.known_ages and not self._is_simulated:
+                problem, fix = told_setting(self._clock_set)
+                context.doubt(f"topic {topic}: {problem}", fix=fix, measures=ages)
             unknown = received.loss_doubt(window) if self.losses else None
             if unknown is not None:
                 fix = "Count the messages where they are published, and compare with the recorded ones."

@@ -80,7 +80,7 @@ class RosbridgeActions:
         if action in self._served or action in self.actions():
             fault = already_offered(action, what="action")
             # Its action server is never destroyed, so that nobody can offer it again.
-            fix = f"{fault.fix} A rosbridge server of 2.x keeps what was offered through it: start it anew."
+            fix = f"{fault.fix} A rosbridge server of 2.x keeps what was offered through it: restart it."
             raise LinkError(fault.problem, where=fault.where, fix=fix)
         served = self._served[action] = _Served(self, action, action_type, server)
         try:

@@ -94,7 +94,7 @@ class FrameReader:
         """Return the operation that the frame is, or completes; None if more fragments are to come.
 
         Raises:
-            ValueError: it is no operation of the protocol, or more fragments wait than the memory should hold.
+            ValueError: it is not an operation of the protocol, or more fragments wait than the memory should hold.
         """
         try:
             operation = read(frame) if isinstance(frame, bytes) else json.loads(frame)

@@ -169,7 +169,7 @@ def _secret(place: str) -> str:
     try:
         value = Path(name).expanduser().read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is no text"
+        reason = getattr(error, "strerror", None) or "it is not text"
         raise _refused(
             f"the secret in {name} cannot be read: {reason}", "Name a file of text that you can read."
         ) from error

@@ -80,7 +80,7 @@ class Session:
             closed: if only its answers are lost, it receives them.
 
     Raises:
-        LinkError: it cannot be reached, or is no rosbridge.
+        LinkError: it cannot be reached, or is not a rosbridge.
     """
 
     def __init__(self, address: RosbridgeAddress, barrier: str | None = None) -> None:
@@ -293,7 +293,7 @@ class Session:
                 try:
                     operation = reader.read(frame)
                 except ValueError as error:
-                    _logger.warning("%s sent what is no operation: %s", self.where, error)
+                    _logger.warning("%s sent what is not an operation: %s", self.where, error)
                     continue
                 if operation is not None:
                     self._take(operation)

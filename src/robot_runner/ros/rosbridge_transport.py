@@ -255,7 +255,7 @@ class RosbridgeTransport:
         answer = self._answers.get(service)
         try:
             if answer is None:
-                raise LinkError("the service is not offered any more", where=service, fix="Offer it anew.")  # noqa: TRY301
+                raise LinkError("the service is not offered any more", where=service, fix="Offer it again.")  # noqa: TRY301
             outcome = {"values": answer(operation.get("args") or {}), "result": True}
         except Exception as fault:  # noqa: BLE001 - the link has logged it; the client is told
             outcome = {"values": str(fault), "result": False}

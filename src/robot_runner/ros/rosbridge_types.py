@@ -105,7 +105,8 @@ class Rosapi:
         """Return the `publishers` or `subscribers` of a topic; rosapi knows one type of it."""
         known = self.topic_type(topic) or ""
         names: list[str] = self.told(question, {"topic": topic})[question]
-        return [GraphEndpoint(name, known, name.rpartition("/")[2].startswith(_SERVER)) for name in names]
+        servers = {name for name in names if name.rpartition("/")[2].startswith(_SERVER)}
+        return [GraphEndpoint(name, known, name in servers, is_shared=name in servers) for name in names]
 
     def topic_type(self, topic: str) -> str | None:
         """Return the type of a topic, or None where there is none or the graph does not tell."""
@@ -233,14 +234,14 @@ class RosapiParameters:
         """Return the value of one, or None where it is not set.
 
         Raises:
-            LinkError: rosapi does not answer, or with something that is no JSON.
+            LinkError: rosapi does not answer, or with something that is not JSON.
         """
         told = self._rosapi.told("get_param", {"name": name, "default": ""})["value"]
         try:
             return json.loads(told or "null")
         except ValueError as error:
             fix = "Look at rosapi's log."
-            raise LinkError(f"rosapi tells its value as {told!r}, which is no JSON", where=name, fix=fix) from error
+            raise LinkError(f"rosapi tells its value as {told!r}, which is not JSON", where=name, fix=fix) from error
 
     def set_parameter(self, name: str, *, value: Any) -> None:
         """Set one.

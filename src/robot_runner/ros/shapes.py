@@ -278,7 +278,7 @@ def _float(kind: str, given: object, only_finite: bool) -> float:
             raise _misfit(value, "Give a finite number.")
     elif abs(value) > _FLOATS[kind]:
         fix = f"Give at most {_FLOATS[kind]:.3g}."
-        raise _MisfitError(lambda path: f"field {path!r} is {value!r}, which is no {kind}", fix)
+        raise _MisfitError(lambda path: f"field {path!r} is {value!r}, which is not a {kind}", fix)
     return value
 
 

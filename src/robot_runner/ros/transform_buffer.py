@@ -76,8 +76,8 @@ class TransformBuffer:
     """Keeps what is told of coordinate frames, and says where one is in another at a time.
 
     What cannot be true is left out and told in `findings`, each once: frames that would be their own ancestors, a frame
-    with two parents, a rotation that is no unit quaternion. Where a frame's stamps jump back by more than a second, as
-    on the reset of a simulation, everything but what always holds is forgotten.
+    with two parents, a rotation that is not a unit quaternion. Where a frame's stamps jump back by more than a second,
+    as on the reset of a simulation, everything but what always holds is forgotten.
 
     Args:
         horizon: how long it is kept, s of the stamps.
@@ -165,7 +165,7 @@ class TransformBuffer:
                 self._doubt(f"a transform from {child!r} to {parent!r} has no name or no numbers: it is left out")
                 return
             if abs(length - 1.0) > _UNIT:
-                self._doubt(f"the rotation of {child!r} in {parent!r} is no unit quaternion: it is left out")
+                self._doubt(f"the rotation of {child!r} in {parent!r} is not a unit quaternion: it is left out")
                 return
             if child == parent or child in self._ancestors(parent):
                 self._doubt(f"{child!r} would be its own ancestor, as a child of {parent!r}: that is left out")
@@ -259,7 +259,7 @@ class TransformBuffer:
             self._branches = {frame: each for frame, each in self._branches.items() if each.is_static}
             branch = None
         if branch is not None and branch.parent != parent:
-            self._doubt(f"{child!r} has two parents, {branch.parent!r} and {parent!r}: the last one told holds")
+            self._doubt(f"{child!r} has two parents, {branch.parent!r} and {parent!r}: the last one published holds")
             branch = None
         if branch is None or branch.is_static != is_static:
             branch = self._branches[child] = _Branch(parent, is_static=is_static)
@@ -301,6 +301,6 @@ class TransformBuffer:
 
 
 def _unknown(frame: str, known: Sequence[str]) -> LinkError:
-    there = f"frames are {enumerated(known)}" if known else "nobody has told of any frame yet"
+    there = f"frames are {enumerated(known)}" if known else "no frame has been published yet"
     told = f"Check what is published on /tf and /tf_static, or in the robot's namespace: {there}."
     return LinkError(f"there is no frame {frame!r}", where=_WHERE, fix=did_you_mean(frame, known, told))

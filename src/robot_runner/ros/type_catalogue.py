@@ -132,7 +132,7 @@ class TypeCatalogue:
             fix = "Name the ROS distribution that sent it, or give its definition, in the options of the robot."
             if isinstance(error.__cause__, UnicodeDecodeError):
                 fix = f"Have its node send texts in UTF-8, as ROS has them. Where it does: {fix}"
-            problem = f"{len(data)} bytes are no message of this type: {error}"
+            problem = f"{len(data)} bytes are not a message of this type: {error}"
             raise LinkError(problem, where=message_type, fix=fix) from error
 
     def _shape(self, name: str) -> Shape:

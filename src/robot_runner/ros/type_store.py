@@ -295,7 +295,7 @@ def _default(kind: str, written: str, *, is_array: bool) -> Any:
         spelt = written if kind in _TEXTS else _TRUTH.sub(lambda word: word[0].title(), written)
         values = ast.literal_eval(spelt)  # lists are spelt as in Python, and comments, too
         if not isinstance(values, list):
-            raise ValueError(f"{spelt} is no list")
+            raise ValueError(f"{spelt} is not a list")
         return tuple(map(bool, values)) if kind == "bool" else tuple(values)
     if kind in _TEXTS and written[0] in "\"'":
         return ast.literal_eval(written)

@@ -158,7 +158,7 @@ def read_interface(model: mujoco.MjModel, *, where: str, left: str = "", right: 
         right: likewise.
 
     Raises:
-        LinkError: the model has no actuator for a joint, or a named joint is no wheel.
+        LinkError: the model has no actuator for a joint, or a named joint is not a wheel.
     """
     joints = _joints(model)
     driven = next((each for each in joints if each.control is not None), None)
@@ -258,7 +258,7 @@ def _wheels(model: mujoco.MjModel, joints: Sequence[Joint], given: dict[str, str
     for side in _SIDES:
         if given[side] and given[side] not in driven:
             fix = did_you_mean(given[side], driven) or "Drive it by its speed: <velocity joint=.../>."
-            raise LinkError(f"{side}={given[side]!r} is no joint that is driven by its speed", where=where, fix=fix)
+            raise LinkError(f"{side}={given[side]!r} is not a joint that is driven by its speed", where=where, fix=fix)
         alike = [given[side]] if given[side] else [name for name in driven if side in name.casefold()]
         if len(alike) != 1:
             return None

@@ -40,7 +40,7 @@ class RobotModel:
         left, right: the joints of its wheels, if their names do not contain left and right.
 
     Raises:
-        LinkError: the file is no model with actuators.
+        LinkError: the file is not a model with actuators.
     """
 
     def __init__(self, path: Path, room: Room | None = None, *, left: str = "", right: str = "") -> None:
@@ -108,7 +108,7 @@ class ModelledRobot:
 
     def call(self, service: str) -> dict[str, bool | str]:
         """Raise an error, as it has no services."""
-        raise LinkError(f"{service!r} is no service of the model", where=self.namespace or "/", fix="It has none.")
+        raise LinkError(f"{service!r} is not a service of the model", where=self.namespace or "/", fix="It has none.")
 
     def put_back(self) -> None:
         """Put the robot back to its start, with its odometry at zero."""
@@ -166,7 +166,7 @@ class ModelledRobot:
         values = {kind: list(message[kind.value]) for kind in ActuatorKind}
         for place, name in enumerate(message["name"]):
             if name not in driven:
-                problem = f"{name!r} is no joint of the model that is driven"
+                problem = f"{name!r} is not a joint of the model that is driven"
                 raise LinkError(problem, where="joint_commands", fix=did_you_mean(name, driven))
             joint = driven[name]
             given = values[joint.kind]

@@ -34,7 +34,7 @@ def read_room(path: Path) -> Room:
         if path.stat().st_size > _LARGEST:
             raise LinkError("the file is longer than any room", where=str(path), fix=_GUIDE)
         if not path.is_file():  # opening a named pipe would block until somebody writes
-            raise LinkError("the room is no regular file", where=str(path), fix="Make it a file that can be read.")
+            raise LinkError("the room is not a regular file", where=str(path), fix="Make it a file that can be read.")
         described = tomllib.loads(path.read_text("utf-8"))
     except FileNotFoundError as error:
         fix = f"Give the path of a file, from {Path.cwd()} on."

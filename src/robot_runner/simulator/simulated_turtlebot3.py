@@ -154,7 +154,7 @@ class SimulatedTurtlebot3:
         """Drive at these velocities (m/s, rad/s), within the robot's limits, until the next command.
 
         Raises:
-            LinkError: one of them is no number.
+            LinkError: one of them is not a number.
         """
         if math.isnan(linear + angular):
             problem = f"the robot is told to drive at {linear:g} m/s and {angular:g} rad/s"
@@ -278,7 +278,7 @@ class Simulation:
         """Return the TurtleBot3 of this namespace, as `robot` does.
 
         Raises:
-            LinkError: as for `robot`, or the simulation's robots are no TurtleBot3s.
+            LinkError: as for `robot`, or the simulation's robots are not TurtleBot3s.
         """
         found = self.robot(namespace)
         if isinstance(found, SimulatedTurtlebot3):

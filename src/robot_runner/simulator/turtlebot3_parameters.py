@@ -61,7 +61,7 @@ class Turtlebot3Parameters:
             compared: with 1.1 the power is 10 % higher during every task.
 
     Raises:
-        LinkError: a parameter is no finite number, or is negative, zero or out of its range where that is invalid.
+        LinkError: a parameter is not a finite number, or is negative, zero or out of its range where that is invalid.
 
     Example:
         >>> Turtlebot3Parameters(task_power_factor=1.1).wheel_radius

@@ -14,6 +14,7 @@ from __future__ import annotations
 import fcntl
 import json
 import select
+import signal
 import subprocess
 import sys
 import threading
@@ -38,6 +39,7 @@ from robot_runner.core.links.robot import Advertiser, RobotLink
 from robot_runner.core.storage.guarded_files import read_text
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.shared_claims import held_against_users
+from robot_runner.subjects.orphans import signal_stopped, wake_supervisor
 from robot_runner.subjects.supervised_program import Start, last_start
 
 #: How often to look whether the program has ended, s.
@@ -93,6 +95,10 @@ class CommandedTopics:
             if told is not None and not told.samefile(self._path.parent):
                 return CommandedTopics(Start(told))._lines()[:1] == lines[:1]  # noqa: SLF001 - of the same class
         return False
+
+    def end_stopped(self) -> None:
+        """Kill who was to command zero and is stopped: once continued, it would do so in the midst of a run."""
+        signal_stopped(self._path, signal.SIGKILL)
 
     @contextmanager
     def locked(self) -> Iterator[tuple[int, ...]]:
@@ -196,6 +202,9 @@ def end_left_subjects(root: Path, may_command: Callable[[str], bool]) -> Iterato
         robots = CommandedTopics(start).by_robot() if start is not None else {}
         if start is None or (robots and not any(map(may_command, robots))) or CommandedTopics(start).is_copied():
             continue
+        CommandedTopics(start).end_stopped()
+        if wake_supervisor(start.events):
+            start.await_end(_LONGEST)
         start.end_orphans()
         if CommandedTopics(start).problem() is not None:
             continue
@@ -284,7 +293,10 @@ def _halt_after(start: Start) -> None:
                     read, has_ended = size, start.ended() is not None
             if has_ended:  # its child processes may go on for a moment
                 robots.command_zero()
-            if select.select(asked, [], [], _LOOK)[0]:
+            is_asked = bool(select.select(asked, [], [], _LOOK)[0])
+            if is_asked or not asked:
+                wake_supervisor(start.events)
+            if is_asked:
                 asked = []
                 robots.join()
                 with suppress(OSError):  # nobody reads the output any more
@@ -348,7 +360,7 @@ class CommandedRobot:
                     link.advertise(topic, message_type, is_commanded=False)
                     self._taken[topic] = message_type
             for topic in self._taken.keys() - self._commanded:
-                if any(not each.is_own for each in link.publishers(topic)):
+                if any(each.is_shared or not each.is_own for each in link.publishers(topic)):
                     link.advertise(topic, self._taken[topic])
                     self._commanded.add(topic)
                     self.tell(topic, self._taken[topic])

@@ -1,4 +1,7 @@
-"""Ends what a program has started, if its supervisor was killed: it is found by a variable of its environment."""
+"""Ends what a program has started, if its supervisor was killed: it is found by a variable of its environment.
+
+A supervisor that was stopped goes on.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,8 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from robot_runner.core.storage.outliving import has_in_environment, processes
+from robot_runner.core.execution.left_over import has_locked
+from robot_runner.core.storage.outliving import has_in_environment, is_stopped, processes
 
 _VARIABLE = "ROBOT_RUNNER_START"
 #: How often to look whether they are gone, and how long that may take after they were killed, s.
@@ -33,3 +37,25 @@ def end_orphans(folder: Path) -> None:
             with suppress(ProcessLookupError, PermissionError):
                 os.kill(pid, signal.SIGKILL)
         time.sleep(_LOOK)
+
+
+def signal_stopped(locked: Path, number: signal.Signals) -> bool:
+    """Send a signal to the stopped processes that hold the lock of a file (Linux); return whether there are any."""
+    path = locked.resolve()
+    found = [pid for pid in processes() if is_stopped(pid) and has_locked(pid, path)]
+    for pid in found:
+        with suppress(ProcessLookupError):
+            os.kill(pid, number)
+    return bool(found)
+
+
+def wake_supervisor(events: Path) -> bool:
+    """Have the supervisor of a start go on where somebody has stopped it, as nobody else ends the program.
+
+    Args:
+        events: the file of its events, whose lock it holds.
+
+    Returns:
+        whether it was stopped.
+    """
+    return signal_stopped(events, signal.SIGCONT)

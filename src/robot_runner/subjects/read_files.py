@@ -75,7 +75,7 @@ def _named_beside(path: Path) -> Iterator[Path]:
 def _of_compose(path: Path) -> Iterator[Path]:
     """Yield the files that images are built from, and those in folders that containers can read but not write.
 
-    A folder that they can write to changes with each run, and so is no input.
+    A folder that they can write to changes with each run, and so is not an input.
     """
     folder, text = path.parent, text_of(path)
     built: list[list[str]] = []  # each context, and its Dockerfile

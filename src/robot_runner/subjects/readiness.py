@@ -20,7 +20,7 @@ def checked_ready(plugin: str, ready: object) -> Condition | str | re.Pattern[st
     """Return a plugin's `ready`, if it is valid.
 
     Raises:
-        PluginError: `ready` is no condition, text or pattern.
+        PluginError: `ready` is not a condition, text or pattern.
     """
     if ready is None or isinstance(ready, Condition):
         return ready

@@ -163,7 +163,7 @@ class RosSubject(Subject):
             self._putting_back = ("env", *told, *_PUT_BACK, key)
             answer = self.surroundings.ask((*self._putting_back, *self.dumping()))
             if answer.code != 0 and isinstance(context, RobotRunnerContext):
-                problem = f"which parameters it leaves at the master cannot be told: {last_line(answer)}"
+                problem = f"which parameters it leaves at the master is not known: {last_line(answer)}"
                 context.warn(problem, fix="See that python3 and roslaunch are there, with the workspace sourced.")
         return super()._begin(context, folder, begun)
 
@@ -182,7 +182,7 @@ class RosSubject(Subject):
         except (ValueError, IndexError):  # before it stands what a login shell or a setup file writes
             packages = None
         if not isinstance(packages, dict):
-            problem = f"the packages of its workspace cannot be told: {last_line(answer)}"
+            problem = f"the packages of its workspace are not known: {last_line(answer)}"
             context.warn(problem, fix="See that python3 is there, with the workspace sourced.")
             return facts
         return {**facts, "ros": self.ros, **({"packages": packages} if packages else {})}

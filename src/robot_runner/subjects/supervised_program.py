@@ -19,7 +19,7 @@ from robot_runner.core.errors import PluginError, StorageError, did_you_mean
 from robot_runner.core.links.ssh_command import gist, remedy, ssh_command
 from robot_runner.core.storage.shared_claims import held_against_users
 from robot_runner.core.words import listed, one_line
-from robot_runner.subjects.orphans import end_orphans, mark_of
+from robot_runner.subjects.orphans import end_orphans, mark_of, wake_supervisor
 from robot_runner.subjects.remote_supervision import BOOTSTRAP, LEASE
 
 #: How long a supervisor may take to start its program, s: here, and over a network.
@@ -169,6 +169,12 @@ class Start:
             told.append(f"was out of reach when it was to end; it is ended there {LEASE:g} s after the connection")
         return told
 
+    def await_end(self, seconds: float) -> None:
+        """Wait until its supervisor has ended, for so long at most."""
+        deadline = time.monotonic() + seconds
+        while self.is_supervised() and time.monotonic() < deadline:
+            time.sleep(_LOOK)
+
     def end_orphans(self) -> None:
         """End what its supervisor could not end because it was killed."""
         if not self.is_supervised() and not self._told("gone") and not self.refusal:
@@ -250,6 +256,7 @@ class SupervisedProgram(Start):
             self._say(b"stop\n")
             with suppress(OSError):
                 self._supervisor.stdin.close()
+        wake_supervisor(self.events)
         try:
             self._supervisor.wait(self._task.ending_s)
         except subprocess.TimeoutExpired:

@@ -286,7 +286,7 @@ class Supervisor:
             tell(pid, signal.SIGTERM)
         if self.wait(lambda: not descendants(os.getpid()), LAST_GRACE):
             return []
-        if not LINUX:  # there, orphans are no descendants of this process
+        if not LINUX:  # there, orphans are not descendants of this process
             tell(-self.pid, signal.SIGKILL)
         deadline = time.monotonic() + DEATH
         left = descendants(os.getpid())

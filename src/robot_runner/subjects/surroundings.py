@@ -143,7 +143,7 @@ class Surroundings:
         """
         before, equals, name = word.rpartition("=")
         for start, each in (("", word), (before + equals, name)):
-            path = self.own_path(each) if {".", "/"} & {*each} else None  # else it is no path
+            path = self.own_path(each) if {".", "/"} & {*each} else None  # else it is not a path
             if path is not None and (copy := kept_copy(path)) is not None:
                 return f"{start}{copy}"
         return word
@@ -285,7 +285,7 @@ def word(plugin: str, value: Any) -> str:
         value = os.fspath(value) if is_known(value) else str(value)
     if isinstance(value, str | int | float) and "\0" not in str(value):
         return str(value)
-    raise PluginError(f"{value!r} is no word of a command", where=plugin, fix="Give texts, numbers or paths.")
+    raise PluginError(f"{value!r} is not a word of a command", where=plugin, fix="Give texts, numbers or paths.")
 
 
 def _quoted(path: str) -> str:

@@ -250,7 +250,7 @@ def take_over(kept: Path, target: Path, *, digits: int) -> None:
 
     Raises:
         OSError: git is not installed, or the repository cannot be written.
-        StorageError: something in the copy is no regular file.
+        StorageError: something in the copy is not a regular file.
     """
     target.mkdir(parents=True)
     git(

@@ -78,7 +78,7 @@ class ConditionContract:
         errors = [str(finding) for finding in self.make_condition().check(self.robot) if finding.is_error]
         require(not errors, f"the condition's check refuses the circumstances of these tests: {errors}")
         for finding in self.make_condition().check(None):
-            require(isinstance(finding, Finding), f"the condition's check returned {finding!r}, which is no Finding")
+            require(isinstance(finding, Finding), f"the condition's check returned {finding!r}, which is not a Finding")
             require(finding.fix or not finding.is_error, f"a finding offers no fix: {finding}")
 
     def test_it_holds_once_what_it_asks_for_is_there(self, tmp_path: Path) -> None:
@@ -86,7 +86,7 @@ class ConditionContract:
         with self.run(tmp_path) as context, ExitStack() as opened:
             condition = self.make_condition()
             look = self._watched(condition, context, opened)()
-            require(isinstance(look, Look), f"a look returned {look!r}, which is no Look")
+            require(isinstance(look, Look), f"a look returned {look!r}, which is not a Look")
             require(not look.holds, f"it holds that {condition} before it was made to: {look.seen}")
             require("\n" not in look.seen, f"what was seen has several lines: {look.seen!r}")
             self.make_it_hold(context)

@@ -302,7 +302,7 @@ class Rehearsal:
         """Emit all six events, with `mission` beside the callbacks of `launch_mission`.
 
         Before an exception propagates, closing events are emitted and the systems are made safe. A mission that
-        `context.stop_mission` ends is no failure: the systems are made safe, and the run goes on.
+        `context.stop_mission` ends is not a failure: the systems are made safe, and the run goes on.
         """
         is_stopped = False
         try:

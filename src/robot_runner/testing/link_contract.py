@@ -137,8 +137,8 @@ class RobotLinkContract(ActionContract):
         """Check that it has all members of the protocol."""
         with self.opened() as link:
             require(isinstance(link, RobotLink), f"{link!r} lacks members of RobotLink")
-            require(isinstance(link.is_simulated, bool), "is_simulated is no bool")
-            require(link.encoding in Encoding, "encoding is no Encoding")
+            require(isinstance(link.is_simulated, bool), "is_simulated is not a bool")
+            require(link.encoding in Encoding, "encoding is not an Encoding")
 
     def test_it_can_be_closed_twice_and_not_used_after(self) -> None:
         """Check that a closed link raises errors, and does not hang or crash."""
@@ -175,7 +175,7 @@ class RobotLinkContract(ActionContract):
         """Check that the definition is the text that bags store."""
         with self.opened() as link:
             text = link.definition(_TWIST)
-            require("linear" in text and "angular" in text, f"that is no definition of {_TWIST}: {text!r}")
+            require("linear" in text and "angular" in text, f"that is not a definition of {_TWIST}: {text!r}")
             require("MSG: geometry_msgs/" in text, f"what it is made of is not there: {text!r}")
             refusal(lambda: link.definition("geometry_msgs/Twit"))
 
@@ -338,7 +338,7 @@ class RobotLinkContract(ActionContract):
             services, nodes = link.services(), link.nodes()
             require(not services or services.get("/lamp") == _TRIGGER, f"/lamp is not in {services}")
             require(list(nodes) == sorted(nodes), f"{nodes} are not sorted")
-            require(all(name.startswith("/") for name in nodes), f"{nodes} are no full names")
+            require(all(name.startswith("/") for name in nodes), f"{nodes} are not full names")
 
     def test_who_publishes_what_the_robot_publishes_is_listed(self) -> None:
         """Check that a robot behind the link is listed as a publisher, with the type of its topic."""

@@ -119,7 +119,7 @@ class PluginContract:
         errors = [str(finding) for finding in found if finding.is_error]
         require(not errors, f"the plugin's check refuses the circumstances of these tests: {errors}")
         for finding in self.make_plugin().check(Circumstances()):
-            require(isinstance(finding, Finding), f"the plugin's check returned {finding!r}, which is no Finding")
+            require(isinstance(finding, Finding), f"the plugin's check returned {finding!r}, which is not a Finding")
             require(finding.fix or not finding.is_error, f"a finding offers no fix: {finding}")
 
     def test_a_good_run_publishes_every_measure(self, tmp_path: Path) -> None:

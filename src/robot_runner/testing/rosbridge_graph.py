@@ -72,13 +72,13 @@ def _value(field: Field, value: Any, ours: Any) -> Any:
     if field.count is None:
         return value
     if field.count != UNBOUNDED or field.kind in {"string", "time", "duration"}:
-        raise Refusal(f"{field.name} is no message")
+        raise Refusal(f"{field.name} is not a message")
     if field.kind in BYTE_KINDS:
         return ours
     return typed_array(field.kind, ours) if field.kind in _TYPED else value
 
 
-class Refusal(Exception):  # noqa: N818 - what a server says in a status message, which is no error of the test's
+class Refusal(Exception):  # noqa: N818 - what a server says in a status message, which is not an error of the test's
     """A refused operation, with the server's message."""
 
 

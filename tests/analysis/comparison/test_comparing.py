@@ -330,7 +330,7 @@ def test_text_is_not_compared_as_numbers(make_folder):
     folder = make_folder(factors={"T": ["a"]}, rows=rows, measures={"State": ""}, types={"State": "string"})
     [difference] = compare(folder.root, folder.root).measure("State").differences
     assert difference.p_value is None
-    assert "values that are no numbers" in difference.not_computed
+    assert "values that are not numbers" in difference.not_computed
 
 
 def test_a_measure_that_is_not_there_is_named(two_tasks):
@@ -449,7 +449,7 @@ def test_values_some_of_which_are_texts_are_not_compared(make_folder):
     for folders in ((mixed.root, numbers.root), (numbers.root, mixed.root)):
         [difference] = compare(*folders, bound="5%").measure("Time").differences
         assert difference.difference is None
-        assert "values that are no numbers" in difference.not_computed
+        assert "values that are not numbers" in difference.not_computed
 
 
 def test_what_is_text_in_both_leaves_the_verdict_to_the_numbers(make_folder):

@@ -397,7 +397,7 @@ def test_repetitions_that_count_all_runs_are_numbered_anew(tmp_path):
     rows = "".join(f"{task},{n},{n}.5\n" for n, task in enumerate("aabbcc" * 2, start=1))
     found = table_only(tmp_path, f"task,run,energy\n{rows}", repetition="run")
     assert [run.repetition for run in found.runs] == [1, 2] * 3 + [3, 4] * 3
-    assert any("numbered anew within each combination" in note for note in found.notes)
+    assert any("numbered again within each combination" in note for note in found.notes)
 
 
 def test_questions_name_the_options_that_settle_them(tmp_path):

@@ -82,7 +82,7 @@ def test_in_brief_many_interactions_that_are_not_shown_take_one_sentence(make_fo
     figures = p_values_in_words(least.p_value, least.adjusted_p_value)
     assert [each.is_significant for each in effects] == [True] + 6 * [False]
     gathered = (
-        f"The data do not show any of 4 interactions on E (the smallest p-value: {figures}); that is no proof that "
+        f"The data do not show any of 4 interactions on E (the smallest p-value: {figures}); that is not proof that "
         "there is none. The tests of each are below."
     )
     assert brief.text == " ".join([*(each.conclusion for each in effects if len(each.factors) == 1), gathered])

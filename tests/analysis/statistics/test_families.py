@@ -52,7 +52,7 @@ def test_a_check_does_not_deny_what_is_not_shown(tmp_path: Path) -> None:
     effect = energy(statistics(tmp_path, 110).measures)
     assert effect.check is not None
     assert (effect.p_value or 0) < 0.05 < min(effect.adjusted_p_value or 0, effect.check.p_value or 0)
-    assert effect.conclusion.endswith("that is no proof that there is none.")
+    assert effect.conclusion.endswith("that is not proof that there is none.")
 
 
 def test_the_p_value_of_a_check_is_said_to_be_uncorrected_where_that_beside_it_is_corrected(tmp_path: Path) -> None:

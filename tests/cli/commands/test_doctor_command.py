@@ -84,7 +84,7 @@ def test_a_device_of_another_group_is_broken_with_the_group_to_join(
     serial, bus, camera = asked(device_questions(tmp_path))
     assert serial.state == BROKEN
     assert serial.detail == f"{tmp_path}/ttyUSB0 cannot be opened: they belong to the group dialout"
-    assert serial.fix == "Join the group and log in anew: sudo usermod -aG dialout $USER"
+    assert serial.fix == "Join the group and log in again: sudo usermod -aG dialout $USER"
     assert (bus.state, bus.detail) == (READY, f"{tmp_path}/i2c-1")
     assert (camera.state, camera.detail) == (ABSENT, "none is connected")
 

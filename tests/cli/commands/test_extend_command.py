@@ -106,7 +106,7 @@ def test_a_new_factor_says_what_the_runs_so_far_count_as(
         (["--treatments", "Task"], "'Task' is not of the form FACTOR=T1,T2"),
         (["--factor", "=a:b"], "'=a:b' is not of the form NAME=DEFAULT:T1,T2"),
         (["--treatments", "Task=A", "--treatments", "Task=B"], "'Task' is given twice"),
-        (["--seed", "-1", "--repetitions", "3"], "-1 is no seed"),
+        (["--seed", "-1", "--repetitions", "3"], "-1 is not a seed"),
         (["--treatments", "Tsk=Audio"], "Did you mean 'Task'?"),
         (["--repetitions", "1"], "1 is fewer than the 2 repetitions that there are"),
         ([], "there is nothing to add: the run table has 2 repetitions of each combination"),

@@ -53,7 +53,7 @@ def test_json_has_the_same(robot_runner: Callable) -> None:
     [
         ("nowhere_at_all:Meter", "the profiler cannot be imported: ModuleNotFoundError"),
         ("robot_runner.plugins.profilers:Meter", "the profiler cannot be imported: AttributeError"),
-        ("robot_runner.core.errors:Finding", "is no Profiler"),
+        ("robot_runner.core.errors:Finding", "is not a Profiler"),
     ],
 )
 def test_a_broken_plugin_is_a_finding_and_hides_no_other(

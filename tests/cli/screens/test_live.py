@@ -154,7 +154,7 @@ def test_questions_and_refused_answers_stand_where_the_live_part_was(shown: Show
 def test_a_pause_and_a_host_that_starts_anew_are_told(shown: Shown, notices: Any) -> None:
     with shown.screen:
         shown.take(notices.started(), HostRestarts("board", "r_2"))
-        assert "Starting board anew before r_2, and waiting until it is ready ..." in shown.lines
+        assert "Restarting board before r_2, and waiting until it is ready ..." in shown.lines
         shown.take(Paused(Path.cwd() / "results", 2, 4))
         assert "robot-runner continue results" in shown.lines[-1]
 

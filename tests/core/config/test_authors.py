@@ -18,7 +18,7 @@ def test_an_orcid_is_kept_as_its_digits(orcid):
 
 @pytest.mark.parametrize("orcid", ["0000-0002-1825-0098", "0000000218250097", "ada", 7])
 def test_an_orcid_with_a_wrong_digit_is_refused(orcid):
-    with pytest.raises(ConfigError, match="no ORCID"):
+    with pytest.raises(ConfigError, match="not an ORCID"):
         Author("Ada", orcid=orcid)
 
 

@@ -305,7 +305,7 @@ def written_anew(folder: Path, body: str, head: str = "") -> list[str]:
     )
     preparation = prepare(config, is_for_here=False)
     assert preparation.experiment is not None, preparation.findings
-    return [each.problem for each in preparation.findings if "anew in each run" in each.problem]
+    return [each.problem for each in preparation.findings if "again in each run" in each.problem]
 
 
 @pytest.mark.parametrize(
@@ -325,7 +325,7 @@ def written_anew(folder: Path, body: str, head: str = "") -> list[str]:
 def test_a_file_that_each_run_replaces_is_told(tmp_path: Path, call: str) -> None:
     head = "import numpy\nOUT = 'out.csv'\ndef written(name, mode):\n    return open('out.csv', mode='w')\n"
     told = written_anew(tmp_path, f"    def stop_run(self, context): {call}\n", head)
-    assert told == ["stop_run writes 'out.csv' anew in each run: the last one replaces the others"]
+    assert told == ["stop_run writes 'out.csv' again in each run: the last one replaces the others"]
 
 
 @pytest.mark.parametrize(

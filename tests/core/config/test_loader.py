@@ -28,7 +28,7 @@ def test_a_file_that_is_not_there_is_refused_with_the_nearest_name(write_config:
 
 
 def test_a_folder_is_refused(tmp_path: Path) -> None:
-    assert refused(tmp_path)[0].problem == "the path names a folder, and no config file"
+    assert refused(tmp_path)[0].problem == "the path names a folder, not a config file"
 
 
 def test_a_file_that_is_not_python_is_refused_with_the_line(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ def test_everything_that_is_wrong_with_steps_and_questions_is_said_at_once(write
         "steps[1]: every is 0",
         "steps[2]: there are 2 steps 'swap'",
         "steps[2]: when_changes: there is no factor 'Tsk'",
-        "steps[3]: before: 'Vidoe' is no treatment of 'Task'",
+        "steps[3]: before: 'Vidoe' is not a treatment of 'Task'",
         "steps[3]: before: there is no factor 'Floor'",
         "steps[4]: before is 3",
         "steps[5]: before(Task='Video') raised UnknownFactorError: the run has no factor 'Tsk': did you mean 'Task'?",
@@ -58,7 +58,7 @@ def test_everything_that_is_wrong_with_steps_and_questions_is_said_at_once(write
         "steps[8], question 'v': the type is <class 'list'>",
         "steps[8], question 'w': low and high are limits of numbers, and there are answers of type str",
         "steps[8], question 'x': choice '2' is of type str, and answers of type int",
-        "steps[9]: after: 'Vidoe' is no treatment of 'Task'",
+        "steps[9]: after: 'Vidoe' is not a treatment of 'Task'",
         "steps[10]: after is 3",
         "steps[11]: every, before and after are given",
         "steps[12]: ask is 3",
@@ -105,11 +105,11 @@ def test_an_answer_has_the_type_of_its_question(question: Question, text: str, v
 @pytest.mark.parametrize(
     ("question", "text", "problem"),
     [
-        (Question("a", int), "3.5", "'3.5' is no whole number"),
+        (Question("a", int), "3.5", "'3.5' is not a whole number"),
         (Question("a", bool), "maybe", "'maybe' is neither yes nor no"),
         (Question("a"), "red\x1b[31m", "the text holds characters that cannot be printed"),
         (Question("a", float), "inf", "'inf' is not finite"),
-        (Question("a", int), "9" * 5000, "no whole number"),
+        (Question("a", int), "9" * 5000, "is not a whole number"),
         (Question("a", int), "9" * 400, "'9{400}' is not finite"),
     ],
 )

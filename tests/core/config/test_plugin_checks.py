@@ -88,7 +88,7 @@ def test_a_task_can_be_bound_like_any_parameter(write_config: Write) -> None:
         assert found(write_config, f"BasicTurtlebot3(task=treatment('{factor}'))", tasks) == ()
     wrong = table("Factor('Load', ['Video', 'Netwrk'])")
     (finding,) = found(write_config, "BasicTurtlebot3(task=treatment('Load'))", wrong)
-    assert finding.problem == "with Load = Netwrk: 'Netwrk' is no task of the robot"
+    assert finding.problem == "with Load = Netwrk: 'Netwrk' is not a task of the robot"
 
 
 def test_the_check_is_asked_once_with_each_treatment(write_config: Write) -> None:
@@ -149,7 +149,7 @@ def test_all_other_findings_come_with_it(write_config: Write) -> None:
     body = "attempts = 0\nplugins = [BasicTurtlebot3(speed=treatment('Sped'), task='Video'), 7]"
     problems = [each.problem for each in prepare(write_config(body, head=HEAD, table=SPEEDS)).findings]
     assert any("no factor 'Sped'" in each for each in problems)
-    assert any("7 is no plugin" in each for each in problems)
+    assert any("7 is not a plugin" in each for each in problems)
     assert any("the value is 0" in each for each in problems)
 
 
@@ -226,7 +226,7 @@ def test_factors_are_named_exactly(write_config: Write, factor: str) -> None:
 @pytest.mark.parametrize(
     ("measures", "problem"),
     [
-        ("['Energy']", "measures: 'Energy' is no Measure"),
+        ("['Energy']", "measures: 'Energy' is not of type Measure"),
         ("Measure('Energy')", "measures: 'Measure' object is not iterable"),
         ("None", "measures: 'NoneType' object is not iterable"),
         ("property(lambda self: 1 / 0)", "measures: ZeroDivisionError: division by zero"),

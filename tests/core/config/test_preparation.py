@@ -58,7 +58,7 @@ class RobotRunnerConfig(ExperimentConfig):
         return RunTableModel([Factor("Task", ["Video", "Idle"]), Factor("Speed", [0.1, 0.2])], data_columns=["E"])
 """)
     (finding,) = findings_of(path)
-    assert finding.problem == "'Vido', in the contrast, is no treatment of 'Task'"
+    assert finding.problem == "'Vido', in the contrast, is not a treatment of 'Task'"
     assert "Did you mean 'Video'?" in finding.fix
 
 
@@ -243,7 +243,7 @@ def test_callbacks_signatures_are_checked(write_config: Write) -> None:
     [
         ("PsUtil()", "the value is"),
         ("[PsUtil]", "PsUtil is a class"),
-        ("['PsUtil']", "'PsUtil' is no plugin"),
+        ("['PsUtil']", "'PsUtil' is not a plugin"),
         ("[PsUtil(), PsUtil()]", "2 plugins are named 'PsUtil'"),
         ("[PsUtil(name='a/b')]", "a plugin cannot be named 'a/b'"),
     ],
@@ -309,7 +309,7 @@ def test_the_ros_that_is_sourced_must_be_the_one_required(
 def test_a_results_path_below_a_file_is_refused(write_config: Write, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     (finding,) = findings_of(write_config("results_output_path = 'file/below'"))
-    assert finding.problem == f"{tmp_path / 'file'} is no folder"
+    assert finding.problem == f"{tmp_path / 'file'} is not a folder"
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
@@ -371,7 +371,7 @@ def test_a_robot_whose_name_has_a_slip_is_one_finding_and_the_plugins_are_asked_
     (finding,) = findings_of(write_config(head=head), robot="simulatd")
     assert finding.fix == "Did you mean 'simulated'?"
     (none_near,) = findings_of(write_config(head=head), robot="zzz")
-    assert none_near.problem == "robot is 'zzz', which is no link of this version"
+    assert none_near.problem == "robot is 'zzz', which is not a link of this version"
     # What is wrong beside the slip is said all the same.
     clashing = head.replace("Ina219()", "Ina219(port='/dev/none')")
     problems = [finding.problem for finding in findings_of(write_config(head=clashing), robot="simulatd")]

@@ -77,7 +77,7 @@ def test_a_correction_is_one_of_ours():
 
 
 def test_hypotheses_are_hypotheses():
-    with pytest.raises(DesignError, match="is no hypothesis"):
+    with pytest.raises(DesignError, match="is not a hypothesis"):
         AnalysisPlan("Energy", hypotheses=["The task matters."])
     with pytest.raises(DesignError, match="hypotheses is 'The task matters"):
         AnalysisPlan("Energy", hypotheses="The task matters.")

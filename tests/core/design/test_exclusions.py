@@ -72,8 +72,8 @@ def test_a_predicate_cannot_change_a_combination() -> None:
     [
         ({"Tsk": "Video"}, "there is no factor 'Tsk' → Did you mean 'Task'?"),
         ({Factor("Load", [1]): 1}, "there is no factor 'Load' → Choose one of: 'Task', 'Speed'."),
-        ({"Task": "Vidoe"}, "'Vidoe' is no treatment of factor 'Task' → Did you mean 'Video'?"),
-        ({"Speed": "0.1"}, "'0.1' is no treatment of factor 'Speed' → Did you mean 0.1?"),
+        ({"Task": "Vidoe"}, "'Vidoe' is not a treatment of factor 'Task' → Did you mean 'Video'?"),
+        ({"Speed": "0.1"}, "'0.1' is not a treatment of factor 'Speed' → Did you mean 0.1?"),
         ({}, "the exclusion names no factor → Name a factor and its treatments, or remove it."),
         (
             "Video",

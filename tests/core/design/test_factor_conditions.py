@@ -66,7 +66,7 @@ def test_wrong_conditions_are_told_at_once_with_what_is_near() -> None:
         RunTableModel(factors)
     assert [str(finding) for finding in caught.value.findings] == [
         "factors: 'Resolution' applies when: there is no other factor 'Sensr' → Did you mean 'Sensor'?",
-        "factors: 'Rate' applies when: 'lidr' is no treatment of 'Sensor' → Did you mean 'lidar'?",
+        "factors: 'Rate' applies when: 'lidr' is not a treatment of 'Sensor' → Did you mean 'lidar'?",
         "factors: 'One' applies when: its conditions depend on itself → Remove one of the conditions.",
         "factors: 'Other' applies when: its conditions depend on itself → Remove one of the conditions.",
     ]

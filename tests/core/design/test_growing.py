@@ -202,7 +202,7 @@ def test_numbers_of_any_kind_get_treatments_of_that_kind_and_slips_are_refused(
     assert (type(last), str(last)) == (type(made), str(made))
     for slip in ("fast", "1/0", "-inf", "nan"):
         (problem,) = findings(model, Additions(treatments={"Speed": [slip]}))
-        assert f"{slip!r} is no " in problem
+        assert f"{slip!r} is not " in problem
 
 
 def test_a_factor_that_applies_under_a_condition_gets_treatments_where_it_applies() -> None:
@@ -285,7 +285,7 @@ def test_everything_that_cannot_be_added_is_said_at_once() -> None:
             ("--treatments Tusk: the run table has no factor 'Tusk'", "Did you mean 'Task'?"),
             ("--treatments Task: the factor has the treatment 'Video' already", "Leave it out."),
             (
-                "--treatments Speed: 'fast' is no float, as the treatments of the factor are",
+                "--treatments Speed: 'fast' is not of type float, as the treatments of the factor are",
                 "Give one of that type.",
             ),
             (
@@ -306,7 +306,7 @@ def test_a_new_factor_of_the_config_needs_the_treatment_that_the_runs_so_far_had
     now = RunTableModel([TASK, Factor("Floor", ["carpet", "wood"])])
     with pytest.raises(DesignError, match="nothing says which treatment the runs so far had"):
         extended(model, Additions(), config=now)
-    with pytest.raises(DesignError, match="'carpt' is no treatment"):
+    with pytest.raises(DesignError, match="'carpt' is not a treatment"):
         extended(model, Additions(factors={"Floor": NewFactor("carpt")}), config=now)
     grown = extended(model, Additions(factors={"Floor": NewFactor("carpet")}), config=now)
     assert [run.combination["Floor"] for run in grown.plan()] == ["carpet", "carpet", "wood", "wood"]
@@ -381,10 +381,11 @@ def test_a_treatment_may_be_asked_for_in_another_spelling_of_its_number(text: st
 
 
 def test_a_number_that_is_there_in_another_spelling_or_is_not_finite_is_no_further_treatment() -> None:
+    fix = "as the treatments of the factor are → Give one of that type."
     assert findings(RunTableModel([SPEED]), Additions(treatments={"Speed": ["1e-1", "nan", "-inf"]})) == [
         "--treatments Speed: the factor has the treatment '1e-1' already, as 0.1 → Leave it out.",
-        "--treatments Speed: 'nan' is no finite number, as the treatments of the factor are → Give one of that type.",
-        "--treatments Speed: '-inf' is no finite number, as the treatments of the factor are → Give one of that type.",
+        f"--treatments Speed: 'nan' is not a finite number, {fix}",
+        f"--treatments Speed: '-inf' is not a finite number, {fix}",
     ]
 
 

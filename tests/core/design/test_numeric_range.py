@@ -50,7 +50,7 @@ def test_what_is_no_range_is_told_at_once() -> None:
     assert said("a", True, unit=3) == [
         "Range: lower is 'a', of type str → Give a finite number.",
         "Range: upper is True, of type bool → Give a finite number.",
-        "Range: the unit 3 is no text → Give it as in unit='m/s'.",
+        "Range: the unit 3 is not text → Give it as in unit='m/s'.",
     ]
     assert said(2, 1) == ["Range: the lower end 2 is not below the upper end 1 → Give the lower end first."]
     assert "no wider than the range" in said(0, 1, step=2)[0]

@@ -119,10 +119,10 @@ def test_differences_are_those_within_repetitions() -> None:
 @pytest.mark.parametrize(
     ("values", "asked", "problem"),
     [
-        ({("Video",): [-1.0, 1, -1, 1, 0]}, "2 %", "Video: the mean is 0, of which 2 % is no width"),
+        ({("Video",): [-1.0, 1, -1, 1, 0]}, "2 %", "Video: the mean is 0, of which 2 % is not a width"),
         ({("Video",): [1.0, 2, 3, 4, 5], ("Idle",): [None] * 5}, "2 %", "Idle: no run has a value of Energy"),
-        ({("Video",): [1.0, "high", 3, 4, 5]}, "2 %", "Energy: r_0_2 has 'high', which is no number"),
-        ({("Video",): [True] * 5}, "2 %", "Energy: r_0_1 has True, which is no number"),
+        ({("Video",): [1.0, "high", 3, 4, 5]}, "2 %", "Energy: r_0_2 has 'high', which is not a number"),
+        ({("Video",): [True] * 5}, "2 %", "Energy: r_0_1 has True, which is not a number"),
     ],
 )
 def test_what_cannot_be_known_ends_the_repetition(values: Any, asked: str, problem: str) -> None:

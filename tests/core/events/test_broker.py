@@ -105,7 +105,7 @@ def test_what_is_refused_and_has_no_text_is_told_by_its_type(
 
 
 def test_an_origin_that_is_none_is_refused_before_the_value_is_taken(broker: MeasureBroker) -> None:
-    with pytest.raises(MeasureError, match="'simulated' is no origin") as caught:
+    with pytest.raises(MeasureError, match="'simulated' is not an origin") as caught:
         broker.publish("Ina219", "Energy", 1.0, "simulated")  # type: ignore[arg-type]
     assert caught.value.fix == "Did you mean 'Origin.SIMULATED'?"
     assert broker.measures == {}

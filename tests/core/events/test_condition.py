@@ -97,7 +97,7 @@ def test_facts_of_a_clock_that_could_not_be_read_again_are_refused_where_they_ar
     before = {"wall_offset": 1.5, "round_trip": 0.25}
     facts = {"host": "pi", "before": before, "after": None, "uncertainty": 0.125, "drift": None}
     context.note_clock(facts)
-    with pytest.raises(PluginError, match="these are no facts of a clock: host is None, not a text"):
+    with pytest.raises(PluginError, match="these are not facts of a clock: host is None, not a text"):
         context.note_clock({**facts, "host": None})
     with pytest.raises(PluginError, match="wall_offset is nan, not a finite number; after is missing"):
         context.note_clock({"host": "pi", "before": before | {"wall_offset": math.nan}, "uncertainty": 1, "drift": 0})

@@ -31,7 +31,7 @@ def test_a_recording_ends_with_the_loading() -> None:
 
 
 def test_what_is_no_pair_is_refused_with_an_example() -> None:
-    with recorded_subscriptions(), pytest.raises(ConfigError, match="no pair") as refused:
+    with recorded_subscriptions(), pytest.raises(ConfigError, match="not a pair") as refused:
         EventSubscriptionController.subscribe_to_multiple_events([RobotRunnerEvents.START_RUN])  # type: ignore[list-item]
     assert "RobotRunnerEvents.LAUNCH_MISSION" in refused.value.fix
 

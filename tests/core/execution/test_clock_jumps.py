@@ -4,12 +4,17 @@ import json
 import time
 from collections.abc import Callable
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.core.execution.conftest import Executed
 
+from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.execution.clock_jumps import ClockJumps
 from robot_runner.core.execution.experiment_status import read_status
+from robot_runner.core.execution.notices import AttemptStarted, Notice, SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
 
 Execute = Callable[..., Any]
 
@@ -65,15 +70,11 @@ SET_BEFORE = """
 def before_run(self, context):
     import time
     if context.run_number == 2:
-        self.real = time.clock_gettime
-        time.clock_gettime = lambda clock: self.real(clock) + 3600.0 * (clock == time.CLOCK_REALTIME)
+        real = time.clock_gettime
+        time.clock_gettime = lambda clock: real(clock) + 3600.0 * (clock == time.CLOCK_REALTIME)
 
 def populate_run_data(self, context):
     return {"Energy": 7.5}
-
-def after_experiment(self):
-    import time
-    time.clock_gettime = self.real
 """
 
 
@@ -84,7 +85,10 @@ def clock_settings(executed: Any) -> list[tuple[str, float]]:
     return [(after["run"], each["seconds"]) for each, after in pairwise(kept) if each["kind"] == "clock_set"]
 
 
-def test_the_journal_tells_by_how_much_a_clock_was_set_and_a_setting_is_told_once(execute: Execute) -> None:
+def test_the_journal_tells_by_how_much_a_clock_was_set_and_a_setting_is_told_once(
+    execute: Execute, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(time, "clock_gettime", time.clock_gettime)  # which the config replaces
     executed = execute(SET_BEFORE)
     ((run, seconds),) = clock_settings(executed)
     assert run == "r_2"
@@ -93,6 +97,52 @@ def test_the_journal_tells_by_how_much_a_clock_was_set_and_a_setting_is_told_onc
     assert told(executed) == [("r_2, clocks", problem)]
     status = read_status(executed.folder)
     assert [each.problem for each in status.findings] == [problem]
+
+
+#: The clock is set in the orchestrator, once no run follows.
+SET_AFTER = """
+def populate_run_data(self, context):
+    return {"Energy": 7.5}
+
+def after_experiment(self):
+    import time
+    real = time.clock_gettime
+    time.clock_gettime = lambda clock: real(clock) + 3600.0 * (clock == time.CLOCK_REALTIME)
+"""
+
+
+def test_a_clock_that_is_set_after_the_last_run_is_in_the_journal_and_told(
+    execute: Execute, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else an interrupted session, in which a person was awaited meanwhile, seems to have taken as long."""
+    monkeypatch.setattr(time, "clock_gettime", time.clock_gettime)  # which the config replaces
+    executed = execute(SET_AFTER)
+    records = executed.journal("attempt_finished", "clock_set", "experiment_finished")
+    assert [each["kind"] for each in records[-2:]] == ["clock_set", "experiment_finished"]
+    assert records[-2]["seconds"] == pytest.approx(3600.0, abs=1.0)
+    problem = "this machine's clock was set by +3,600.0 s: stamps before and after do not fit together"
+    assert told(executed) == [("clocks", problem)]
+
+
+def test_a_clock_that_is_set_in_a_run_is_in_the_journal_at_once_and_told_once_the_run_is_over(
+    write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else its time left, and for how long it goes on, are wrong for whoever looks meanwhile."""
+    real, set_by = time.clock_gettime, [0.0]
+    monkeypatch.setattr(time, "clock_gettime", lambda clock: real(clock) + set_by[0] * (clock == time.CLOCK_REALTIME))
+
+    class Setting(SilentObserver):
+        def notice(self, notice: Notice) -> None:
+            if isinstance(notice, AttemptStarted) and notice.task.run_id == "r_1":
+                set_by[0] = 3600.0
+
+    config = write_config('def populate_run_data(self, context):\n    return {"Energy": 7.5}')
+    finished = execute_experiment(prepare_or_refuse(config), Setting())
+    executed = Executed(config, finished, [])
+    kinds = [(each["kind"], each.get("event", "")) for each in executed.journal()]
+    assert kinds.count(("clock_set", "")) == 1
+    assert kinds.index(("clock_set", "")) < kinds.index(("event", "launch_mission"))
+    assert [where for where, _ in told(executed)] == ["r_1, clocks"]
 
 
 def test_a_clock_that_is_steered_by_itself_was_not_set_however_long_an_experiment_takes(

@@ -49,7 +49,7 @@ def test_a_treatment_is_the_same_whatever_order_a_set_or_a_folder_has_there(tmp_
 
 
 def test_a_treatment_that_another_process_does_not_have_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"treatment '0\.25' is not there when the config is loaded anew"):
+    with pytest.raises(ConfigError, match=r"treatment '0\.25' is not there when the config is loaded again"):
         _ordered(tmp_path, [0.25, 0.5], [0.75, 0.5], 0.25)
 
 

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+import time
+from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.execution.experiment_history import ExperimentHistory
+from robot_runner.core.storage.journal import seconds_of
+
+if TYPE_CHECKING:
+    import pytest
 
 
 def ended(run: str) -> dict[str, Any]:
@@ -56,6 +61,19 @@ def test_a_session_took_as_long_however_the_clock_was_set_meanwhile() -> None:
     history.take({"kind": "clock_set", "at": "2026-01-31T11:00:02.000Z", "seconds": -3600.0})
     history.take({"kind": "experiment_finished", "at": "2026-01-31T11:00:05.000Z"})
     assert [session.seconds for session in history.sessions] == [5.0]
+
+
+def test_the_time_left_is_that_of_the_last_record_however_the_clock_was_set_since(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    history = ExperimentHistory()
+    left = {"run": 90.0, "others": 0.0, "is_least": False}
+    attempt = {"run": "r_1", "attempt": 1, "place": "", "left": left}
+    history.take({"kind": "attempt_started", "at": "2026-01-31T12:00:00.000Z", **attempt})
+    history.take({"kind": "clock_set", "at": "2026-01-31T13:00:01.000Z", "seconds": 3600.0})
+    monkeypatch.setattr(time, "time", lambda: seconds_of("2026-01-31T13:00:30.000Z"))
+    assert history.left is not None
+    assert history.left.after(history.since_left) == 60.0
 
 
 def test_each_gate_that_is_awaited_is_known_until_it_opens() -> None:

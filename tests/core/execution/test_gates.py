@@ -181,12 +181,12 @@ def test_a_gate_that_cannot_be_awaited_is_not_awaited_for_ever(
 @pytest.mark.parametrize(
     ("make", "problem"),
     [
-        (lambda: Gate("port 8080"), "'port 8080' is no condition"),
+        (lambda: Gate("port 8080"), "'port 8080' is not a condition"),
         (lambda: Gate(port_open(1), timeout_s=0), "timeout_s is 0"),
         (lambda: Gate(port_open(1), timeout_s=True), "timeout_s is True"),
-        (lambda: Gate(port_open(1), on_timeout="stop"), "'stop' is no GatePolicy"),
-        (lambda: Guard(None), "None is no condition"),
-        (lambda: Guard(port_open(1), GatePolicy.STOP), "is no GuardAction"),
+        (lambda: Gate(port_open(1), on_timeout="stop"), "'stop' is not a GatePolicy"),
+        (lambda: Guard(None), "None is not a condition"),
+        (lambda: Guard(port_open(1), GatePolicy.STOP), "is not a GuardAction"),
     ],
 )
 def test_what_is_no_gate_and_no_guard_is_refused(make: Callable, problem: str) -> None:

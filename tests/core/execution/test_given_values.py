@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import time
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -138,6 +139,17 @@ def test_what_differs_by_itself_is_no_change(
     )
     start(config, only=("r_1",))
     assert start(config).done_count == 2
+
+
+def test_numbers_are_recorded_on_a_board_whose_clock_was_not_set_yet(of_meter: Callable[..., Path]) -> None:
+    """It begins at 1970, and whatever is small would pass for the present moment."""
+    config = of_meter("gain=2.5, told=[3, time.time()]")
+    began, since = time.monotonic(), time.monotonic
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(time, "time", lambda: since() - began + 40.0)
+        assert given(config)["Meter.gain"] == 2.5
+        start(config, only=("r_1",))
+    assert start(config).done_count == 2, "a moment differs by itself"
 
 
 def test_when_and_where_a_config_is_loaded_is_no_value_of_it(

@@ -153,7 +153,7 @@ def test_a_lock_that_is_removed_while_a_run_lasts_is_put_back_and_told(execute: 
     )
     assert executed.finished.done_count == 4
     (finding,) = [each for each in executed.finished.findings if ".lock was removed" in each.problem]
-    assert "locked anew" in finding.problem
+    assert "locked again" in finding.problem
 
 
 def test_an_experiment_whose_folder_is_moved_tells_that_and_not_what_cannot_be_written_there(

@@ -21,6 +21,7 @@ from robot_runner.core.execution.left_over import (
     await_left_over,
     end_left_over,
     left_over,
+    renew_mark,
     runs_elsewhere,
 )
 from robot_runner.core.execution.left_systems import goes_on
@@ -194,3 +195,39 @@ def test_an_experiment_goes_on_elsewhere_until_the_leases_have_ended_that_somebo
     mark.write_bytes(RunsElsewhere("cluster tcp://scheduler:8786", 33.0).content())
     os.utime(mark, times=(0.0, time.time() + touched))
     assert goes_on(tmp_path) is is_so
+
+
+@pytest.mark.parametrize("step", [3600.0, -3600.0, -1.7e9])
+def test_an_experiment_goes_on_elsewhere_as_long_as_its_leases_however_the_clock_is_set_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: float
+) -> None:
+    """Else another experiment would take its robot while a run elsewhere still commands it."""
+    folder, mark = ExperimentFolder(tmp_path), tmp_path / ".probe-0123456789abcdef"
+    wall, real, set_by, passed = time.time, time.clock_gettime, 0.0, 0.0
+    monkeypatch.setattr(time, "time", lambda: wall() + set_by + passed)
+    monkeypatch.setattr(time, "clock_gettime", lambda clock: real(clock) + passed)
+    mark.write_bytes(RunsElsewhere("cluster tcp://scheduler:8786", 33.0).content())
+    set_by = step
+    assert goes_on(tmp_path), "it was set since"
+    passed = 3600.0
+    assert not goes_on(tmp_path)
+    renew_mark(mark, folder)
+    assert goes_on(tmp_path), "it was set before"
+    set_by = 0.0
+    assert goes_on(tmp_path), "it was set back to what it was"
+    passed += 34.0
+    assert not goes_on(tmp_path)
+
+
+def test_after_a_reboot_the_clock_of_time_stamps_tells_whether_an_experiment_goes_on_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, mark = ExperimentFolder(tmp_path), tmp_path / ".probe-0123456789abcdef"
+    mark.write_bytes(RunsElsewhere("cluster tcp://scheduler:8786", 33.0).content())
+    renew_mark(mark, folder)
+    os.utime(mark, times=(0.0, 0.0))  # by the clock as it was set before
+    monkeypatch.setattr("robot_runner.core.execution.left_over._boot", lambda: "another one")
+    assert goes_on(tmp_path)
+    wall = time.time
+    monkeypatch.setattr(time, "time", lambda: wall() + 34.0)
+    assert not goes_on(tmp_path)

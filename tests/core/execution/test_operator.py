@@ -371,7 +371,7 @@ def test_a_bad_answer_is_asked_for_again_with_the_reason(execute: Callable) -> N
     refused = [str(each.findings[0]) for each in executed.notices if isinstance(each, AnswersRefused)]
     limits = "Enter a number from 9 to 13 (in V)."
     assert refused == [
-        f"voltage: 'much' is no number → {limits}",
+        f"voltage: 'much' is not a number → {limits}",
         f"voltage: 8 is below 9 V → {limits}",
         f"voltage: 14 is above 13 V → {limits}",
         f"voltage: 'nan' is not finite → {limits}",
@@ -597,7 +597,7 @@ def test_a_step_after_runs_that_has_left_the_config_is_not_promised_to_be_asked_
     executed, _ = execute(ENERGY + steps(lift), "\n", Resumption(accept_changes=True))
     assert executed.finished.done_count == 4
     (left,) = [each for each in read_status(executed.folder).findings if each.where == "r_1"]
-    assert left.problem == "was not done after it, and is no step of the config any more: fill in the questionnaire"
+    assert left.problem == "was not done after it, and is not a step of the config any more: fill in the questionnaire"
     restored, person = execute(ENERGY + steps(TRUST, lift), "2\n", Resumption(accept_changes=True))
     assert person.asked == [("fill in the questionnaire", "r_1")]
     assert not any("not done after it" in each.problem for each in read_status(restored.folder).findings)

@@ -409,7 +409,7 @@ def test_the_order_of_a_resumed_experiment_is_the_recorded_one(execute: Execute)
     (first.folder / "journal.jsonl").unlink()
     again = execute(table=table)
     assert [row["N"] for row in again.table] == order
-    assert any("all runs are executed anew" in each.problem for each in again.finished.findings)
+    assert any("all runs are executed again" in each.problem for each in again.finished.findings)
 
 
 @pytest.mark.long

@@ -157,8 +157,8 @@ def test_of_several_rules_each_is_told_with_its_own_at_most(execute: Execute) ->
     [
         ("{'Energy': 7.0}", "Energy of Video: all 3 values are 7, so that nothing tells their spread"),
         ("{'Energy': None}", "Energy: Video: no run has a value of Energy"),
-        ("{'Energy': 'much'}", "which is no number"),
-        ("{'Energy': context.repetition - 2.0}", "the mean is 0, of which 5 % is no width"),
+        ("{'Energy': 'much'}", "which is not a number"),
+        ("{'Energy': context.repetition - 2.0}", "the mean is 0, of which 5 % is not a width"),
     ],
 )
 def test_what_no_repetition_makes_precise_is_told_and_not_repeated(execute: Execute, returned: str, told: str) -> None:

@@ -71,7 +71,7 @@ def test_a_lost_run_table_is_made_whole_and_nothing_is_executed_again(
     finished = resume(executed)
     assert text_of(path) == before
     assert attempts(executed) == len(executed.table)
-    assert any("made anew from the plan and the journal" in finding.problem for finding in finished.findings)
+    assert any("rebuilt from the plan and the journal" in finding.problem for finding in finished.findings)
 
 
 @pytest.mark.long

@@ -98,7 +98,7 @@ def test_second_names_count_as_much_as_first_ones_and_those_of_links_are_not_fol
     assert whole.problems == [
         "/link is a link to a, which is not followed",
         "/link again is a link to a, which is not followed",
-        "/of nothing is no file",
+        "/of nothing is not a file",
     ]
     part = unpack(archive_of(*members), tmp_path / "part", 12)
     assert (len(part.files), part.is_too_much) == (2, True)

@@ -148,8 +148,8 @@ def test_what_cannot_be_a_path_there_is_not_fetched_and_the_rest_is(
     came = host.fetch("relative.csv", "/a\0b", tmp_path / "there")  # type: ignore[arg-type]
     assert [each.read_text() for each in came] == ["kept"]
     assert warned(context).splitlines() == [
-        "host robot: 'relative.csv' was not fetched: it is no whole path there",
-        "host robot: '/a\\x00b' was not fetched: it is no whole path there",
+        "host robot: 'relative.csv' was not fetched: it is not a whole path there",
+        "host robot: '/a\\x00b' was not fetched: it is not a whole path there",
     ]
 
 
@@ -219,7 +219,7 @@ def test_files_are_fetched_under_their_own_paths(
     assert not list(kept.rglob("out"))
     said = warned(context)
     assert "/logs/secret is a link to /etc/hostname, which is not followed" in said
-    assert "/logs/pipe is no file" in said
+    assert "/logs/pipe is not a file" in said
     assert f"there is no {there}/nothing* to fetch" in said
     assert host.fetch(f"{there}/logs/secret") == [], "a link is not followed when it is named, either"
 
@@ -400,7 +400,7 @@ def _socket_folder(line: Sequence[str]) -> Path:
 @pytest.mark.parametrize(
     ("facts", "problem"),
     [
-        ({"address": "a b"}, "'a b' is no host"),
+        ({"address": "a b"}, "'a b' is not a host"),
         ({"address": "pi@robot", "fetch": ["nav.log"]}, "fetch names 'nav.log'"),
         ({"address": "pi@robot", "fetch": 5}, "fetch names 5"),
         ({"address": "pi@robot", "fetch": None}, "fetch names None"),

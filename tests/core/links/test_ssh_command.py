@@ -23,7 +23,7 @@ def test_a_config_of_the_experiment_takes_the_place_of_the_users():
 
 @pytest.mark.parametrize("host", ["", "-oProxyCommand=touch x", "a b", "a\nb", 5])
 def test_a_host_that_would_pass_for_something_else_is_refused(host):
-    with pytest.raises(LinkError, match="no host that ssh could connect to"):
+    with pytest.raises(LinkError, match="not a host that ssh could connect to"):
         ssh_command(host, "true")
     (finding,) = ssh_findings("plugin PsUtil", host)
     assert finding.is_error

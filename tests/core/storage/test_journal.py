@@ -63,7 +63,7 @@ def test_a_file_without_ends_of_lines_is_no_journal_and_stays_as_it_is(
     monkeypatch.setattr(journal_file, "LINE_LIMIT", 100_000)
     path = tmp_path / "journal.jsonl"
     path.write_bytes(b"x" * 300_000)
-    with pytest.raises(StorageError, match="this is no journal: its last 131,072 bytes have no end of a line"):
+    with pytest.raises(StorageError, match="this is not a journal: its last 131,072 bytes have no end of a line"):
         Journal(path)
     assert path.stat().st_size == 300_000
     held = [os.path.realpath(each) for each in Path("/proc/self/fd").iterdir()]
@@ -218,12 +218,12 @@ def test_a_journal_that_is_removed_or_replaced_while_it_is_open_is_put_back_whol
 
 def test_a_journal_that_was_removed_does_not_take_the_place_of_one_that_another_process_writes(tmp_path: Path) -> None:
     path = tmp_path / "journal.jsonl"
-    first = Journal(path, successor=lambda: "another process has executed the experiment anew since")
+    first = Journal(path, successor=lambda: "another process has executed the experiment again since")
     first.append("first")
     path.unlink()
     with Journal(path) as other:
         other.append("other")
-        with pytest.raises(StorageError, match="another process has executed the experiment anew") as refused:
+        with pytest.raises(StorageError, match="another process has executed the experiment again") as refused:
             first.append("second", flush=True)
         other.append("another")
     (kept,) = tmp_path.glob("journal.jsonl.removed-*")

@@ -91,7 +91,7 @@ def test_a_lock_that_was_removed_is_taken_anew_unless_somebody_else_has_been_the
         assert lock.look_after(journal) == []
         path.unlink()
         (finding,) = lock.look_after(journal)
-        assert ".lock was removed while the experiment was executed: it is locked anew" in finding.problem
+        assert ".lock was removed while the experiment was executed: it is locked again" in finding.problem
         assert f"process {os.getpid()}" in in_another_process(lambda: refusal(path))
         assert lock.look_after(journal) == []
         path.unlink()
@@ -145,7 +145,7 @@ def test_an_experiment_whose_folder_was_removed_and_made_anew_is_refused_and_its
             folder.mkdir()  # as what a run keeps has it made again
             with pytest.raises(ExecutionError, match="folder was removed while it was executed"):
                 lock.refuse_other_folder(journal)
-            with pytest.raises(StorageError, match="its folder was made anew since"):
+            with pytest.raises(StorageError, match="its folder was made again since"):
                 journal.close()
         (kept,) = folder.iterdir()
         assert [each["kind"] for each in read_journal(kept)] == ["experiment_started"]

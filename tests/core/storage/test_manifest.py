@@ -37,7 +37,7 @@ def test_a_manifest_comes_back_with_its_format(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "problem"),
-    [("nonsense", "cannot be read"), ("[]", "no manifest"), ("{}", "no manifest"), ('{"format": 99}', "newer")],
+    [("nonsense", "cannot be read"), ("[]", "not a manifest"), ("{}", "not a manifest"), ('{"format": 99}', "newer")],
 )
 def test_what_is_no_manifest_of_ours_is_refused(tmp_path: Path, text: str, problem: str) -> None:
     (tmp_path / "manifest.json").write_text(text)

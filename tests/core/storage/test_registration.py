@@ -70,7 +70,7 @@ def _without(name: str) -> dict[str, Any]:
 def test_a_file_of_another_shape_is_no_registration(tmp_path: Path, content: dict[str, Any]) -> None:
     path = tmp_path / "it.json"
     path.write_text(json.dumps({"format": 1, **content, "sha256": checksum_of({"format": 1, **content})}))
-    with pytest.raises(StorageError, match="no registration"):
+    with pytest.raises(StorageError, match="not a registration"):
         read_registration(path)
 
 

@@ -121,9 +121,9 @@ def test_a_value_that_is_no_treatment_is_kept_with_a_warning(tmp_path: Path) -> 
         ("Video", None),
     ]
     assert warnings_of(rows, tmp_path) == [
-        "run_table.csv, line 2, column 'Task': 'Vidoe' is no treatment of factor 'Task' → Did you mean 'Video'?",
+        "run_table.csv, line 2, column 'Task': 'Vidoe' is not a treatment of factor 'Task' → Did you mean 'Video'?",
         (
-            "run_table.csv, line 3, column 'Speed': '2.5' is no treatment of factor 'Speed' → "
+            "run_table.csv, line 3, column 'Speed': '2.5' is not a treatment of factor 'Speed' → "
             "Choose one of: 0.1, 1, True, None."
         ),
         "run_table.csv, line 5, column 'Speed': the cell is empty → Choose one of: 0.1, 1, True, None.",
@@ -139,15 +139,15 @@ def test_a_measure_or_time_stamp_of_another_kind_is_kept_with_a_warning(tmp_path
     assert [rows.row(1)[name] for name in ("start_run_at", "Energy", "Lost")] == [None, 5, False]
     assert warnings_of(rows, tmp_path) == [
         (
-            "run_table.csv, line 2, column 'start_run_at': '31.1.2026' is no time stamp → "
+            "run_table.csv, line 2, column 'start_run_at': '31.1.2026' is not a time stamp → "
             "Write it as in 2026-01-31T12:00:00.250Z."
         ),
         (
-            "run_table.csv, line 2, column 'Energy': 'n/a' is no number, as the column's other values → "
+            "run_table.csv, line 2, column 'Energy': 'n/a' is not a number, as the column's other values → "
             "Correct the cell, or leave it empty where there is no value."
         ),
         (
-            "run_table.csv, line 2, column 'Lost': 'yes' is no boolean, as the column's other values → "
+            "run_table.csv, line 2, column 'Lost': 'yes' is not a boolean, as the column's other values → "
             "Correct the cell, or leave it empty where there is no value."
         ),
     ]
@@ -229,12 +229,12 @@ def test_without_its_config_a_table_goes_by_looks_and_types(tmp_path: Path) -> N
         (
             "status,Task,Speed\nDnoe,Video,1\nok,Video,1\nDnoe,Video,1\n",
             [
-                "run_table.csv, line 2, column 'status': 'Dnoe' is no status → Did you mean 'Done'?",
+                "run_table.csv, line 2, column 'status': 'Dnoe' is not a status → Did you mean 'Done'?",
                 (
-                    "run_table.csv, line 3, column 'status': 'ok' is no status → "
+                    "run_table.csv, line 3, column 'status': 'ok' is not a status → "
                     "Choose one of: '-', 'Running', 'Done', 'Failed'."
                 ),
-                "run_table.csv, line 4, column 'status': 'Dnoe' is no status → Did you mean 'Done'?",
+                "run_table.csv, line 4, column 'status': 'Dnoe' is not a status → Did you mean 'Done'?",
             ],
         ),
         (
@@ -242,7 +242,7 @@ def test_without_its_config_a_table_goes_by_looks_and_types(tmp_path: Path) -> N
             [
                 "run_table.csv, line 4: the row has 1 cells, the heading has 2 → {cells}",
                 (
-                    "run_table.csv, line 2, column 'Task': 'Vid\\neo' is no treatment of factor 'Task' → "
+                    "run_table.csv, line 2, column 'Task': 'Vid\\neo' is not a treatment of factor 'Task' → "
                     "Did you mean 'Video'?"
                 ),
             ],
@@ -281,7 +281,7 @@ def test_every_problem_is_named_with_its_line_and_column(
     tmp_path: Path, text: str | bytes, findings: list[str]
 ) -> None:
     shared = {
-        "empty": "Add a line for each run, or delete the file: it is planned anew then.",
+        "empty": "Add a line for each run, or delete the file: it is planned again then.",
         "cells": "Give it a cell under each heading; an empty one where there is no value.",
         "folder": "Use letters, digits, '_', '-' and '.' (60 at most).",
     }
@@ -292,9 +292,9 @@ def test_a_number_of_a_repetition_that_is_none_is_refused(tmp_path: Path) -> Non
     layout = TableLayout.of_model(RunTableModel([TASK], repetitions=2), [])
     fix = "Write which repetition it is: a whole number from 1."
     assert findings_of(tmp_path, "Task,Repetition\nVideo,0\nVideo,1\nVideo,\nVideo,1.5\n", layout) == [
-        f"run_table.csv, line 2, column 'Repetition': '0' is no number of a repetition → {fix}",
-        f"run_table.csv, line 4, column 'Repetition': '' is no number of a repetition → {fix}",
-        f"run_table.csv, line 5, column 'Repetition': '1.5' is no number of a repetition → {fix}",
+        f"run_table.csv, line 2, column 'Repetition': '0' is not the number of a repetition → {fix}",
+        f"run_table.csv, line 4, column 'Repetition': '' is not the number of a repetition → {fix}",
+        f"run_table.csv, line 5, column 'Repetition': '1.5' is not the number of a repetition → {fix}",
     ]
 
 
@@ -303,8 +303,8 @@ def test_what_tells_how_a_run_was_planned_is_refused_where_it_is_nothing_of_that
     rows = read(tmp_path, "Task,Speed,batch,warm_up\nVideo,1,2,True\nVideo,1,,\n", layout)
     assert [(rows.row(place)["batch"], rows.row(place)["warm_up"]) for place in (0, 1)] == [(2, True), (1, False)]
     assert findings_of(tmp_path, "Task,Speed,batch,warm_up\nVideo,1,2,True\nVideo,1,b,7\n", layout) == [
-        "run_table.csv, line 3, column 'batch': 'b' is no integer → Write a whole number.",
-        "run_table.csv, line 3, column 'warm_up': '7' is no boolean → Write True or False.",
+        "run_table.csv, line 3, column 'batch': 'b' is not an integer → Write a whole number.",
+        "run_table.csv, line 3, column 'warm_up': '7' is not a boolean → Write True or False.",
     ]
 
 

@@ -173,8 +173,8 @@ def test_what_is_no_schema_is_refused(tmp_path: Path, text: str, problem: str) -
     (tmp_path / "schema.json").write_text(text, encoding="utf-8")
     with pytest.raises(StorageError) as caught:
         read_schema(tmp_path / "schema.json")
-    assert caught.value.problem.startswith(f"the file is no schema of a run table: {problem}")
-    assert caught.value.fix == "Restore it from a backup, or delete it: it is written anew."
+    assert caught.value.problem.startswith(f"the file is not a schema of a run table: {problem}")
+    assert caught.value.fix == "Restore it from a backup, or delete it: it is written again."
 
 
 def test_a_schema_that_is_not_there_is_said_to_be_missing(tmp_path: Path) -> None:

@@ -136,7 +136,7 @@ def test_another_meter_with_another_shunt_on_the_same_port_is_told(measure):
     first, second = steady(first_stamp=9_000_000), steady(micro_ohm=10_000)
     context = measure([*first.chunks(start=0.0, end=1.0), *second.chunks(start=1.02, end=3.0)])
     assert (
-        "the power meter told of several shunts (0.01, 0.1 ohm), as where it is exchanged: 0.01 ohm counts"
+        "the power meter reported several shunts (0.01, 0.1 ohm), as where it is exchanged: 0.01 ohm counts"
     ) in problems(context)
 
 

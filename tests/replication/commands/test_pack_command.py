@@ -85,9 +85,9 @@ class TestPack:
     @pytest.mark.parametrize(
         ("words", "problem", "fix"),
         [
-            (["--author", "Ada; 0000-0002-1825-0098"], "is no author", "NAME; ORCID"),
-            (["--author", "Ada; a; b; c"], "is no author", "NAME; ORCID"),
-            (["--licence", "do what you want"], "is no licence", "spdx.org"),
+            (["--author", "Ada; 0000-0002-1825-0098"], "is not an author", "NAME; ORCID"),
+            (["--author", "Ada; a; b; c"], "is not an author", "NAME; ORCID"),
+            (["--licence", "do what you want"], "is not a licence", "spdx.org"),
             (["--raw", "Ina"], "no run has raw data of 'Ina'", "'Ina219'"),
             (["--to", "nowhere/a.zip"], "cannot be written", "make the folder"),
         ],
@@ -95,7 +95,7 @@ class TestPack:
     def test_what_cannot_be_is_refused_with_a_way_out(self, robot_runner, words, problem, fix):
         answer = robot_runner("pack", "small", *words)
         assert answer.code == 2
-        assert problem in answer.err or "no ORCID" in answer.err
+        assert problem in answer.err or "not an ORCID" in answer.err
         assert fix in answer.err or "0000-0002-1825-0097" in answer.err
 
     @pytest.mark.long

@@ -58,9 +58,9 @@ def test_a_damaged_package_is_refused(robot_runner, package, place):
     ("words", "problem"),
     [
         (["small.zip", "--sha256", "0" * 64], "the package's SHA-256 is"),
-        (["small.zip", "--sha256", "12"], "no SHA-256"),
-        (["small.zip", "--sha256", "sha256:" + "g" * 64], "no SHA-256"),
-        (["small.zip", "--sha256", ""], "no SHA-256"),
+        (["small.zip", "--sha256", "12"], "not a SHA-256"),
+        (["small.zip", "--sha256", "sha256:" + "g" * 64], "not a SHA-256"),
+        (["small.zip", "--sha256", ""], "not a SHA-256"),
         (["smal.zip"], "no such file"),
     ],
 )

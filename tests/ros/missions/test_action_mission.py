@@ -263,7 +263,7 @@ def test_two_robots_reach_their_goals_at_the_same_time(contexts: Any) -> None:
         ({"failure": "mesure"}, "failure is 'mesure'"),
         ({"timeout_s": 0}, "timeout_s is 0"),
         ({"goal": [1.0]}, r"goal is \[1\.0\]"),
-        ({"result": {"Error": 3}}, "which is no field"),
+        ({"result": {"Error": 3}}, "which is not a field"),
         ({"feedback": {"Recoveries": "last"}}, r"feedback\['Recoveries'\] is 'last'"),
         ({"feedback": {"Recoveries": ("newest", "x")}}, "asks for 'newest' of 'x'"),
         ({"result": {"Duration": "total"}}, "two of its measures are named 'Duration'"),

@@ -152,7 +152,7 @@ def test_a_way_by_tf_that_nobody_tells_any_more_is_doubted(tmp_path: Path) -> No
     clock.sleep(6.0)
     way.end_mission(context)
     (doubt,) = context.broker.findings
-    assert "where 'base_link' is in 'map' was not told for 4." in doubt.problem
+    assert "where 'base_link' is in 'map' was not reported for 4." in doubt.problem
 
 
 def test_a_way_by_odometry_that_falls_silent_is_doubted(tmp_path: Path) -> None:
@@ -306,7 +306,7 @@ def test_a_way_of_which_a_part_was_not_told_is_doubted(tmp_path: Path, by_tf: bo
         tmp_path, lambda time: 0.2 * math.sin(math.pi * time), by_tf=by_tf, is_told=lambda time: not 5.0 < time < 9.5
     )
     assert length == pytest.approx(6.4, abs=0.02)  # where the robot drove 8 m
-    assert "was not told for 4." in doubt.problem
+    assert "was not reported for 4." in doubt.problem
     assert "in which it changed by 0.20 m" in doubt.problem
 
 

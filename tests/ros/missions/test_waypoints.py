@@ -80,7 +80,7 @@ def test_a_robot_whose_pose_is_no_number_is_stopped_at_once(tmp_path: Path, x: f
     clock.every(0.05, lambda: link.deliver("odom", _odometry(clock.now(), 0.0 if clock.now() < 2.0 else x)))
     ahead = Waypoints([(2.0, 0.0)])
     context = make_context(tmp_path, ahead, robot="dds", links=FakeLinks(robot=link), clock=clock)
-    with pytest.raises(LinkError, match="a pose that is no number"):
+    with pytest.raises(LinkError, match="a pose that is not a number"):
         rehearse(context, ahead)
     assert link.stands_still
     assert clock.now() < 2.2

@@ -246,7 +246,7 @@ def test_a_guardian_ends_when_it_is_told_to_also_while_another_process_holds_its
 @pytest.mark.parametrize(
     ("parameters", "problem"),
     [
-        ({"simulator": "gazbo_classic"}, "is no simulator that is known"),
+        ({"simulator": "gazbo_classic"}, "is not a simulator that is known"),
         ({"simulator": "webots", "reset": "world"}, "no documented service for reset='world'"),
         ({"reset": "wrold"}, "reset is 'wrold'"),
         ({"start": (0, 0)}, r"start is \(0, 0\)"),

@@ -389,7 +389,7 @@ def test_a_mission_cannot_be_launched_before_the_run_starts(stage):
 
 
 def test_a_treatment_of_a_hand_written_run_table_that_is_no_task_fails_the_run(stage):
-    with pytest.raises(PluginError, match="'Vidoe' is no task") as raised:
+    with pytest.raises(PluginError, match="'Vidoe' is not a task") as raised:
         stage(task="Vidoe").execute()
     assert raised.value.fix == "Did you mean 'Video'?"
 
@@ -404,11 +404,11 @@ def test_measures_of_a_mission_say_where_they_come_from(stage, is_simulated, ori
 @pytest.mark.parametrize(
     ("parameters", "factors", "problem", "fix"),
     [
-        ({}, {"Task": ["Computation", "Vidoe"]}, "'Vidoe' is no task", "Did you mean 'Video'?"),
-        ({}, {"Task": ["Computation", None]}, "None is no task", "Choose one of"),
+        ({}, {"Task": ["Computation", "Vidoe"]}, "'Vidoe' is not a task", "Did you mean 'Video'?"),
+        ({}, {"Task": ["Computation", None]}, "None is not a task", "Choose one of"),
         ({}, {"Speed": [0.1]}, "no factor 'Task'", "task='Computation'"),
         ({"task_factor": None}, {}, "no task is given", "task='Computation'"),
-        ({"task": "Netwrok"}, {}, "'Netwrok' is no task", "Did you mean 'Network'?"),
+        ({"task": "Netwrok"}, {}, "'Netwrok' is not a task", "Did you mean 'Network'?"),
         ({"task": "Video"}, {"Task": ["Video"]}, "the factor 'Task' varies the task", "Leave out task"),
     ],
 )

@@ -101,7 +101,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def execute(arguments: Namespace) -> int:
-    """Print the comparison; a difference is no failure, so the exit code is 0."""
+    """Print the comparison; a difference is not a failure, so the exit code is 0."""
     is_meta = bool(arguments.more) or arguments.meta
     _check_options(arguments, is_meta=is_meta)
     require_libraries()

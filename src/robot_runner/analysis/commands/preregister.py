@@ -130,7 +130,7 @@ def _power(path: str | None, content: Mapping[str, Any]) -> dict[str, Any] | Non
     except ValueError as error:
         raise UsageError(f"the file cannot be read: {error}", where=where, fix=_POWER_FIX) from error
     if not isinstance(power, dict) or not isinstance(power.get("scenarios"), list) or "answers" not in power:
-        raise UsageError("this is no file of `robot-runner power`", where=where, fix=_POWER_FIX)
+        raise UsageError("this is not a file of `robot-runner power`", where=where, fix=_POWER_FIX)
     design = content["design"]
     factors = {name: texts for name, texts in design["factors"].items() if not _counts(name)}
     plan = json.loads(json.dumps(content["analysis"]))

@@ -260,7 +260,7 @@ def _compare_measure(matching: Matching, names: tuple[str, str], asked: _Asked) 
     if matching.first.is_exploratory or matching.second.is_exploratory:
         obstacle = sentence(SEARCHED)
     elif any(map(are_texts, (matching.first, matching.second), names)):
-        obstacle = "One of the experiments has values that are no numbers."
+        obstacle = "One of the experiments has values that are not numbers."
     asked = asked._replace(unit=units[0], are_answers=are_answers(matching, names), obstacle=obstacle)
     found_values = (group.values(*names, is_paired=asked.is_paired) for group in matching.groups)
     values = [each._replace(second=in_unit(each.second, units[1], units[0])) for each in found_values]

@@ -101,7 +101,7 @@ def repeated(experiments: Sequence[Experiment]) -> Iterator[Finding]:
     """Yield an error for each experiment that is given twice, or is a copy of another."""
     for one, other in combinations(experiments, _PAIR):
         if why := sameness(one.results, other.results):
-            fix = "Leave one of them out: it would count twice, and is no replication."
+            fix = "Leave one of them out: it would count twice, and is not a replication."
             yield Finding.error(other.name, f"this is {one.name} again: {why}", fix)
 
 

@@ -162,7 +162,7 @@ def _notes_on_factors(
 def _notes_on_blocks(blocks: Sequence[str], groups: Sequence[MatchedRuns]) -> Iterator[str]:
     together = dict.fromkeys(name for each in groups for name in each.units.names)
     if blocks:
-        are, them = ("is no treatment", "it") if len(blocks) == 1 else ("are no treatments", "them")
+        are, them = ("is not a treatment", "it") if len(blocks) == 1 else ("are not treatments", "them")
         apart = "" if together else ", and as no combination has several runs of one, each run counts by itself"
         yield f"{listed(blocks)} {are}, as the design adds {them}: runs are matched without {them}{apart}."
     if together:

@@ -111,7 +111,7 @@ def _renumbered(runs: list[ForeignRun], notes: list[str]) -> list[ForeignRun]:
         combination = tuple(runs[place].treatments.values())
         seen[combination] += 1
         places[place] = seen[combination]
-    notes.append("repetitions are numbered anew within each combination: the table counts them across combinations")
+    notes.append("repetitions are numbered again within each combination: the table counts them across combinations")
     return [replace(run, repetition=places[place]) for place, run in enumerate(runs)]
 
 

@@ -137,7 +137,7 @@ def differences_of(study: Study, texts: Sequence[str], measures: Sequence[str]) 
         measure, has_measure, names = what.rpartition(":")
         if not what:
             fix = "Write FACTOR=NUMBER, as in --difference Task=5."
-            raise AnalysisError(f"{text!r} is no difference", where=option, fix=fix)
+            raise AnalysisError(f"{text!r} is not a difference", where=option, fix=fix)
         factors = tuple(each.strip() for each in names.split(_AND))
         for name in factors:
             study.factor(name, option)

@@ -114,7 +114,7 @@ def _measure(study: Study, design: Design, name: str, shared: Sequence[str], whe
     """Return the assumptions on a measure, and the degrees of freedom of its standard deviation."""
     data = design.data(name)
     if data is None:
-        what = "no number" if design.answers(name) is None else "yes or no, of which no power is simulated,"
+        what = "not a number" if design.answers(name) is None else "yes or no, of which no power is simulated,"
         raise AnalysisError(f"{name} is {what} in the pilot", where=where, fix="Name another with --measure.")
     frame = _with_cells(data.frame, shared)
     means = frame.groupby(_CELL)[VALUE].mean().to_dict()

@@ -116,7 +116,7 @@ class Simulation:
         for assumed in scenario.measures:
             every = design.data(assumed.name)
             if every is None:
-                raise TypeError(f"{assumed.name} was drawn, and is no number")
+                raise TypeError(f"{assumed.name} was drawn, and is not a number")
             blocks = tuple(every.unit_names)
             data, model = self._analysed(design, assumed.name)
             if isinstance(model, NotComputed):
@@ -142,7 +142,7 @@ class Simulation:
         gone = frozenset(each.run_id for each in left_out_of(design, name, self._plan, ()))
         data = replace(design, without=gone).data(name)
         if data is None:
-            raise TypeError(f"{name} was drawn, and is no number")
+            raise TypeError(f"{name} was drawn, and is not a number")
         compared = comparable(data).data
         return compared, planned_model_of(compared, self._choices.estimand, self._choices.statistic)
 

@@ -65,7 +65,7 @@ def registered(results: Results, statistics: ExperimentStatistics) -> Registered
     try:
         found = read_registration(ExperimentFolder.found_at(results.folder).registration)
     except StorageError as error:
-        problem = f"Whether it was followed cannot be told: {error.problem}."
+        problem = f"Whether it was followed is not known: {error.problem}."
         return Registered(at, digest, (), (), problem)
     if not found.is_intact or found.sha256 != digest:
         problem = "The file in the folder is not the one that the experiment began with: its checksum differs."

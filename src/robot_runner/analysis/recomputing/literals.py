@@ -69,7 +69,7 @@ def python_literal(value: Any) -> Code:
 
 def _number(value: float) -> str:
     if not math.isfinite(value):
-        raise ValueError(f"{value} is no number of a report")
+        raise ValueError(f"{value} is not a number of a report")
     return repr(value)
 
 

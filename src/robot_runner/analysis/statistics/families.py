@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 Key = tuple[str, frozenset[str]]
 
 #: The end of the sentence on an effect that is not significant.
-NO_PROOF = "that is no proof that there is none."
+NO_PROOF = "that is not proof that there is none."
 _PAIR = 2
 
 
@@ -287,7 +287,9 @@ def judge(
             hypothesis, None, None, None, f"It could not be tested: {_reason(hypothesis, measure)}"
         )
     is_supported = adjusted_p.p_value < alpha
-    verdict = "The data support it" if is_supported else "The data do not support it, which is no proof of the contrary"
+    verdict = (
+        "The data support it" if is_supported else "The data do not support it, which is not proof of the contrary"
+    )
     figures = f"{p_in_words(adjusted_p.p_value)} after correction for {counted(adjusted_p.size, 'test')}"
     conclusion = f"{verdict} ({figures}). {_result_in_words(tested, measure)}"
     return HypothesisOutcome(hypothesis, tested.p_value, adjusted_p.p_value, is_supported, conclusion)

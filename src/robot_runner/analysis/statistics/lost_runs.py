@@ -124,7 +124,7 @@ def _width(known: pd.Series[float]) -> float:
 
 
 def _is_limit(known: pd.Series[float], is_at: pd.Series[bool]) -> bool:
-    """Return whether so many values at an end of the range are no chance, as hardly any of the others are alike."""
+    """Return whether so many values at an end of the range are not chance, as hardly any of the others are alike."""
     count, others = int(is_at.sum()), known[~is_at]
     is_often = count >= max(_FEWEST_AT_LIMIT, _SHARE_AT_LIMIT * len(known))
     is_apart = others.nunique() >= max(_FEWEST_AT_LIMIT, _LEAST_APART * len(others))

@@ -152,7 +152,7 @@ def _no_numbers(told: Sequence[object]) -> str:
         return f"its values are texts that read as numbers, such as {texts[0]!r}: publish them as numbers (float)."
     if len(texts) in {0, len(told)}:
         return "its values are neither numbers nor True and False."
-    are = "is no number" if len(set(texts)) == 1 else "are no numbers"
+    are = "is not a number" if len(set(texts)) == 1 else "are not numbers"
     return f"{listed(dict.fromkeys(texts))} {are}, in {len(texts)} of {counted(len(told), 'run')}."
 
 

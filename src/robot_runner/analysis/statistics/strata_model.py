@@ -244,7 +244,7 @@ def fit_strata(
         if fit is None:
             why = "the factors go together so closely with each other or with blocks that effects cannot be told apart."
             return NotComputed("the test", why)
-        # A mean square that is rounding is no estimate of error: with 0, nothing is tested in the stratum.
+        # A mean square that is rounding is not an estimate of error: with 0, nothing is tested in the stratum.
         is_rounding = np.sqrt(fit.mean_square) <= rounding_of(values)
         fits.append(fit._replace(mean_square=np.where(is_rounding, 0.0, fit.mean_square)))
     if fits[-1].freedom < 1:

@@ -62,7 +62,7 @@ def _answers(given: Sequence[str], questions: Sequence[Question], where: str) ->
         answers[name.strip()] = text
         if not sign:
             answers.pop(name.strip())
-            findings.append(Finding.error(where, f"{each!r} is no answer", "Write --answer NAME=VALUE."))
+            findings.append(Finding.error(where, f"{each!r} is not an answer", "Write --answer NAME=VALUE."))
     _, refused = read_answers(questions, answers)
     findings += [Finding.error(f"--answer {each.where}", each.problem, each.fix) for each in refused]
     ExecutionError.refuse(findings)

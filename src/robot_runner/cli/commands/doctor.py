@@ -321,7 +321,7 @@ def _devices(folder: Path, patterns: Sequence[str]) -> tuple[str, str, str]:
     closed = [path for path in found if not os.access(path, os.R_OK | os.W_OK)]
     if closed:
         groups = " and ".join(dict.fromkeys(map(_group_of, closed)))
-        fix = f"Join the group and log in anew: sudo usermod -aG {groups.replace(' and ', ',')} $USER"
+        fix = f"Join the group and log in again: sudo usermod -aG {groups.replace(' and ', ',')} $USER"
         return BROKEN, f"{enumerated(map(str, closed))} cannot be opened: they belong to the group {groups}", fix
     return (READY, enumerated(map(str, found)), "") if found else (ABSENT, "none is connected", "")
 

@@ -129,7 +129,7 @@ def _listed(text: str) -> tuple[str, ...]:
 
 def _checked_seed(seed: int | None) -> int | None:
     if seed is not None and not is_seed(seed):
-        raise UsageError(f"{seed} is no seed", where="--seed", fix="Give a whole number from 0.")
+        raise UsageError(f"{seed} is not a seed", where="--seed", fix="Give a whole number from 0.")
     return seed
 
 

@@ -91,5 +91,5 @@ def _next(finished: ExperimentFinished, progress: Progress, command: str) -> str
         left = counted(finished.todo_count, "run")
         return f"go on with the {left} that {'is' if finished.todo_count == 1 else 'are'} left: {command}"
     if not progress.run_ids:
-        return f"to execute it anew beside these results: {command} --set experiment_name=..."
+        return f"to execute it again beside these results: {command} --set experiment_name=..."
     return "open run_table.csv in R, pandas or a spreadsheet; run_table.schema.json tells what each column means"

@@ -64,7 +64,7 @@ def announced(notice: notices.PreparationStarted | notices.ProbeStarted | notice
         return f"{notice.what} ..."
     if isinstance(notice, notices.ProbeStarted):
         return f"Trying {enumerated(notice.plugins)} for a moment, before anything moves ..."
-    return f"Starting {notice.host} anew before {notice.next_run}, and waiting until it is ready ..."
+    return f"Restarting {notice.host} before {notice.next_run}, and waiting until it is ready ..."
 
 
 def closing(run_id: str) -> str:

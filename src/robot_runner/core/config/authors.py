@@ -90,7 +90,7 @@ def _findings(name: Any, orcid: Any, affiliation: Any, url: Any) -> Iterator[Fin
         yield Finding.error(where, f"the name is {name!r}", "Give the name as it is to be cited.")
     if orcid is not None and not _is_orcid(orcid):
         fix = "Give its 16 digits as on orcid.org, such as 0000-0002-1825-0097."
-        yield Finding.error(where, f"{orcid!r} is no ORCID (its last digit checks the others)", fix)
+        yield Finding.error(where, f"{orcid!r} is not an ORCID (its last digit checks the others)", fix)
     if affiliation is not None and (not isinstance(affiliation, str) or not affiliation.strip()):
         yield Finding.error(where, f"the affiliation is {affiliation!r}", "Give the organisation's name.")
     if url is not None and (not isinstance(url, str) or not _URL.fullmatch(url)):

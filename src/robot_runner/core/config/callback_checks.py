@@ -302,7 +302,7 @@ def _replaced_files(code: _LocalCode, events: EventManager) -> Iterator[tuple[st
             if any(map(_moves, called_code)):
                 continue  # from then on, a name may mean another file in each run
             for name in written:
-                problem = f"{event.callback_name} writes {name!r} anew in each run: the last one replaces the others"
+                problem = f"{event.callback_name} writes {name!r} again in each run: the last one replaces the others"
                 yield each.owner, problem, _FIX_OF_FILE
 
 

@@ -80,7 +80,7 @@ def check_analysis(parameters: Parameters, model: RunTableModel | None, columns:
         findings += [
             Finding.error(
                 f"analysis, hypothesis {hypothesis.statement!r}",
-                f"{text!r}, in the contrast, is no treatment of {hypothesis.factors[0]!r}",
+                f"{text!r}, in the contrast, is not a treatment of {hypothesis.factors[0]!r}",
                 did_you_mean(text, known),
             )
             for text in hypothesis.contrast or ()
@@ -259,7 +259,7 @@ def check_results_path(loaded: LoadedConfig, parameters: Parameters) -> list[Fin
     except ConfigError as error:
         return list(error.findings)
     if not existing.is_dir():
-        return [Finding.error(where, f"{existing} is no folder", "Name a folder, or move this file away.")]
+        return [Finding.error(where, f"{existing} is not a folder", "Name a folder, or move this file away.")]
     if not os.access(existing, os.W_OK | os.X_OK):
         fix = "Correct its permissions, or name another folder: --set results_output_path=..."
         return [Finding.error(where, f"{existing} cannot be written", fix)]

@@ -41,7 +41,7 @@ class Experiment:
         columns: the measures that runs may yield, and the columns of the run table among them.
         spelling: how the run table's file spells headings and statuses.
         replication: for the manifest, which package is executed again and what was changed on purpose; None where
-            the experiment is no replication.
+            the experiment is not a replication.
         registration: what was registered before the first run, or None.
         inputs: the files that its plugins and robots read, as the config names them.
         kept: what the folder keeps of the config's source: the `file`, only the notebook's `cell`, or `nothing`.
@@ -157,7 +157,7 @@ def event_manager_for(loaded: LoadedConfig, plugins: tuple[Plugin, ...]) -> Even
 
 
 def _check_called_with_context(name: str, method: Any, owner: str) -> None:
-    """Check a method that is no callback of an event, such as `make_safe`, before a robot has to be stopped by it."""
+    """Check a method that is not an event's callback, such as `make_safe`, before a robot has to be stopped by it."""
     if not callable(method):
         fix = f"Write def {name}(self, context), or leave it out."
         raise ConfigError(f"{name} is {method!r}, which cannot be called", where=owner, fix=fix)

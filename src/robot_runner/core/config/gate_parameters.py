@@ -103,11 +103,11 @@ class Guard:
 def _check_condition(given: object, what: str) -> None:
     if not isinstance(given, Condition):
         fix = f"Give a condition, such as {what}(temperature_below(50))."
-        raise ConditionError(f"{given!r} is no condition", where=what, fix=fix)
+        raise ConditionError(f"{given!r} is not a condition", where=what, fix=fix)
 
 
 def _check_choice(given: object, choices: type[Enum], what: str) -> None:
     if not isinstance(given, choices):
         known = [f"{choices.__name__}.{choice.name}" for choice in choices]
         fix = did_you_mean(str(given), known)
-        raise ConditionError(f"{given!r} is no {choices.__name__}", where=what, fix=fix)
+        raise ConditionError(f"{given!r} is not a {choices.__name__}", where=what, fix=fix)

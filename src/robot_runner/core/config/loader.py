@@ -42,14 +42,14 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, str]:
     """Return the names and texts of `name=value` assignments; a later one replaces an earlier.
 
     Raises:
-        ConfigError: one of them is no assignment.
+        ConfigError: one of them is not an assignment.
     """
     parsed: dict[str, str] = {}
     for assignment in assignments:
         name, equals, value = assignment.partition("=")
         if not equals or not name.strip():
             raise ConfigError(
-                f"{assignment!r} is no assignment",
+                f"{assignment!r} is not an assignment",
                 where="--set",
                 fix="Write --set name=value, as in --set robot=simulated.",
             )
@@ -346,7 +346,7 @@ def misspelt_keyword(path: Path, error: BaseException) -> str:
 
 def keywords_of(called: Any) -> list[str]:
     """Return the names of the parameters of a class or function; none where it has no signature."""
-    with suppress(TypeError, ValueError):  # it is no callable, or one of Python's own
+    with suppress(TypeError, ValueError):  # it is not a callable, or one of Python's own
         parameters = signature_of(called).parameters.values()
         return [each.name for each in parameters if each.kind in {each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY}]
     return []

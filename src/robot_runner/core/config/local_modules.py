@@ -38,7 +38,7 @@ def local_modules_among(config: Path, names: set[str]) -> dict[Path, Path]:
         for each file its path relative to the config's folder: its own, or by the name of its module.
     """
     folder = config.parent
-    # `__mp_main__`, the main program under `multiprocessing`, may be below the config's folder, but is no part of it.
+    # `__mp_main__`, the main program under `multiprocessing`, may be below the config's folder, but is not part of it.
     files = {_file_of(sys.modules.get(name)) for name in names - {"__mp_main__"}}
     loaded = {path for path in files if path is not None and is_local(path, folder)}
     found = imported_files({path: path.relative_to(folder) for path in (config, *loaded)}, folder)

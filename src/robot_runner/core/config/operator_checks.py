@@ -96,7 +96,7 @@ def _mapping_findings(
             continue
         for each in factors[name].named(wanted):
             if factors[name].position_of(each) is None:
-                problem = f"{rule}: {each!r} is no treatment of {name!r}"
+                problem = f"{rule}: {each!r} is not a treatment of {name!r}"
                 yield Finding.error(at, problem, factors[name].suggestion(each))
 
 

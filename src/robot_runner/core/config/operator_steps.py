@@ -115,7 +115,7 @@ class Question:
         try:
             number = self.kind(said)
         except ValueError:
-            raise self._refusal(f"{said!r} is no {_TYPE_NAMES[self.kind]}") from None
+            raise self._refusal(f"{said!r} is not a {_TYPE_NAMES[self.kind]}") from None
         if not is_number(number):
             raise self._refusal(f"{said!r} is not finite")
         return number

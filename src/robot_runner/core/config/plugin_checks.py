@@ -142,7 +142,7 @@ def failed_check(where: str, error: BaseException, what: str = "the check") -> F
 def misspelt_callbacks(plugin: Plugin) -> list[Finding]:
     """Return a warning for each method whose name is close to one of ours, and that nothing calls.
 
-    Unlike in a config it is no error: the plugin may be another author's, and called from outside.
+    Unlike in a config it is not an error: the plugin may be another author's, and called from outside.
     """
     kinds = type(plugin).__mro__[:-1]
     own = [each for each in kinds if each.__module__.partition(".")[0] != "robot_runner"]
@@ -178,7 +178,7 @@ def _listed(loaded: LoadedConfig, findings: list[Finding]) -> Iterable[Plugin]:
             findings.append(Finding.error(where, f"{name} is a class, not a plugin", f"Write {name}()."))
         else:
             fix = "Give instances of System or Profiler (robot_runner.plugins)."
-            findings.append(Finding.error(where, f"{plugin!r} is no plugin", fix))
+            findings.append(Finding.error(where, f"{plugin!r} is not a plugin", fix))
 
 
 def _instantiated(loaded: LoadedConfig, activated: type[Plugin], findings: list[Finding]) -> list[Plugin]:

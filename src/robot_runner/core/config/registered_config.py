@@ -23,7 +23,7 @@ from robot_runner.core.words import listed
 
 #: Appended to the stem of the config file.
 SUFFIX = ".registration.json"
-#: Static parameters that are not registered: the path of results is no part of the plan, and names private folders.
+#: Static parameters that are not registered: the path of results is not part of the plan, and names private folders.
 _UNREGISTERED = frozenset({"results_output_path"})
 
 

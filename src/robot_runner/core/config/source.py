@@ -82,7 +82,7 @@ def parsed(code: str | bytes, name: str = "<unknown>") -> ast.Module:
 
 
 def tree_of(path: Path) -> ast.Module:
-    """Return the syntax tree of an imported module; an empty one where it is no Python source."""
+    """Return the syntax tree of an imported module; an empty one where it is not Python source."""
     try:
         return read_tree(path)[1]
     except ConfigError:
@@ -96,7 +96,7 @@ def _read(path: Path) -> str:
         raise ConfigError("there is no such file", where=str(path), fix=_other_file(path)) from error
     except IsADirectoryError as error:
         raise ConfigError(
-            "the path names a folder, and no config file", where=str(path), fix="Name the config file in it."
+            "the path names a folder, not a config file", where=str(path), fix="Name the config file in it."
         ) from error
     except (UnicodeDecodeError, SyntaxError) as error:
         raise ConfigError(

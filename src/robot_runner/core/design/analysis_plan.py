@@ -12,7 +12,7 @@ from robot_runner.core.design.hypothesis import Hypothesis, names_findings, name
 from robot_runner.core.design.outliers import Doubtful, Outliers
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
-#: Covariates that are no measures: the place in the order of execution (from 1), and the seconds since the first run.
+#: Covariates that are not measures: the place in the order of execution (from 1), and the seconds since the first run.
 ORDER, ELAPSED = "order", "elapsed"
 
 _DEFAULT_ALPHA = 0.05
@@ -244,7 +244,9 @@ class AnalysisPlan:
                 given["outliers"] = Outliers(**given["outliers"])
             return cls(**given)
         except (TypeError, ValueError) as error:
-            raise DesignError(f"the text is no analysis plan: {error}", where="analysis", fix="Correct it.") from error
+            raise DesignError(
+                f"the text is not an analysis plan: {error}", where="analysis", fix="Correct it."
+            ) from error
 
 
 def _choice_findings(alpha: object, choices: Mapping[str, object], blocks: object) -> Iterator[Finding]:
@@ -266,7 +268,7 @@ def _hypotheses_findings(hypotheses: object) -> Iterator[Finding]:
     for each in hypotheses:
         if not isinstance(each, Hypothesis):
             fix = "Write Hypothesis(statement, measure=..., factors=...)."
-            yield Finding.error("analysis", f"{each!r} is no hypothesis", fix)
+            yield Finding.error("analysis", f"{each!r} is not a hypothesis", fix)
     stated = [each.statement for each in hypotheses if isinstance(each, Hypothesis)]
     for statement in dict.fromkeys(each for each in stated if stated.count(each) > 1):
         fix = "Say in each what it is about: by its statement the report tells one from the other."

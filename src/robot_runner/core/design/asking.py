@@ -29,7 +29,7 @@ class Told(NamedTuple):
         values: of the measures of `Asking.measures`, by name; without those of a run that failed, and without doubtful
             ones where the analysis plan leaves them out.
         is_excluded: whether the run was excluded, or a doubtful value of it is left out by the analysis plan: a missing
-            value is no failure then.
+            value is not a failure then.
         is_doubtful: whether only a doubtful value is left out, and the run counts.
     """
 

@@ -165,7 +165,7 @@ def _named(
         factor = by_name[name]
         places = [(value, factor.position_of(value)) for value in factor.named(wanted)]
         errors += [
-            Finding.error(where, f"{value!r} is no treatment of factor {name!r}", factor.suggestion(value))
+            Finding.error(where, f"{value!r} is not a treatment of factor {name!r}", factor.suggestion(value))
             for value, place in places
             if place is None
         ]

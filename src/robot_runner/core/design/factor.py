@@ -222,7 +222,7 @@ class Factor:
         return self._positions.get(text)
 
     def suggestion(self, value: Any) -> str:
-        """Return a fix for a value that is no treatment: the nearest one, or a list of all."""
+        """Return a fix for a value that is not a treatment: the nearest one, or a list of all."""
         near = nearest(str(value), self.texts) if len(self.texts) <= _COMPARED else None
         if near is not None:
             return f"Did you mean {self.treatments[self._positions[near]]!r}?"
@@ -233,7 +233,7 @@ class Factor:
 
 def _unit_findings(where: str, unit: object, span: Range | None) -> Iterator[Finding]:
     if not isinstance(unit, str):
-        yield Finding.error(where, f"the unit {unit!r} is no text", "Give it as in unit='m/s'.")
+        yield Finding.error(where, f"the unit {unit!r} is not text", "Give it as in unit='m/s'.")
     elif unit and span is not None:
         yield Finding.error(where, f"the unit {unit!r} is given beside a range", f"Give Range(..., unit={unit!r}).")
 
@@ -249,7 +249,7 @@ def _conditions(where: str, when: object) -> tuple[dict[str, tuple[Any, ...]], l
     for key, wanted in when.items():
         name = key.name if isinstance(key, Factor) else key
         if not isinstance(name, str):
-            return {}, [Finding.error(where, f"when={when!r} names {key!r}, which is no factor", fix)]
+            return {}, [Finding.error(where, f"when={when!r} names {key!r}, which is not a factor", fix)]
         if isinstance(wanted, set | frozenset):  # whose order differs between processes
             wanted = sorted(wanted, key=repr)  # noqa: PLW2901
         named[name] = tuple(wanted) if isinstance(wanted, list | tuple | range) else (wanted,)

@@ -41,7 +41,7 @@ def condition_findings(factors: Sequence[_Factor]) -> Iterator[Finding]:
                 continue
             for value in other.named(wanted):
                 if other.position_of(value) is None:
-                    yield Finding.error(where, f"{value!r} is no treatment of {name!r}", other.suggestion(value))
+                    yield Finding.error(where, f"{value!r} is not a treatment of {name!r}", other.suggestion(value))
         seen, open_names = set[str](), list(factor.when)
         while open_names:
             name = open_names.pop()

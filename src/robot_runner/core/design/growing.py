@@ -256,7 +256,7 @@ class _Growing:
             yield Finding.error(f"factor {name!r}", problem, f"Say it: --factor {name}=DEFAULT (one of {known}).")
         elif own is not None:
             if own.position_of_text(new.default) is None:
-                problem = f"{new.default!r} is no treatment of the factor in the config"
+                problem = f"{new.default!r} is not a treatment of the factor in the config"
                 yield Finding.error(where, problem, own.suggestion(new.default))
             for text in new.treatments:
                 yield from _text_findings(where, text, own, own)
@@ -302,13 +302,13 @@ def typed(factor: Factor, text: str) -> Any:
     kinds = {type(treatment) for treatment in factor.treatments if treatment is not INACTIVE}
     kind: Any = kinds.pop() if len(kinds) == 1 else float if kinds == {int, float} else object
     if kind is str or (issubclass(kind, Real | Decimal) and not issubclass(kind, Enum)):  # Real: NumPy's numbers, too
-        what = kind.__name__
+        what = f"of type {kind.__name__}"
         with suppress(KeyError, TypeError, ValueError, ArithmeticError):
             made: Any = _WORDS[text] if kind is bool else kind(text)
             if kind is str or abs(made) < math.inf:
                 return made
-            what = "finite number"  # a config may have others, but on the command line they would be a mistake
-        problem = f"{text!r} is no {what}, as the treatments of the factor are"
+            what = "a finite number"  # a config may have others, but on the command line they would be a mistake
+        problem = f"{text!r} is not {what}, as the treatments of the factor are"
         raise DesignError(problem, where=f"factor {factor.name!r}", fix="Give one of that type.")
     problem = f"{text!r} is a text, and the treatments of the factor are objects of several types or of the config's"
     fix = "Add it to the factor in the config, and call `extend` without it."

@@ -91,7 +91,7 @@ def names_of(given: object) -> tuple[Any, ...]:
 
 
 def names_findings(where: str, what: str, names: tuple[Any, ...]) -> Iterator[Finding]:
-    """Yield an error for each name that is no text."""
+    """Yield an error for each name that is not text."""
     for name in names:
         if not isinstance(name, str):
             problem = f"{what} has {name!r}, of type {type(name).__name__}"

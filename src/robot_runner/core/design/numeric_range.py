@@ -93,7 +93,7 @@ class Range:
             problem = f"{name} is {numbers[name]!r}, of type {type(numbers[name]).__name__}"
             yield Finding.error("Range", problem, "Give a finite number.")
         if not isinstance(self.unit, str):
-            yield Finding.error("Range", f"the unit {self.unit!r} is no text", "Give it as in unit='m/s'.")
+            yield Finding.error("Range", f"the unit {self.unit!r} is not text", "Give it as in unit='m/s'.")
         if wrong:
             return
         if self.lower >= self.upper:

@@ -104,7 +104,7 @@ class PlannedRun(NamedTuple):
 
     @property
     def is_warm_up(self) -> bool:
-        """Whether it only warms up: executed and kept, but not analysed. It is no repetition of its combination."""
+        """Whether it only warms up: executed and kept, but not analysed. It is not a repetition of its combination."""
         return self.repetition == 0  # no field of its own, as there may be millions of runs
 
 

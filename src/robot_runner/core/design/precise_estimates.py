@@ -153,7 +153,7 @@ def judge(rule: Precision, looks: tuple[int, int], repetitions: int, runs: Itera
     observed = list(runs)
     wrong = next((run for run in observed if run.value is not None and not is_number(run.value)), None)
     if wrong is not None:
-        problem = f"{wrong.run_id} has {wrong.value!r}, which is no number"
+        problem = f"{wrong.run_id} has {wrong.value!r}, which is not a number"
         return Judgement(rule, level, repetitions, (Known(of=rule.measure, n=0, problem=problem),))
     make = _means if rule.of is PreciseOf.MEANS else _differences
 
@@ -230,7 +230,7 @@ def _known(rule: Precision, level: float, of: str, values: Sequence[float], whol
     mean = math.fsum(values) / len(values)
     size = abs(math.fsum(whole) / len(whole))
     if rule.is_relative and size == 0:
-        problem = f"the mean is 0, of which {rule.wanted_in_words} is no width"
+        problem = f"the mean is 0, of which {rule.wanted_in_words} is not a width"
         return Known(of=of, n=len(values), mean=mean, problem=problem)
     wanted = size * rule.half_width / 100 if rule.is_relative else rule.half_width
     if len(values) < 2:  # noqa: PLR2004 - one value has no spread

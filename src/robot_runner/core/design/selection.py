@@ -106,7 +106,7 @@ class RunChooser:
             if (found := _meant(text, known)) is not None:
                 return count, known[found]
         text = parts[0].partition("=")[2].strip()
-        self._note(where, f"{text!r} is no treatment of {name!r} in the run table", did_you_mean(text, known))
+        self._note(where, f"{text!r} is not a treatment of {name!r} in the run table", did_you_mean(text, known))
         return 1, set()
 
     def _by_factor(self) -> Mapping[str, Mapping[str, set[int]]]:

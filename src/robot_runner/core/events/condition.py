@@ -133,7 +133,7 @@ class Condition(ABC):
 
         Raises:
             ConditionTimeout: it did not hold in time; the problem says what was seen last.
-            ConditionError: the time is no number.
+            ConditionError: the time is not a number.
         """
         if isinstance(timeout_s, bool) or not isinstance(timeout_s, int | float) or math.isnan(timeout_s):
             fix = "Give wait a number of seconds."

@@ -348,5 +348,5 @@ class RobotRunnerContext(ExperimentContext):
         """
         if faults := faults_of(parsed_json(json.dumps(dict(facts), default=str)), ClockFacts):
             fix = "Pass on what ClockRecord.facts() returns."
-            raise PluginError(f"these are no facts of a clock: {'; '.join(faults)}", where=self.owner, fix=fix)
+            raise PluginError(f"these are not facts of a clock: {'; '.join(faults)}", where=self.owner, fix=fix)
         self.broker.note(self.owner, "clock", facts)

@@ -163,7 +163,7 @@ class EventSubscriptionController:
         """Subscribe `callback` to `event`.
 
         Raises:
-            ConfigError: `event` is no event, `callback` cannot be called with a context, or no config is being loaded.
+            ConfigError: `event` is not one, `callback` cannot be called with a context, or no config is being loaded.
         """
         requests = _requested.get()
         if requests is None:
@@ -185,7 +185,7 @@ class EventSubscriptionController:
         for subscription in subscriptions:
             if not isinstance(subscription, tuple) or len(subscription) != 2:  # noqa: PLR2004 - a pair
                 raise ConfigError(
-                    f"{subscription!r} is no pair of an event and a callback",
+                    f"{subscription!r} is not a pair of an event and a callback",
                     where="EventSubscriptionController.subscribe_to_multiple_events",
                     fix="Write (RobotRunnerEvents.LAUNCH_MISSION, self.launch_mission).",
                 )
@@ -201,7 +201,7 @@ def checked_subscriber(event: object, callback: object, *, owner: str, kind: Own
     """
     if not isinstance(event, RobotRunnerEvents):
         raise ConfigError(
-            f"{event!r} is no event",
+            f"{event!r} is not an event",
             where=owner,
             fix=did_you_mean(str(event), [known.name for known in RobotRunnerEvents]),
         )

@@ -91,7 +91,7 @@ class Measure:
             yield Finding.error(where, problem, "Give low the smaller number.")
 
     def implausible(self, value: MeasureValue) -> str:
-        """Return why a value is not plausible; empty where it is, or is no number.
+        """Return why a value is not plausible; empty where it is, or is not a number.
 
         Example:
             >>> Measure("MeanPower", "W", "Mean power.", low=0.5, high=25.0).implausible(31.0)

@@ -72,7 +72,7 @@ class MeasureBroker:
         """
         if not isinstance(origin, measure.Origin):
             fix = did_you_mean(str(origin), map(str, measure.Origin))
-            raise MeasureError(f"{origin!r} is no origin", where=f"{owner}, run {self._run_id}", fix=fix)
+            raise MeasureError(f"{origin!r} is not an origin", where=f"{owner}, run {self._run_id}", fix=fix)
         try:
             column = self._columns.column_for(owner, name)
             plain = measure.as_measure_value(column.name, value, where=f"{owner}, run {self._run_id}")

@@ -15,7 +15,6 @@ from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.events.measure import ROBOT, ROBOTS_OWNER, Origin
 from robot_runner.core.execution.between_runs import BetweenRuns
-from robot_runner.core.execution.clock_jumps import NotedSettings
 from robot_runner.core.execution.gates import Gates, Passage
 from robot_runner.core.execution.notices import (
     AttemptFinished,
@@ -45,7 +44,6 @@ class Attempts:
         self._operator = Operator(ongoing)
         self._between_runs = BetweenRuns(ongoing, self._operator)
         self._gates = Gates(ongoing)
-        self._clock = NotedSettings(self._progress.note)
         self._lost: Counter[str] = Counter()
         self._left: dict[str, int] = {}
 
@@ -79,7 +77,7 @@ class Attempts:
             passage = Passage() if ongoing.is_ending else (yield from self._gates.pass_before(run, place.experiment))
             if ongoing.is_ending or self._is_stopped_by(passage.stop, run):
                 return outcome
-            self._find(self._clock.look(run.run_id))
+            self._find(self._ongoing.clock.look(run.run_id))
             task = replace(self._progress.begin(run, name, place.slot), attempts_left=attempts_left)
             ongoing.notify(AttemptStarted(task, self._progress.time_left))
             outcome = yield from self._attempt(task, place, passage)
@@ -107,7 +105,7 @@ class Attempts:
                 self._left[task.run_id] = left
         is_to_do = task.run_id in self._left
         is_last = is_last or (task.attempts_left == 0 and not is_to_do)
-        self._find(self._clock.look(task.run_id, outcome.findings))
+        self._find(self._ongoing.clock.look(task.run_id, outcome.findings))
         to_ask = to_ask if outcome.status is AttemptStatus.DONE else ()
         noticed = self._progress.record_outcome(task, outcome, is_last=is_last, to_ask=to_ask)
         self._ongoing.notify(AttemptFinished(task, outcome, is_last, self._progress.time_left))

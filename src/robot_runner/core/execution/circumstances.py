@@ -221,7 +221,7 @@ def restored_manifest(experiment: Experiment) -> tuple[dict[str, Any], Finding] 
     if deviations:
         manifest["table_deviations"] = deviations
         manifest["design"]["is_reordered"] = any(not each["run"] for each in deviations)
-    told = f"{problem}: it is made anew, with the seed of the journal; of earlier executions it tells nothing"
+    told = f"{problem}: it is rebuilt, with the seed of the journal; of earlier executions it tells nothing"
     return manifest, Finding.warning(str(folder.manifest), told)
 
 

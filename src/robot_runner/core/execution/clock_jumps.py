@@ -21,6 +21,14 @@ _LEAST = 0.1
 _AT_ONCE, _TRIES = 0.005, 10
 
 
+def now_counting_suspension() -> float:
+    """Return the time of the steady clock that goes on while this machine is suspended, s.
+
+    A poll or sleep does not count suspension: whoever waits for a moment of this clock has to look again and again.
+    """
+    return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
+
+
 class _Ahead(NamedTuple):
     """How far a clock is ahead of another one, s."""
 
@@ -77,34 +85,39 @@ class NotedSettings:
     def __init__(self, note: Callable[..., None]) -> None:
         self._note = note
         self._jumps = ClockJumps()
+        self._untold = 0.0
 
-    def look(self, run: str, told: Iterable[Finding] = ()) -> list[Finding]:
-        """Record by how much the clock was set since the last call; call it before records with new stamps are written.
+    def take(self) -> None:
+        """Record by how much the clock was set since the last call; call it often, for whoever reads the journal."""
+        seconds = self._jumps.taken_setting()
+        if seconds:
+            self._note("clock_set", seconds=round(seconds, 3))
+            self._untold += seconds
+
+    def look(self, run: str = "", told: Iterable[Finding] = ()) -> list[Finding]:
+        """Do the same before records with new stamps are written, and record a finding where the clock was set.
 
         Args:
-            run: the run that begins or ends now.
+            run: the run that begins or ends now; empty where the experiment ends.
             told: the run's own findings; if one is about clocks, none is added.
 
         Returns:
             the finding, or nothing.
         """
-        seconds = self._jumps.taken_setting()
-        if not seconds:
-            return []
-        self._note("clock_set", seconds=round(seconds, 3))
-        where = f"{run}, {CLOCKS}"
-        if any(each.where == where for each in told):
+        self.take()
+        seconds, self._untold = _real(self._untold), 0.0
+        where = f"{run}, {CLOCKS}" if run else CLOCKS
+        if not seconds or any(each.where == where for each in told):
             return []
         problem, fix = told_setting(seconds)
-        self._note("finding", run=run, owner=CLOCKS, problem=problem, fix=fix)
+        self._note("finding", **({"run": run} if run else {}), owner=CLOCKS, problem=problem, fix=fix)
         return [Finding.warning(where, problem, fix)]
 
 
 def _ahead() -> _Ahead:
-    counting_suspension = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
     for _ in range(_TRIES):
         began = time.monotonic()
-        since_boot, stamped = time.clock_gettime(counting_suspension), time.clock_gettime(time.CLOCK_REALTIME)
+        since_boot, stamped = now_counting_suspension(), time.clock_gettime(time.CLOCK_REALTIME)
         if time.monotonic() - began < _AT_ONCE:
             break
     return _Ahead(since_boot - began, stamped - since_boot)

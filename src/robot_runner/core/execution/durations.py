@@ -373,4 +373,4 @@ def _waits(parameters: Parameters) -> Iterator[str]:
         yield "the gates"
     restarted = [name for name, host in parameters.hosts.items() if host.reboot is not Reboot.NEVER]
     if restarted:
-        yield f"starting {enumerated(restarted)} anew"
+        yield f"restarting {enumerated(restarted)}"

@@ -95,7 +95,7 @@ def places_of(experiment: Experiment, claims: Claims, combinations: Iterable[Map
     if (address := experiment.parameters.cluster) is not None:
         point = named_entry_point("places", "cluster")
         if point is None:
-            fix = "Install Robot Runner anew: pip install 'robot-runner[cluster]'."
+            fix = "Install Robot Runner again: pip install 'robot-runner[cluster]'."
             raise PluginError("nothing that is installed speaks to a cluster", where=f"cluster {address}", fix=fix)
         places: Places = point.load()(experiment, address)
         return places

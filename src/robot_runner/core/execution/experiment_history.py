@@ -90,6 +90,7 @@ class ExperimentHistory:
         self.combinations: dict[str, Mapping[str, Any]] = {}
         self.left: TimeLeft | None = None
         self._left_at = ""
+        self._set_since_left = 0.0
         self._since_table: dict[str, RunStatus] = {}
         self._ends: dict[str, RunStatus] = {}
         self._planned = 0
@@ -165,7 +166,7 @@ class ExperimentHistory:
     @property
     def since_left(self) -> float:
         """How long ago the time left was estimated, s."""
-        return max(0.0, time.time() - seconds_of(self._left_at))
+        return max(0.0, time.time() - seconds_of(self._left_at) - self._set_since_left)
 
     @property
     def in_flight(self) -> tuple[InFlight, ...]:
@@ -221,6 +222,7 @@ class ExperimentHistory:
         self.sessions.append(Session(record["at"], record["at"], selection=record.get("selection", {})))
 
     def _take_clock_set(self, record: Mapping[str, Any]) -> None:
+        self._set_since_left += record["seconds"]
         if self.sessions:
             clock_set = self.sessions[-1].clock_set + record["seconds"]
             self.sessions[-1] = replace(self.sessions[-1], clock_set=clock_set)
@@ -285,7 +287,7 @@ class ExperimentHistory:
     def _take_left(self, record: Mapping[str, Any]) -> None:
         if record.get("status") != "interrupted":  # then the run is to do again, and what was left at its beginning is
             self.left = TimeLeft.of_facts(record.get("left"))
-            self._left_at = record["at"]
+            self._left_at, self._set_since_left = record["at"], 0.0
 
     def _take_table_written(self, _record: Mapping[str, Any]) -> None:
         self._since_table.clear()

@@ -58,6 +58,8 @@ _SET = re.compile(r"\{(['\"][^:{}]*)\}")
 #: Ends the name of a value whose part is named: `gates[0].timeout_s`.
 _PLACE = re.compile(r"[.\[]")
 _DAY_S = 86_400
+#: The year 2000, s since 1970: a clock that shows less was never set.
+_CLOCK_IS_SET = 946_684_800
 _SCALAR = (str, Number, PurePath, Enum)
 
 
@@ -194,7 +196,9 @@ class _Words:
             return str(value)
         if isinstance(value, int) and value.bit_length() > _LONGEST:
             return _digest(hex(value))
-        is_moment = any(abs(value - unit * time.time()) < unit * _DAY_S for unit in (1, 1_000, 1_000_000_000))
+        now = time.time()
+        is_near = any(abs(value - unit * now) < unit * _DAY_S for unit in (1, 1_000, 1_000_000_000))
+        is_moment = is_near and now > _CLOCK_IS_SET
         return LEFT_OUT if is_moment or value == os.getpid() else value
 
     def _text(self, text: str) -> str:
@@ -308,8 +312,8 @@ def _changed_since(
 ) -> dict[str, dict[str, Any]]:
     """Return what differs between the values now and those in a manifest; nothing where that has none.
 
-    A class that a script executes shows fewer names than its file (`is_from_file`): one that only the file shows is no
-    change where the other of two executions was of such a class.
+    A class that a script executes shows fewer names than its file (`is_from_file`): one that only the file shows
+    is not a change where the other of two executions was of such a class.
     """
     before = last_given(manifest)
     if before is None:

@@ -278,7 +278,10 @@ class _KeeperProcess:
         if self._standby is not None:
             self._standby.wait()
             self._standby.look_after(self._run)  # it may have been killed, and the orchestrator as well
+        are_left = processes.has_children()
         self._end_orphans()
+        if are_left and self._standby is not None:
+            self._standby.stop_again(self._run)
         with suppress(BrokenPipeError):  # the orchestrator is gone
             os.write(self._tell, _bytes(status))
 
@@ -365,12 +368,7 @@ class _KeeperProcess:
         deadline = time.monotonic() + _REAPING
         while processes.has_children() and time.monotonic() < deadline:
             spared = self._spared()
-            orphans = [
-                orphan
-                for orphan in processes.children()
-                if not is_spared(orphan, spared) and processes.try_kill(orphan)
-            ]
-            if not orphans:
+            if not [pid for pid in processes.children() if not is_spared(pid, spared) and processes.try_kill(pid)]:
                 return
             time.sleep(_LOOK)
 

@@ -29,6 +29,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
+from robot_runner.core.execution.clock_jumps import now_counting_suspension
 from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, read_bytes, read_text, remove
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock_files import open_to_lock, was_open_to_strangers
@@ -186,8 +187,9 @@ class RunsElsewhere:
     seconds: float
 
     def content(self) -> bytes:
-        """Return the bytes of the mark: the facts, and a number that nobody can guess."""
-        return json.dumps({**asdict(self), "number": os.urandom(32).hex()}).encode()
+        """Return the bytes of the mark: the facts, by which clock it is stamped, and a number that nobody can guess."""
+        clock = {"boot": _boot(), "booted_at": time.time() - now_counting_suspension()}
+        return json.dumps({**asdict(self), **clock, "number": os.urandom(32).hex()}).encode()
 
     @property
     def finding(self) -> Finding:
@@ -206,10 +208,44 @@ def runs_elsewhere(folder: ExperimentFolder) -> list[RunsElsewhere]:
 
 
 def go_on_elsewhere(folder: ExperimentFolder) -> bool:
-    """Return whether other machines may still execute runs: their orchestrator touches the mark at each renewal."""
-    now = time.time()  # not monotonic, which differs after a reboot
+    """Return whether other machines may still execute runs: their orchestrator renews the mark with their leases."""
     marks = _marks_of_elsewhere(folder)
-    return any(abs(now - mark.lstat().st_mtime) < _elsewhere(mark, folder).seconds for mark in marks)
+    return any(abs(_seconds_since_renewal(mark, folder)) < _elsewhere(mark, folder).seconds for mark in marks)
+
+
+def renew_mark(mark: Path, folder: ExperimentFolder) -> None:
+    """Stamp a mark of runs elsewhere with the present moment: somebody still looks after them.
+
+    The stamp is of the clock as it was set when the mark was made, so that setting it changes nothing.
+
+    Raises:
+        OSError: it cannot be stamped.
+    """
+    now = _now_by_clock_of(mark, folder)
+    os.utime(mark, None if now is None else (now, now), follow_symlinks=False)
+
+
+def _seconds_since_renewal(mark: Path, folder: ExperimentFolder) -> float:
+    now, stamps = _now_by_clock_of(mark, folder), mark.lstat()
+    return time.time() - stamps.st_ctime if now is None else now - stamps.st_mtime
+
+
+def _now_by_clock_of(mark: Path, folder: ExperimentFolder) -> float | None:
+    """Return the present moment by the clock as it was set when a mark was made, s; None if that is not known.
+
+    It is not after a reboot, or on another machine: the steady clock is another one there.
+    """
+    match _facts_of(mark, folder):
+        case {"boot": str(boot), "booted_at": int() | float() as booted_at} if boot and boot == _boot():
+            return booted_at + now_counting_suspension()
+    return None
+
+
+def _boot() -> str:
+    """Return what differs each time that this machine is started (Linux); elsewhere an empty text."""
+    with suppress(OSError):
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    return ""
 
 
 def _marks_of_elsewhere(folder: ExperimentFolder) -> list[Path]:
@@ -217,11 +253,16 @@ def _marks_of_elsewhere(folder: ExperimentFolder) -> list[Path]:
 
 
 def _elsewhere(mark: Path, folder: ExperimentFolder) -> RunsElsewhere:
-    with suppress(StorageError, ValueError, RecursionError):
-        match json.loads(read_bytes(mark, folder.root, limit=_MOST_BYTES)):
-            case {"where": str(where), "seconds": int() | float() as seconds} if 0 <= seconds <= _LONGEST:
-                return RunsElsewhere(where, float(seconds))
+    match _facts_of(mark, folder):
+        case {"where": str(where), "seconds": int() | float() as seconds} if 0 <= seconds <= _LONGEST:
+            return RunsElsewhere(where, float(seconds))
     return RunsElsewhere("another machine", _USUAL)
+
+
+def _facts_of(mark: Path, folder: ExperimentFolder) -> object:
+    with suppress(StorageError, ValueError, RecursionError):
+        return json.loads(read_bytes(mark, folder.root, limit=_MOST_BYTES))
+    return None
 
 
 def forget_runs_elsewhere(folder: ExperimentFolder, *, but: Path | None = None) -> None:
@@ -253,14 +294,15 @@ def is_alive(folder: ExperimentFolder) -> bool:
 def is_subject_left(folder: ExperimentFolder) -> bool:
     """Whether software under test of `per="experiment"` is still alive or being ended, or its robot being stopped.
 
-    Its supervisor holds the lock of a file in the folder of its start for as long as that takes.
+    Its supervisor holds the lock of a file in the folder of its start for as long as that takes. One that is stopped
+    does not count, as of a run: whoever comes next sees to it.
     """
     return any(_is_locked_by_us(path, folder.root) for path in folder.subjects.glob("*/*/*.jsonl"))
 
 
 def _is_locked_by_us(path: Path, root: Path) -> bool:
     with suppress(OSError, StorageError):  # no file that a start has written
-        return _is_locked(path, root) and (sys.platform != "linux" or bool(_holders(path)))
+        return _is_locked(path, root) and (sys.platform != "linux" or not all(map(is_stopped, _holders(path))))
     return False
 
 

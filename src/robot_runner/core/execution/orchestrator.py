@@ -19,6 +19,7 @@ from robot_runner.core.events.context import ExperimentEnd
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.events.measure import OPERATOR_OWNER
 from robot_runner.core.execution.begun_experiment import prepared_treatments
+from robot_runner.core.execution.clock_jumps import NotedSettings
 from robot_runner.core.execution.executor import places_of
 from robot_runner.core.execution.inherited import note_open_files
 from robot_runner.core.execution.interruption import Interruption
@@ -152,6 +153,7 @@ class _Orchestrator:
         self._observer = observer
         patience = Patience(interruption, self._refresh, observer.refresh_interval, self._tend)
         self._notifications = Notifications(experiment, progress.note)
+        self._clock = NotedSettings(progress.note)
         self._started = time.monotonic()
         self._stop_request = experiment.folder.stop
         self._places = places_of(experiment, claims, progress.combinations_left)
@@ -161,7 +163,7 @@ class _Orchestrator:
         progress.expect_places(1 if is_one_at_a_time else max(1, len(self._places.all)))
         events = OrchestratorEvents(experiment, progress, patience)
         self._ongoing = OngoingExperiment(
-            experiment, progress, events, observer, self._notice, patience, has_one_place=has_one_place
+            experiment, progress, events, observer, self._notice, patience, self._clock, has_one_place=has_one_place
         )
         self._side_by_side = SideBySide(
             self._ongoing,
@@ -178,6 +180,8 @@ class _Orchestrator:
             self._notifications.tell_failure(_findings_of(error)[0])
             self._notifications.findings(self._interruption)
             raise
+        for each in self._clock.look():
+            self._progress.find(each)
         finished = self._finish_notice(findings)
         self._progress.finish(interrupted=finished.interrupted)
         self._notifications.take(finished)
@@ -289,6 +293,7 @@ class _Orchestrator:
             self._interruption.request()  # first: the robot has to stop even if the record cannot be written
             self._progress.note("stop_requested", flush=True)
             forget_requests(self._stop_request)
+        self._clock.take()
         due = self._progress.tend_table()
         return _LISTEN if due is None else min(due, _LISTEN)
 

@@ -19,6 +19,7 @@ from robot_runner.core.events.context import ExperimentContext, ExperimentEnd, N
 from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.events.manager import CallbackFailure, Emission, RobotRunnerEvents
 from robot_runner.core.events.resources import Resources
+from robot_runner.core.execution.clock_jumps import NotedSettings
 from robot_runner.core.execution.inherited import note_fresh_files, seed_random_numbers
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.notices import FindingsNoticed, Notice, Observer
@@ -313,6 +314,7 @@ class OngoingExperiment:
         observer: the screen, and its keyboard.
         notify: gives a notice to the observer and to notifications.
         patience: how the orchestrator waits.
+        clock: records by how much the clock of time stamps was set.
         has_one_place: whether no two runs are ever in flight together.
         stopped_by: why no more runs begin, `on_failure`, `a gate`, `a guard` or `a robot that may be moving`; those in
             flight come to their end. Empty while it goes on.
@@ -324,6 +326,7 @@ class OngoingExperiment:
     observer: Observer
     notify: Callable[[Notice], None]
     patience: Patience
+    clock: NotedSettings
     has_one_place: bool
     stopped_by: str = ""
 

@@ -75,7 +75,7 @@ class TableHistory:
         """Read a journal, which need not exist.
 
         Raises:
-            StorageError: it cannot be read, or a line is no record.
+            StorageError: it cannot be read, or a line is not a record.
         """
         history = cls()
         for line in journal_lines(journal, kinds=_KINDS):

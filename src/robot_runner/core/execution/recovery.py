@@ -163,7 +163,7 @@ def config_files(experiment: Experiment) -> dict[Path, Path]:
 def config_changes(experiment: Experiment, *, of_design: bool = True, of_settings: bool = True) -> list[Finding]:
     """Return how the config differs from what was executed before, line by line; nothing where it is new or the same.
 
-    Comments and blank lines are no difference.
+    Comments and blank lines are not a difference.
 
     Raises:
         StorageError: the experiment's manifest cannot be read.

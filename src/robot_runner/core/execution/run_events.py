@@ -285,7 +285,7 @@ def publish_returned(context: RobotRunnerContext, returned: object) -> None:
     """Publish what a `populate_run_data` callback returned; it adds to and overrides what was published.
 
     Raises:
-        MeasureError: it is no mapping, or one of its entries is refused; all of them are named.
+        MeasureError: it is not a mapping, or one of its entries is refused; all of them are named.
     """
     if returned is None:
         return

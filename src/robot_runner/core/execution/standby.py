@@ -23,7 +23,7 @@ from robot_runner.core.errors import ExecutionError, Finding, LinkError, Storage
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.events.resources import Resources
-from robot_runner.core.execution.left_over import has_locked
+from robot_runner.core.execution.left_over import end_left_over, has_locked
 from robot_runner.core.execution.processes import (
     await_an_end,
     await_end,
@@ -85,7 +85,7 @@ class Standby:
         self._task = task
         self._is_for_all = is_for_all
         self._orchestrator = os.getpid()
-        self._pid = 0
+        self._pid = self._parent = 0
         self.state = SystemsState()
 
     def begin(self, run: int | None, let_go: Sequence[int] = ()) -> None:
@@ -95,6 +95,7 @@ class Standby:
             run: the run's process; None where it is known to be dead.
             let_go: descriptors that the forked process closes.
         """
+        self._parent = os.getpid()
         self._pid = forked()
         if self._pid == 0:
             for descriptor in let_go:
@@ -120,15 +121,22 @@ class Standby:
         for seconds in self.looked_after(run):
             time.sleep(seconds)
 
+    def stop_again(self, run: int) -> None:
+        """Do its work once more after the end of programs that may have commanded the robot since it was stopped."""
+        if self.state.care is Care.MADE_SAFE and self.state.commanded:
+            self.state.set(Care.RUN)
+            self.look_after(run)
+
     def looked_after(self, run: int) -> Iterator[float]:
         """Do the same as `look_after` step by step, for the orchestrator: yield how long to wait each time, s."""
         deadline = time.monotonic() + LONGEST
-        while self._acts() and time.monotonic() < deadline:
+        while (acts := self._acts()) and time.monotonic() < deadline:
             yield _LOOK
+        # Once continued, a stopped one would command the robot in the midst of a run; until then, it holds the lock.
+        with suppress(StorageError):
+            _kill_if_stopped(self._experiment.folder)
         # The standby was killed or stopped, or has not woken up yet: making a system safe twice does no harm.
-        if self.state.care in {Care.RUN, Care.STANDBY} and not self._acts():
-            with suppress(StorageError):  # once continued, a stopped one would command the robot in the midst of a run
-                _kill_if_stopped(self._experiment.folder)
+        if self.state.care in {Care.RUN, Care.STANDBY} and not acts:
             self.state.set(Care.RUN)
             self.begin(run)
             deadline = time.monotonic() + LONGEST
@@ -200,6 +208,9 @@ class Standby:
             try:
                 unheard = self._make_safe(connection)
             except Exception:  # noqa: BLE001 - the connection may have been lost: what fails again is reported
+                unheard = self._make_safe_anew(deadline)
+            # Programs that take longer to end may have commanded the robot since, and nobody else is left to end them.
+            if os.getppid() != self._parent and end_left_over(self._experiment.folder):
                 unheard = self._make_safe_anew(deadline)
         except BaseException as error:  # noqa: BLE001 - whatever it is, a person must know that the robot was not stopped
             self.state.set(Care.OUT_OF_REACH, failure_fields(error)["problem"])

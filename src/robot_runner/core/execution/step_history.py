@@ -99,7 +99,7 @@ class StepHistory:
             if left := [step for step in end["to_ask"] if step in self.after]:
                 found.append(still_to_do(run_id, left))
             if gone := [step for step in end["to_ask"] if step not in self.after]:
-                problem = f"was not done after it, and is no step of the config any more: {enumerated(gone)}"
+                problem = f"was not done after it, and is not a step of the config any more: {enumerated(gone)}"
                 found.append(Finding.warning(run_id, problem, _PUT_BACK))
         return found
 

@@ -62,8 +62,8 @@ from robot_runner.core.storage.table_schema import read_schema
 _CHOOSE = (
     "Let what was executed count (--table journal), or let the file count (--table file): each change is recorded."
 )
-_REBUILD = "Restore it from a backup, or make it anew from the plan and the journal: --table journal."
-_BEGINS_ANEW = "the journal and the run table are missing: all runs are executed anew"
+_REBUILD = "Restore it from a backup, or rebuild it from the plan and the journal: --table journal."
+_BEGINS_ANEW = "the journal and the run table are missing: all runs are executed again"
 _KEPT_ATTEMPTS = "Restore both from a backup to go on instead. What runs had left is put into earlier_attempts/."
 _SETTLE_JOURNAL = (
     "Restore journal.jsonl from a backup, or have it synchronised. Or go on without: let the rows count as they are "
@@ -254,7 +254,7 @@ class _Recovery:
             table.rows, by_hand = with_changes(self._path, rows, self._plan, kept)
         self._leave_out(table)
         done = table.rows.count(RunStatus.DONE)
-        problem = f"{reason}: made anew from the plan and the journal, with {done} runs that are done{by_hand}"
+        problem = f"{reason}: rebuilt from the plan and the journal, with {done} runs that are done{by_hand}"
         table.findings = (Finding.warning(str(self._path), problem, self._kept_fix()),)
         return table
 
@@ -382,4 +382,4 @@ def _schema_of(path: Path) -> tuple[tuple[ColumnDescription, ...], tuple[Finding
     try:
         return read_schema(path), ()
     except StorageError as error:
-        return (), (Finding.warning(str(path), f"{error.problem}: it is made anew from the journal"),)
+        return (), (Finding.warning(str(path), f"{error.problem}: it is rebuilt from the journal"),)

@@ -159,7 +159,7 @@ def task_of(experiment: Experiment, described: Mapping[str, Any]) -> RunTask:
 def _treatment(factor: Factor, text: str) -> Any:
     place = factor.position_of_text(text)
     if place is None:
-        problem = f"treatment {text!r} is not there when the config is loaded anew: they change each time"
+        problem = f"treatment {text!r} is not there when the config is loaded again: they change each time"
         fix = "Make them the same each time: give random ones a seed, and read them from where all of them stand."
         raise ConfigError(problem, where=f"factor {factor.name!r}", fix=fix)
     return factor.treatments[place]

@@ -79,11 +79,11 @@ def _unpack_member(tar: tarfile.TarFile, name: str, held: tarfile.TarInfo, folde
     parts = [part for part in PurePosixPath(name).parts if part not in {"/", "."}]
     shown = one_line("/" + "/".join(parts))
     if ".." in parts or not parts or any("\0" in part for part in parts):
-        unpacked.problems.append(f"{shown} is no path that a file here can have")
+        unpacked.problems.append(f"{shown} is not a path that a file here can have")
     elif held.issym():
         unpacked.problems.append(f"{shown} is a link to {one_line(held.linkname)}, which is not followed")
     elif not held.isfile() or (source := tar.extractfile(held)) is None:
-        unpacked.problems.append(f"{shown} is no file")
+        unpacked.problems.append(f"{shown} is not a file")
     else:
         target = folder.joinpath(*parts)
         try:

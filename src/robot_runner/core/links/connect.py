@@ -27,7 +27,7 @@ def link_findings(robot: str | None) -> list[Finding]:
 
     Example:
         >>> [finding.problem for finding in link_findings("simulatd")]
-        ["robot is 'simulatd', which is no link of this version"]
+        ["robot is 'simulatd', which is not a link of this version"]
     """
     if robot is None:
         return []
@@ -284,7 +284,7 @@ def resolved_robot(robot: str) -> tuple[kinds.RobotLinkKind, RobotName]:
     if kind is not None:
         return kind, _with_namespace(robot, name if name.address is None or kind.takes_address else name.on_graph)
     fix = did_you_mean(robot.partition(":")[0], kinds.installed_links(), _SIMULATE)
-    raise LinkError(f"robot is {robot!r}, which is no link of this version", where="robot", fix=fix)
+    raise LinkError(f"robot is {robot!r}, which is not a link of this version", where="robot", fix=fix)
 
 
 def _with_namespace(robot: str, name: RobotName) -> RobotName:

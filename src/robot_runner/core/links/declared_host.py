@@ -117,7 +117,7 @@ class Host:
             fix = "Leave reboot out: this machine executes the experiment."
             yield Finding.error(where, f"reboot is Reboot.{self.reboot.name} for this machine", fix)
         elif self.reboot is not Reboot.NEVER and not (self.reboot_command and isinstance(self.reboot_command, str)):
-            fix = "Give the command that starts it anew there."
+            fix = "Give the command that restarts it there."
             yield Finding.error(where, f"reboot_command is {self.reboot_command!r}", fix)
 
 

@@ -62,7 +62,7 @@ class ActionResult:
 
 
 @dataclass(eq=False)
-class _Ending(Exception):  # noqa: N818 - how an execution ends is no error of anybody's
+class _Ending(Exception):  # noqa: N818 - how an execution ends is nobody's error
     """An execution of a goal that ends without success."""
 
     text: str = ""

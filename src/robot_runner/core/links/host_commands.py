@@ -152,7 +152,7 @@ class HostCommands:
         came: list[Path] = []
         for pattern in map(str, patterns):
             if not is_fetchable(pattern):
-                self._warn(f"{pattern!r} was not fetched: it is no whole path there", FETCHABLE)
+                self._warn(f"{pattern!r} was not fetched: it is not a whole path there", FETCHABLE)
                 continue
             seconds = deadline - time.monotonic()
             if seconds <= 0:

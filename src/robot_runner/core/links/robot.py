@@ -63,12 +63,14 @@ class GraphEndpoint:
         is_own: whether it is this link's. Everything that a rosbridge server publishes counts as this link's.
         qos: the profile nearest to its own; None where the graph does not say (a rosbridge; ROS 1 for topics to which
             this process does not subscribe).
+        is_shared: whether it may be that of other programs, too: a rosbridge server is one node for all its clients.
     """
 
     node: str
     message_type: str
     is_own: bool = False
     qos: Qos | None = field(default=None, compare=False)
+    is_shared: bool = field(default=False, compare=False)
 
     def __str__(self) -> str:
         """Return its name for messages.

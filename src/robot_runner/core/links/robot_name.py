@@ -134,7 +134,7 @@ def _name_findings(given: list[tuple[str, str]]) -> list[Finding]:
 def _link_findings(given: list[tuple[str, str]]) -> list[Finding]:
     if all(isinstance(link, str) and link for _, link in given):
         return []
-    return [_finding("a robot is no text", "Give the name of a link, such as 'ros2://alice'.")]
+    return [_finding("a robot is not text", "Give the name of a link, such as 'ros2://alice'.")]
 
 
 def _finding(problem: str, fix: str) -> Finding:

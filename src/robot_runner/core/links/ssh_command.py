@@ -33,7 +33,7 @@ _INSTALL = "Install the OpenSSH client (Debian, Ubuntu: sudo apt install openssh
 _CHANGED_KEY = "remote host identification has changed"
 _MAYBE_AN_ATTACK = (
     "This may be an attack: somebody may stand between you and {host}. Find out why its key changed; only if that has "
-    "a good reason, such as a system that was installed anew, have ssh forget the old one: {forget}."
+    "a good reason, such as a system that was installed again, have ssh forget the old one: {forget}."
 )
 _REMEDIES = (
     ("permission denied", "Give it this machine's key: ssh-copy-id {host}."),
@@ -60,7 +60,7 @@ def checked_destination(host: str) -> str:
     is_text = isinstance(host, str) and bool(host)
     if not is_text or host.startswith("-") or any(character.isspace() or character == "\0" for character in host):
         raise LinkError(
-            f"{host!r} is no host that ssh could connect to",
+            f"{host!r} is not a host that ssh could connect to",
             where="host",
             fix="Name it as for ssh: 'robot', 'pi@robot' or 'ssh://pi@robot:2222'; this machine is 'localhost'.",
         )

@@ -182,7 +182,7 @@ def are_stamps(texts: Sequence[str]) -> bool:
 
 
 def as_stamp(text: str) -> str | None:
-    """Return a time stamp in another format, such as pandas', in the journal's format; None where it is no time stamp.
+    """Return a time stamp in another format, such as pandas', in the journal's format; None if it is not a time stamp.
 
     Example:
         >>> as_stamp("2026-01-31 13:00:00.250+01:00")

@@ -61,7 +61,7 @@ def parsed_json(text: str) -> Any:
     r"""Parse JSON. Half a surrogate pair, which UTF-8 cannot encode, becomes its escape as text: `\ud800`.
 
     Raises:
-        ValueError: it is no JSON, or has a key twice, which readers resolve differently.
+        ValueError: it is not JSON, or has a key twice, which readers resolve differently.
         RecursionError: it is nested too deeply.
     """
     value = _decode(text)
@@ -135,8 +135,8 @@ def faults_of(value: Any, shape: Any) -> list[str]:
 
 
 def shape_findings(where: str, what: str, value: Any, shape: Any, fix: str) -> list[Finding]:
-    """Return an error finding for each fault of a value that was read."""
-    return [Finding.error(where, f"the file is no {what}: {fault}", fix) for fault in faults_of(value, shape)]
+    """Return an error finding for each fault of a value that was read; `what` names the file, with its article."""
+    return [Finding.error(where, f"the file is not {what}: {fault}", fix) for fault in faults_of(value, shape)]
 
 
 def _look(shape: _Shape, value: Any, place: str, faults: list[str]) -> None:

@@ -80,7 +80,7 @@ _WRITING = os.O_WRONLY | os.O_RDWR
 
 
 class DamagedFileError(StorageError):
-    """The content of a file is no text, no JSON, too large, or nested too deeply."""
+    """The content of a file is not text, not JSON, too large, or nested too deeply."""
 
 
 def require_file(path: Path, root: Path | None = None) -> None:
@@ -88,7 +88,7 @@ def require_file(path: Path, root: Path | None = None) -> None:
 
     Raises:
         MissingFileError: there is none.
-        StorageError: it is no regular file inside the folder.
+        StorageError: it is not a regular file inside the folder.
     """
     with refusals(path, root, "read") as (top, (*folders, name)), folder_inside(top, folders) as folder:
         _require_regular(path, os.stat(name, dir_fd=folder, follow_symlinks=False).st_mode)
@@ -104,7 +104,7 @@ def open_to_read(path: Path, root: Path | None = None, *, limit: int | None = No
 
     Raises:
         MissingFileError: there is none.
-        StorageError: it is no regular file inside the folder, larger than the limit, or cannot be read.
+        StorageError: it is not a regular file inside the folder, larger than the limit, or cannot be read.
     """
     file = cast("BufferedReader", _opened(path, root, os.O_RDONLY, "rb", -1))
     size = os.fstat(file.fileno()).st_size
@@ -144,19 +144,19 @@ def read_text(path: Path, root: Path | None = None, *, limit: int = TEXT_LIMIT, 
     """Return the text of a file (UTF-8, with or without a byte order mark).
 
     Raises:
-        StorageError: as `open_to_read`; or it is no UTF-8.
+        StorageError: as `open_to_read`; or it is not UTF-8.
     """
     try:
         return read_bytes(path, root, limit=limit).decode("utf-8-sig", errors)
     except UnicodeDecodeError as error:
-        raise _damaged(path, f"the file is no text in UTF-8: {error.reason} at byte {error.start}") from error
+        raise _damaged(path, f"the file is not text in UTF-8: {error.reason} at byte {error.start}") from error
 
 
 def read_json(path: Path, root: Path | None = None, *, limit: int = JSON_LIMIT) -> Any:
     """Return the value of a JSON file.
 
     Raises:
-        StorageError: as `open_to_read`; or it is no JSON, or nested too deeply.
+        StorageError: as `open_to_read`; or it is not JSON, or nested too deeply.
     """
     content = read_bytes(path, root, limit=limit)
     try:
@@ -185,7 +185,7 @@ def read_declared(path: Path, what: str, shape: Any, *, newest: int, fix: str, l
     if isinstance(found, int) and found > newest:
         problem = f"the {what} has format {found}, newer than {newest}, which this version knows"
         raise StorageError(problem, where=str(path), fix="Update robot-runner.")
-    StorageError.refuse(shape_findings(str(path), what, value, shape, fix))
+    StorageError.refuse(shape_findings(str(path), f"a {what}", value, shape, fix))
     return value
 
 
@@ -213,7 +213,7 @@ def open_to_append(path: Path, root: Path | None = None) -> BinaryIO:
     """Open a file, or make it, to append bytes without a buffer.
 
     Raises:
-        StorageError: it is no regular file inside the folder, another user's by a hard link, or cannot be written.
+        StorageError: it is not a regular file inside the folder, another user's by a hard link, or cannot be written.
     """
     return _opened(path, root, os.O_WRONLY | os.O_CREAT | os.O_APPEND, "ab", 0)
 
@@ -222,7 +222,7 @@ def open_to_fill(path: Path, root: Path | None = None) -> BinaryIO:
     """Open a file, emptied, to write it in place; `open_to_write` keeps the old content until the end.
 
     Raises:
-        StorageError: it is no regular file inside the folder, another user's by a hard link, or cannot be written.
+        StorageError: it is not a regular file inside the folder, another user's by a hard link, or cannot be written.
     """
     file = _opened(path, root, os.O_WRONLY | os.O_CREAT, "wb", -1)
     file.truncate()  # only after it was checked
@@ -240,7 +240,7 @@ def open_descriptor(path: Path, root: Path | None = None, flags: int = os.O_RDWR
 
     Raises:
         MissingFileError: there is none, and none was to be made.
-        StorageError: it is no regular file inside the folder, another user's by a hard link, or cannot be opened.
+        StorageError: it is not a regular file inside the folder, another user's by a hard link, or cannot be opened.
     """
     action = "written" if flags & _WRITING else "read"
     with refusals(path, root, action) as (top, (*folders, name)), folder_inside(top, folders) as folder:

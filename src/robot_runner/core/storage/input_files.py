@@ -94,7 +94,9 @@ def read_index(folder: Path) -> list[KeptInput]:
     if not faults:
         named = (place for each in index["inputs"] for place in (each["kept"], *each.get("programs", ())))
         places = [Path(place) for place in named if place is not None]
-        faults = [f"{str(each)!r} is no place below it" for each in places if each.is_absolute() or ".." in each.parts]
+        faults = [
+            f"{str(each)!r} is not a place below it" for each in places if each.is_absolute() or ".." in each.parts
+        ]
     if faults:
         raise StorageError(f"the index of input files is damaged: {faults[0]}", where=str(path), fix="Get it again.")
     return index["inputs"]

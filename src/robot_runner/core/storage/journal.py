@@ -38,7 +38,7 @@ _LAST_BYTES = 4_000_000
 #: Problem and fix where the folder of an experiment that is being executed was removed.
 REMOVED = (
     "the experiment's folder was removed while it was executed",
-    "Start the experiment again: it begins anew.",
+    "Start the experiment again: it begins from the start.",
 )
 
 _encode = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), allow_nan=False, default=str).encode
@@ -207,7 +207,7 @@ class Journal:
         end = size
         while end > 0:
             if size - end > LINE_LIMIT:
-                problem = f"this is no journal: its last {size - end:,} bytes have no end of a line"
+                problem = f"this is not a journal: its last {size - end:,} bytes have no end of a line"
                 raise StorageError(problem, where=str(self._path), fix="Restore the file from a backup.")
             start = max(0, end - 65536)
             newline = os.pread(self._descriptor, end - start, start).rfind(b"\n")
@@ -227,7 +227,7 @@ def read_journal(path: Path, *, kinds: Collection[str] | None = None) -> Iterato
         kinds: only these; others are not parsed, so that a long journal is read quickly.
 
     Raises:
-        StorageError: it cannot be read, or a line before the last is no record.
+        StorageError: it cannot be read, or a line before the last is not a record.
     """
     return (parsed_record(path, line) for line in journal_lines(path, kinds=kinds))
 
@@ -307,7 +307,7 @@ def parsed_record(path: Path, line: bytes) -> dict[str, Any]:
     """Return the record that a line of the journal holds.
 
     Raises:
-        StorageError: it is no record, or not as records of its kind are.
+        StorageError: it is not a record, or not as records of its kind are.
     """
     try:
         record: dict[str, Any] = parsed_json(line.decode())
@@ -325,7 +325,7 @@ def _corrupt(path: Path, line: bytes, reason: str = "") -> StorageError:
     lines = chain.from_iterable(map(BytesIO, read_blocks(path)))
     number = next((number for number, each in enumerate(lines, start=1) if each == line), 0)
     return StorageError(
-        f"this line is no record of a journal{f': {reason}' if reason else ''}",
+        f"this line is not a record of a journal{f': {reason}' if reason else ''}",
         where=f"{path}:{number}",
         fix="Restore the file from a backup, or delete the line to go on without it.",
     )

@@ -75,8 +75,8 @@ class ExperimentLock:
         if is_at(self._descriptor, self._path):
             return ""
         if holder_of(self._path) is not None:
-            return "another process has executed the experiment anew since"
-        return "" if self._has_folder else "its folder was made anew since"
+            return "another process has executed the experiment again since"
+        return "" if self._has_folder else "its folder was made again since"
 
     @property
     def _has_folder(self) -> bool:
@@ -112,7 +112,7 @@ class ExperimentLock:
         if not journal.is_ours_alone:
             problem += ", and another process has executed it since"
             raise ExecutionError(problem, where=where, fix=f"Leave that file alone, and {again}.")
-        return [Finding.warning(where, f"{problem}: it is locked anew", "Leave that file alone: it keeps others out.")]
+        return [Finding.warning(where, f"{problem}: it is locked again", "Leave that file alone: it keeps others out.")]
 
     def refuse_other_folder(self, journal: Journal) -> None:
         """Check that the experiment was not moved or removed: a run in flight may have made a new folder at its path.
@@ -204,7 +204,7 @@ class Request:
 
 #: The one command that the control file may hold.
 _CONTINUE = "continue"
-#: A longer file is no request of ours.
+#: A longer file is not a request of ours.
 _MOST_BYTES = 64 * 1024
 
 

@@ -33,7 +33,7 @@ def open_to_lock(path: Path, root: Path) -> int:
     """Return a descriptor of a file to lock, which is made where it is missing; nobody else can open it.
 
     Raises:
-        StorageError: it is no regular file, or cannot be written.
+        StorageError: it is not a regular file, or cannot be written.
     """
     wanted = _wanted(root)
     descriptor = open_descriptor(path, root, mode=wanted)

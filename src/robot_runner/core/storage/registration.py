@@ -21,7 +21,7 @@ from robot_runner.core.words import enumerated
 FORMAT = 1
 
 _SUM = "sha256"
-#: A larger file, bytes, is no registration, which has some kilobytes.
+#: A larger file, bytes, is not a registration, which has some kilobytes.
 _LARGEST = 16 << 20
 
 
@@ -88,7 +88,7 @@ def read_registration(path: Path) -> Registration:
     """Read a registration; see `is_intact` for one whose content was changed.
 
     Raises:
-        StorageError: there is no such file, it cannot be read, or it is no registration that this version knows.
+        StorageError: there is no such file, it cannot be read, or it is not a registration that this version knows.
     """
     try:
         content = read_declared(path, "registration", RegistrationFile, newest=FORMAT, fix=_FIX, limit=_LARGEST)
@@ -96,7 +96,7 @@ def read_registration(path: Path) -> Registration:
         fix = "Register the study: robot-runner preregister CONFIG"
         raise StorageError("there is no registration", where=str(path), fix=fix) from error
     if not _is_comparable(content):
-        raise StorageError("this is no registration: parts of it are not as it has them", where=str(path), fix=_FIX)
+        raise StorageError("this is not a registration: parts of it are not as it has them", where=str(path), fix=_FIX)
     return Registration(path, content, checksum_of(content) == content[_SUM])
 
 

@@ -148,7 +148,7 @@ def read_run_table(path: Path, layout: TableLayout, planned: Sequence[PlannedRun
         The rows, with `warnings`.
 
     Raises:
-        StorageError: it cannot be read, or is no run table of this layout; `findings` lists all problems.
+        StorageError: it cannot be read, or is not a run table of this layout; `findings` lists all problems.
     """
     with _opened(path) as file:
         return run_table_in(file, path, layout, planned)
@@ -241,7 +241,7 @@ class _Reading:
             first_cells = first_cells or headings.cells
         self._run_ids.check()
         if not count:
-            fix = "Add a line for each run, or delete the file: it is planned anew then."
+            fix = "Add a line for each run, or delete the file: it is planned again then."
             self._findings.error("the run table has no runs", fix)
         self._findings.raise_errors()
         layout = replace(self._layout, extras=self._extras)
@@ -323,7 +323,7 @@ class _Reading:
                 return
 
     def _take(self, lines: CsvReader, rows: list[list[str]], first_line: int, *, most: int) -> bool:
-        """Take some rows; return whether the file breaks off in a row that is no CSV."""
+        """Take some rows; return whether the file breaks off in a row that is not CSV."""
         try:
             rows.extend(islice(lines, most))  # rows before an error are kept
         except csv.Error as error:

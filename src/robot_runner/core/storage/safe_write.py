@@ -17,7 +17,7 @@ _RIGHTS = 0o666
 def write_beside_and_rename(path: Path, write: Callable[[TextIO], object], root: Path | None = None) -> None:
     """Write a text file (UTF-8) beside `path`, flush it to the disk, and rename it over `path`.
 
-    Where anything fails, the file at `path` is intact and nothing is left beside it. Bytes of file names that are no
+    Where anything fails, the file at `path` is intact and nothing is left beside it. Bytes of file names that are not
     text are written as escapes.
 
     Args:

@@ -36,9 +36,9 @@ class TableFindings:
     Example:
         >>> from pathlib import Path
         >>> findings = TableFindings(Path("run_table.csv"))
-        >>> findings.warning("'vidoe' is no treatment", "Did you mean 'Video'?", line=4, column="Task")
+        >>> findings.warning("'vidoe' is not a treatment", "Did you mean 'Video'?", line=4, column="Task")
         >>> print(*findings.warnings)
-        run_table.csv, line 4, column 'Task': 'vidoe' is no treatment → Did you mean 'Video'?
+        run_table.csv, line 4, column 'Task': 'vidoe' is not a treatment → Did you mean 'Video'?
     """
 
     def __init__(self, path: Path) -> None:
@@ -95,6 +95,7 @@ _LINE_END = re.compile(r"\r\n|\r|\n")
 _MOST_REPETITIONS = 1 << 32  # a larger number is a mistake
 # Types that fit a column, too: integers among floats; `any`, as the schema may be older than the table after a kill.
 _TYPES = {"number": (int, float), "integer": (int, float), "boolean": (bool,)}
+_TYPE_WORDS = {"number": "a number", "integer": "an integer", "boolean": "a boolean"}
 
 
 class RowChunk:
@@ -191,7 +192,7 @@ class StatusDecoder:
         for place, word in () if self._unknown.isdisjoint(cells) else enumerate(cells):
             if word in self._unknown:
                 fix = partial(did_you_mean, word, [status.value for status in RunStatus])
-                self._findings.error(f"{word!r} is no status", fix, line=chunk.lines[place], column=STATUS)
+                self._findings.error(f"{word!r} is not a status", fix, line=chunk.lines[place], column=STATUS)
         return list(map(self._known.__getitem__, cells))
 
     def _learn(self, word: str) -> None:
@@ -235,7 +236,7 @@ class FactorDecoder:
         if strange and self._factor is not None:
             first = dict(zip(reversed(cells), range(len(cells) - 1, -1, -1), strict=True))
             for text in strange:
-                problem = f"{text!r} is no treatment of factor {self.name!r}" if text else "the cell is empty"
+                problem = f"{text!r} is not a treatment of factor {self.name!r}" if text else "the cell is empty"
                 fix = partial(self._factor.suggestion, text)
                 self._findings.warning(problem, fix, line=chunk.lines[first[text]], column=self.name)
         return list(map(self._known.__getitem__, cells))
@@ -275,7 +276,7 @@ class RepetitionDecoder:
         for place, text in () if self._known.keys() >= set(cells) else enumerate(cells):
             if text not in self._known:
                 fix = f"Write which repetition it is: a whole number from {self._least}."
-                problem = f"{text!r} is no number of a repetition"
+                problem = f"{text!r} is not the number of a repetition"
                 self._findings.error(problem, fix, line=chunk.lines[place], column=REPETITION)
         return [self._known.get(text, 1) for text in cells]
 
@@ -304,7 +305,7 @@ class MarkDecoder:
         wrong = {text for text, value in known.items() if value is not None and type(value) is not self._kind}
         for place, text in enumerate(cells) if wrong else ():
             if text in wrong:
-                problem = f"{text!r} is no {self._column.type}"
+                problem = f"{text!r} is not {_TYPE_WORDS[self._column.type]}"
                 fix = f"Write {'True or False' if self._kind is bool else 'a whole number'}."
                 self._findings.error(problem, fix, line=chunk.lines[place], column=self._column.name)
         return [self._usual if known[text] is None or text in wrong else known[text] for text in cells]
@@ -332,7 +333,7 @@ class MeasureDecoder:
             return values
         for place, value in enumerate(values):
             if value is not None and type(value) not in fitting:
-                problem = f"{cells[place]!r} is no {self._kind}, as the column's other values"
+                problem = f"{cells[place]!r} is not {_TYPE_WORDS[str(self._kind)]}, as the column's other values"
                 fix = "Correct the cell, or leave it empty where there is no value."
                 self._findings.warning(problem, fix, line=chunk.lines[place], column=self._name)
         return values
@@ -355,6 +356,6 @@ class TextDecoder:
         for place, cell in enumerate(cells) if has_odd else ():
             if cell and not are_stamps([cell]):
                 fix = "Write it as in 2026-01-31T12:00:00.250Z."
-                problem = f"{cell!r} is no time stamp"
+                problem = f"{cell!r} is not a time stamp"
                 self._findings.warning(problem, fix, line=chunk.lines[place], column=self._name)
         return cells if all(cells) else [cell or None for cell in cells]

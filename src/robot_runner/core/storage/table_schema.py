@@ -28,7 +28,7 @@ from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, Co
 
 _OWN = "robot_runner:"
 _PROFILE = "https://specs.frictionlessdata.io/schemas/table-schema.json"
-_SCHEMA_FIX = "Restore it from a backup, or delete it: it is written anew."
+_SCHEMA_FIX = "Restore it from a backup, or delete it: it is written again."
 _STAMP_FORMAT = "%Y-%m-%dT%H:%M:%S.%fZ"
 #: Bytes for the findings and doubts of all columns, which many runs may have: readers take no larger file.
 _ROOM = JSON_LIMIT // 2
@@ -60,13 +60,13 @@ def read_schema(path: Path) -> tuple[ColumnDescription, ...]:
     """Return the descriptions of the columns, in order.
 
     Raises:
-        StorageError: there is none, or it is no schema of a run table.
+        StorageError: there is none, or it is not a schema of a run table.
     """
     try:
         schema = read_json(path)
     except DamagedFileError as error:
         raise _no_schema(path, error.problem) from error
-    StorageError.refuse(shape_findings(str(path), "schema of a run table", schema, Schema, _SCHEMA_FIX))
+    StorageError.refuse(shape_findings(str(path), "a schema of a run table", schema, Schema, _SCHEMA_FIX))
     columns = tuple(_description(path, place, each) for place, each in enumerate(schema["fields"]))
     twice = [name for name, count in Counter(column.name for column in columns).items() if count > 1]
     if twice:
@@ -123,7 +123,7 @@ def _description(path: Path, place: int, field: Mapping[str, Any]) -> ColumnDesc
 
 
 def _no_schema(path: Path, reason: str) -> StorageError:
-    problem = f"the file is no schema of a run table: {reason}"
+    problem = f"the file is not a schema of a run table: {reason}"
     return StorageError(problem, where=str(path), fix=_SCHEMA_FIX)
 
 

@@ -169,7 +169,7 @@ def _write_base(base: Path, text: str, kept: Collection[Path] | None, *, may_dif
             "the config derives from a class in this file, which is there already and is kept, though it would be "
             "written in another way"
         )
-        yield Finding.warning(str(base), problem, "Convert with --overwrite, to write it anew.")
+        yield Finding.warning(str(base), problem, "Convert with --overwrite, to write it again.")
 
 
 #: The treatments of a run by factor, as texts.

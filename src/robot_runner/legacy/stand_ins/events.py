@@ -97,7 +97,9 @@ def _subscribe(event: Any, callback: Any, place: CodeType) -> None:
     events = RunnerEvents if session.recognised.dialect.class_name == "RunnerConfig" else RobotRunnerEvents
     if not isinstance(event, RobotRunnerEvents | RunnerEvents):
         name = getattr(event, "name", None) or str(event)
-        raise ConfigError(f"{event!r} is no event", where=events.__name__, fix=did_you_mean(name, events.__members__))
+        raise ConfigError(
+            f"{event!r} is not an event", where=events.__name__, fix=did_you_mean(name, events.__members__)
+        )
     callbacks = list(callback) if isinstance(callback, list | tuple) else [callback]
     for each in callbacks:
         if not callable(each):
@@ -154,7 +156,7 @@ def _named(callback: Any) -> str:
 
 def _no_pair(subscription: Any) -> ConfigError:
     return ConfigError(
-        f"{subscription!r} is no pair of an event and a callback",
+        f"{subscription!r} is not a pair of an event and a callback",
         where="EventSubscriptionController.subscribe_to_multiple_events",
         fix="Write a list of pairs such as (RunnerEvents.START_RUN, self.start_run).",
     )

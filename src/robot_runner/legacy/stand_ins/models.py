@@ -189,7 +189,7 @@ def _factors(factors: Any) -> list[FactorModel]:
     for factor in listed:
         if not isinstance(factor, FactorModel):
             raise ConfigError(
-                f"{factor!r} is no factor",
+                f"{factor!r} is not a factor",
                 where="RunTableModel, factors",
                 fix="Give a list such as [FactorModel('Task', ['Video', 'Network'])].",
             )

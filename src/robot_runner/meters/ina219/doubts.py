@@ -13,7 +13,7 @@ from robot_runner.meters.ina219.sample_stream import SampleStream, Trouble
 #: The configuration of a sensor after a loss of power: 32 V, ±320 mV, single 12-bit conversions.
 POWER_ON_CONFIGURATION = 0x399F
 
-#: This many equal readings in a row are no chance. A converter of 12 bits shows noise of about a step, and a robot's
+#: This many equal readings in a row are not chance. A converter of 12 bits shows noise of about a step, and a robot's
 #: current is never constant: even if only one reading in ten differed from the one before, 150 equal ones would come
 #: once in seven million (0.9 ** 150 = 1.4e-7). At 200 Hz they take 0.75 s, so that a probe of a second is enough.
 _ALIKE = 150
@@ -126,7 +126,7 @@ def settings_doubts(stream: SampleStream, shunt: float, rate: float) -> Iterator
     """Yield doubts where the device's shunt (ohm) and rate (Hz) differ from the user's."""
     if len(stream.shunts) > 1:
         told = ", ".join(f"{each:g}" for each in sorted(stream.shunts))
-        yield f"the power meter told of several shunts ({told} ohm), as where it is exchanged: {shunt:g} ohm counts"
+        yield f"the power meter reported several shunts ({told} ohm), as where it is exchanged: {shunt:g} ohm counts"
     hello = stream.sensing or stream.hello
     if hello is not None and abs(hello.shunt_ohm - shunt) > 0.001 * shunt:
         yield f"the power meter says that its shunt has {hello.shunt_ohm:g} ohm, not {shunt:g} ohm"

@@ -49,7 +49,7 @@ class Linearity:
             return None
         p_value = "p < 0.001" if self.p_value < 0.001 else f"p = {self.p_value:.3f}"  # noqa: PLR2004 - as p is written
         return (
-            f"power is no weighted sum of these terms: bending the model changes it by {self.curvature_W:.2f} W "
+            f"power is not a weighted sum of these terms: bending the model changes it by {self.curvature_W:.2f} W "
             f"(root mean square; Ramsey's RESET, {p_value})"
         )
 
@@ -165,7 +165,7 @@ class LinearModel:
         """Return the model of a document from `as_json`.
 
         Raises:
-            ValueError, TypeError, KeyError, AttributeError: the document is no power model.
+            ValueError, TypeError, KeyError, AttributeError: the document is not a power model.
             PluginError: a term or a coefficient is wrong.
         """
         if document["format"] != FORMAT:

@@ -27,7 +27,7 @@ def read_numbers(path: Path, columns: Sequence[str]) -> list[list[float]]:
     """Return these columns of a file of samples, without rows in which one of them is empty.
 
     Raises:
-        AnalysisError: the file or one of the columns is missing, or a cell is no number.
+        AnalysisError: the file or one of the columns is missing, or a cell is not a number.
     """
     values: list[list[float]] = [[] for _ in columns]
     for row in rows_of(path, columns):
@@ -61,7 +61,7 @@ def number_of(path: Path, cell: str | None) -> float:
     """Return a cell as a number.
 
     Raises:
-        AnalysisError: the cell is no number.
+        AnalysisError: the cell is not a number.
     """
     try:
         return float(cell or "")

@@ -85,7 +85,7 @@ def check_linearity(pieces: PiecesOfRuns) -> Linearity | None:
     """Test whether power is a linear function of the terms; None if all terms are binary.
 
     Ramsey's RESET: squares of the terms that are not binary, and squares and cubes of the fitted power, are added; if
-    they explain anything, power is no weighted sum of these terms (Ramsey, Journal of the Royal Statistical
+    they explain anything, power is not a weighted sum of these terms (Ramsey, Journal of the Royal Statistical
     Society B 31, 1969; Ramsey and Schmidt, Journal of the American Statistical Association 71, 1976, for the terms).
     The test is robust against correlation in the same way as the standard errors.
     """

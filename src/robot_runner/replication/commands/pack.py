@@ -179,7 +179,7 @@ def _authors(texts: list[str]) -> tuple[Author, ...]:
         return tuple(author for text in texts for author in authors_from_text(text))
     except ValueError as error:
         fix = "Write 'NAME; ORCID; AFFILIATION; URL'; what is not known is left out."
-        raise UsageError(f"{error} is no author", where="--author", fix=fix) from error
+        raise UsageError(f"{error} is not an author", where="--author", fix=fix) from error
 
 
 def _licence(text: str | None) -> str | None:
@@ -187,7 +187,7 @@ def _licence(text: str | None) -> str | None:
 
     if text is not None and not is_licence(text):
         fix = "Give an identifier of https://spdx.org/licenses/, such as CC-BY-4.0, or a URL."
-        raise UsageError(f"{text!r} is no licence", where="--licence", fix=fix)
+        raise UsageError(f"{text!r} is not a licence", where="--licence", fix=fix)
     return text
 
 

@@ -83,7 +83,7 @@ def execute(arguments: Namespace) -> int:
 def _sha256(path: Path, expected: str | None) -> str | None:
     wanted = None if expected is None else expected.strip().casefold().removeprefix("sha256:")
     if wanted is not None and not _SHA256.fullmatch(wanted):
-        raise UsageError(f"{expected!r} is no SHA-256", where="--sha256", fix="Give its 64 hexadecimal digits.")
+        raise UsageError(f"{expected!r} is not a SHA-256", where="--sha256", fix="Give its 64 hexadecimal digits.")
     if not path.is_file():
         if wanted is not None:
             raise UsageError("a folder has no SHA-256", where="--sha256", fix="Name the zip file.")

@@ -292,7 +292,7 @@ class ActionMission(RobotSystem):
         return True
 
     def _reason_of_failure(self, outcome: str, ended: ActionResult | None) -> str:
-        """Return why the goal is no success; an empty text if it is one."""
+        """Return why the goal is not a success; an empty text if it is one."""
         if outcome == _TIMED_OUT:
             return f"the goal was not over within {self.timeout_s:g} s, and was cancelled"
         if outcome != GoalStatus.SUCCEEDED:

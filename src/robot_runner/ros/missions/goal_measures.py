@@ -54,7 +54,7 @@ class ResultMeasures:
         for name, field in _checked(wanted, "result", "{'ErrorCode': 'error_code'}", where):
             if not isinstance(field, str) or not field.strip():
                 fix = "Name it with dots: {'ErrorCode': 'error_code'}."
-                raise PluginError(f"result[{str(name)!r}] is {field!r}, which is no field", where=where, fix=fix)
+                raise PluginError(f"result[{str(name)!r}] is {field!r}, which is not a field", where=where, fix=fix)
             plain = field.strip().removeprefix(_PREFIX)
             self._taken.append(_Taken(_as_measure(name, f"Field {plain!r} of the action's result."), "", plain))
 

@@ -41,7 +41,7 @@ class Together(System):
         name: the class's name if left out.
 
     Raises:
-        PluginError: they are fewer than two, one is no system, or two have the same name.
+        PluginError: they are fewer than two, one is not a system, or two have the same name.
 
     Example:
         >>> from robot_runner.plugins.systems import BasicTurtlebot3
@@ -74,7 +74,7 @@ class Together(System):
     def _check_systems(self) -> None:
         strangers = [each for each in self.systems if not isinstance(each, System)]
         if strangers or len(self.systems) < _FEWEST:
-            given = f"{strangers[0]!r} is no system" if strangers else f"{len(self.systems)} system is given"
+            given = f"{strangers[0]!r} is not a system" if strangers else f"{len(self.systems)} system is given"
             fix = "Give two systems or more: Together(Waypoints(..., name='alice'), Waypoints(..., name='bob'))."
             raise PluginError(given, where=self.name, fix=fix)
         names = [each.name.casefold() for each in self.systems]

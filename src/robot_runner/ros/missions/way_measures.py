@@ -49,7 +49,7 @@ class WayMeasures:
         measures: those that `end_mission` returns.
 
     Raises:
-        PluginError: the frames are no pair of names, or both odometry and frames are given.
+        PluginError: the frames are not a pair of names, or both odometry and frames are given.
     """
 
     def __init__(
@@ -141,7 +141,7 @@ class WayMeasures:
                 doubts.append(Finding.warning(self._where, problem, "See that nothing resets it while a run goes on."))
             if (unseen := self._way.unseen).seconds > _SILENCE:
                 problem = (
-                    f"the robot's place was not told for {unseen.seconds:.1f} s, in which it changed by "
+                    f"the robot's place was not reported for {unseen.seconds:.1f} s, in which it changed by "
                     f"{unseen.step:.2f} m: whatever the way was between counts as a straight line"
                 )
                 doubts.append(Finding.warning(self._where, problem, _FIX_SILENCE))
@@ -217,7 +217,7 @@ class _WayOfFrame:
         """Return the frame's position; raise a `LinkError` if it is no longer known."""
         silence = 0.0 if self._clock is None or self._last is None else self._clock.now() - self._told_at
         if silence > _SILENCE:
-            problem = f"where {self._moving!r} is in {self._fixed!r} was not told for {silence:.1f} s"
+            problem = f"where {self._moving!r} is in {self._fixed!r} was not reported for {silence:.1f} s"
             raise LinkError(problem, where="tf", fix="Check whether localisation and odometry are alive.")
         return self._buffer.look_up(self._fixed, self._moving)
 

@@ -254,7 +254,7 @@ def _checked_waypoints(given: object, where: str) -> tuple[_Waypoint, ...]:
     for each in given:
         is_place = isinstance(each, Sequence) and not isinstance(each, str) and len(each) in {_SHORTEST, _SHORTEST + 1}
         if not is_place or not all(_is_number(value) for value in each):
-            raise PluginError(f"{each!r} is no waypoint", where=where, fix=fix)
+            raise PluginError(f"{each!r} is not a waypoint", where=where, fix=fix)
     return tuple(_Waypoint(float(x), float(y), float(yaw[0]) if yaw else None) for x, y, *yaw in given)
 
 

@@ -116,7 +116,7 @@ def dialect_of(simulator: str, world: str) -> Dialect:
     """
     if simulator not in DIALECTS:
         fix = did_you_mean(str(simulator), DIALECTS)
-        raise PluginError(f"{simulator!r} is no simulator that is known", where="Simulation", fix=fix)
+        raise PluginError(f"{simulator!r} is not a simulator that is known", where="Simulation", fix=fix)
     return DIALECTS[simulator](world)
 
 

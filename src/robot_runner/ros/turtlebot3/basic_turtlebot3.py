@@ -93,7 +93,7 @@ class BasicTurtlebot3(SteeredSystem):
         self._performance: Performance | None = None
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return findings: there is no robot, or treatments are no tasks."""
+        """Return findings: there is no robot, or treatments are not tasks."""
         yield from super().check(circumstances)
         yield from self._check_namespace(circumstances)
         yield from self._check_tasks(circumstances)
@@ -193,7 +193,7 @@ class BasicTurtlebot3(SteeredSystem):
         task = None if chosen is None else Task.named(chosen)
         if task is None:
             raise PluginError(
-                f"{chosen!r} is no task of the robot",
+                f"{chosen!r} is not a task of the robot",
                 where=f"run {context.run_id}, {self.name}",
                 fix=did_you_mean(str(chosen), _KNOWN_TASKS),
             )
@@ -203,7 +203,7 @@ class BasicTurtlebot3(SteeredSystem):
 def _unknown_tasks(where: str, treatments: Iterable[object]) -> Iterator[Finding]:
     for treatment in treatments:
         if Task.named(treatment) is None:
-            problem = f"{treatment!r} is no task of the robot"
+            problem = f"{treatment!r} is not a task of the robot"
             yield Finding.error(where, problem, did_you_mean(str(treatment), _KNOWN_TASKS))
 
 

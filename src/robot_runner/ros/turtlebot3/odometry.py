@@ -38,7 +38,7 @@ _MOMENT, _MOST_TIMES = 0.5, 2.0
 _MOST_STEPS_BACK = 5
 #: Why a pose cannot be used, and the fix.
 _NO_NUMBER = (
-    "the odometry told a pose that is no number (NaN or infinite)",
+    "the odometry reported a pose that is not a number (NaN or infinite)",
     "Look at the node that publishes it, such as a filter that has diverged, and start it again.",
 )
 _NO_DIRECTION = (
@@ -262,7 +262,7 @@ class Odometer:
             raise LinkError(
                 f"the odometry jumped by {step:.2f} m within {seconds:.2f} s, which the robot cannot drive",
                 where=self._where,
-                fix="See that one robot only publishes it, and that nothing sets it anew while a run goes on.",
+                fix="See that one robot only publishes it, and that nothing sets it again while a run goes on.",
             )
         if self._steps_back > _MOST_STEPS_BACK:
             raise LinkError(

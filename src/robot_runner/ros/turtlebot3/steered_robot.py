@@ -162,7 +162,7 @@ class TaskServices:
         self._call(f"task/{task.value}/stop")
 
     def stop_all(self) -> str:
-        """Stop any running task, and return the robot's answer; if none was running, that is no fault."""
+        """Stop any running task, and return the robot's answer; if none was running, that is not a fault."""
         return str(self._link.call("task/stop", _TRIGGER).get("message", ""))
 
     def _call(self, service: str) -> None:
