@@ -210,15 +210,17 @@ needs_loopback = pytest.mark.skipif(not Path("/sys/class/net/lo").exists(), reas
 
 @needs_loopback
 def test_real_datagrams_are_counted_by_the_kernel(tmp_path):
-    plugin = Network(interfaces=["lo"], rate_hz=50.0)
-    context = make_context(tmp_path, plugin, robot=None, clock=SystemClock())
-
     def mission():
         for act in (lambda: None, lambda: _send(100, 1000)):  # the edges of the mission are quiet
             act()
             time.sleep(0.1)
 
-    rehearse(context, plugin, mission=mission)
+    for attempt in range(20):  # samples that a busy machine delays give no value
+        plugin = Network(interfaces=["lo"], rate_hz=50.0)
+        context = make_context(tmp_path / str(attempt), plugin, robot=None, clock=SystemClock())
+        rehearse(context, plugin, mission=mission)
+        if context.measures["PacketsSent"] is not None:
+            break
     # Each is counted with its headers, 28 bytes, and others may use the loopback too.
     assert context.measures["PacketsSent"] >= 100
     assert context.measures["Sent"] >= 102_800
