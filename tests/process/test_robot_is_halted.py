@@ -98,6 +98,10 @@ def named(experiment: Experiment, part: bytes) -> list[int]:
     return [pid for pid in experiment.processes() if part in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
 
+def parent_of(pid: int) -> int:
+    return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
+
+
 @over("dds", "ros1", "ros2")
 @pytest.mark.parametrize(
     "killed",
@@ -106,8 +110,10 @@ def named(experiment: Experiment, part: bytes) -> list[int]:
         pytest.param("the supervisor", marks=pytest.mark.long),
         pytest.param("the orchestrator and the supervisor", marks=pytest.mark.long),
         pytest.param("the program", marks=pytest.mark.long),
-        pytest.param("the process that halts", marks=pytest.mark.long),
-        pytest.param("the orchestrator and the process that halts", marks=pytest.mark.long),
+        pytest.param("the processes that halt", marks=pytest.mark.long),
+        pytest.param("the orchestrator and the first process that halts", marks=pytest.mark.long),
+        pytest.param("the orchestrator and the processes that halt", marks=pytest.mark.long),
+        pytest.param("the orchestrator, as the first process that halts is stopped", marks=pytest.mark.long),
         pytest.param("the orchestrator, as the supervisor is stopped", marks=pytest.mark.long),
     ],
 )
@@ -132,9 +138,12 @@ def test_a_robot_that_a_program_of_all_runs_drives_stands_still_between_two_runs
             experiment.send(signal.SIGINT)
         else:
             doomed = {"the orchestrator": [experiment.process.pid], "the supervisor": named(experiment, SUPERVISOR)}
-            doomed |= {"the process that halts": named(experiment, HALTING)}
-            who, _, is_stopped = killed.partition(", as ")
-            for pid in doomed["the supervisor"] if is_stopped else ():
+            halting = named(experiment, HALTING)
+            first = [pid for pid in halting if parent_of(pid) not in halting]
+            assert (len(first), len(halting)) == (1, 2)
+            doomed |= {"the processes that halt": halting, "the first process that halts": first}
+            who, _, stopped = killed.removesuffix(" is stopped").partition(", as ")
+            for pid in doomed[stopped] if stopped else ():
                 os.kill(pid, signal.SIGSTOP)
             kill_together(pid for each in who.split(" and ") for pid in doomed[each])
             if killed == "the supervisor":
@@ -143,7 +152,9 @@ def test_a_robot_that_a_program_of_all_runs_drives_stands_still_between_two_runs
                 experiment.send(signal.SIGINT)
         experiment.end()
         experiment.nobody_is_left()
-        if killed == "the orchestrator and the process that halts":  # nobody is left who could: the next execution does
+        if (
+            killed == "the orchestrator and the processes that halt"
+        ):  # nobody is left who could: the next execution does
             assert robot.moves()
             experiment = start(config=config)
             wait_until(robot.stood_still, "it is commanded to stand still before the program is started again")

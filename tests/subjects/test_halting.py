@@ -1,4 +1,4 @@
-"""The robot that software under test commands, on a graph that is known only some time after it was joined."""
+"""Who commands zero once software for all runs has ended: a process, and one that goes on where it is killed."""
 
 from __future__ import annotations
 
@@ -9,80 +9,22 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
+from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
+from tests.waiting import wait_until
 
-from robot_runner.core.errors import LinkError
-from robot_runner.core.events.context import SystemClock
+from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.execution.left_over import is_subject_left
-from robot_runner.core.links.robot import GraphEndpoint
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.subjects import halting
-from robot_runner.subjects.halting import CommandedRobot, CommandedTopics, Halting, end_left_subjects
+from robot_runner.subjects.halting import CommandedTopics, Halting, end_left_subjects
 from robot_runner.subjects.supervised_program import Start
-from robot_runner.testing import make_context
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 TWIST = "geometry_msgs/Twist"
-
-
-class SlowGraph:
-    """A graph on which a planner commands a robot, seen a while after it was joined."""
-
-    def __init__(self, seconds: float) -> None:
-        self._known_at = time.monotonic() + seconds
-        self.commanded: list[str] = []
-
-    @property
-    def _is_known(self) -> bool:
-        return time.monotonic() >= self._known_at
-
-    def topics(self) -> dict[str, str]:
-        return {"/cmd_vel": TWIST} if self._is_known else {}
-
-    def publishers(self, topic: str) -> list[GraphEndpoint]:
-        return [GraphEndpoint("/planner", TWIST)]
-
-    def subscribers(self, topic: str) -> list[GraphEndpoint]:
-        return [GraphEndpoint("/base", TWIST)]
-
-    def advertise(self, topic: str, message_type: str, *, is_commanded: bool = True) -> bool:
-        return True
-
-    def publish(self, topic: str, message_type: str, message: object) -> None:
-        self.commanded.append(topic)
-
-
-@pytest.mark.parametrize("robot", ["dds:domain=7", "ros1"])
-def test_a_robot_is_halted_also_after_a_run_that_is_over_before_its_graph_is_known(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, robot: str
-) -> None:
-    graph = SlowGraph(0.3 if robot.startswith("dds") else 0.0)  # who joins ROS 1 asks its master
-    monkeypatch.setattr(halting, "connect_robot", lambda _: graph)
-    monkeypatch.setattr(halting, "_DISCOVERY", 0.4)
-    commanded = CommandedRobot(make_context(tmp_path, robot=robot, clock=SystemClock()))
-    commanded.connect()
-    commanded.look()
-    commanded.look_at_last()
-    commanded.halt()
-    assert graph.commanded == ["/cmd_vel"]
-
-
-def test_a_robot_that_is_known_to_be_commanded_is_waited_for_no_longer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(halting, "connect_robot", lambda _: SlowGraph(0.0))
-    monkeypatch.setattr(halting, "_DISCOVERY", 3600.0)
-    commanded = CommandedRobot(make_context(tmp_path, robot="dds:domain=7", clock=SystemClock()))
-    commanded.connect()
-    commanded.look()
-    commanded.look_at_last()
 
 
 @pytest.mark.parametrize("fault", [LinkError("it is not reached", where="/alice"), RuntimeError("no context")])
@@ -128,78 +70,26 @@ def test_until_the_process_that_halts_the_robot_has_ended_others_see_that_it_is_
     assert not is_subject_left(folder)
 
 
-class GraphOfTwo(SlowGraph):
-    """A graph with two robots, of which one takes no publisher of this type."""
-
-    def topics(self) -> dict[str, str]:
-        return {"/alice/cmd_vel": TWIST, "/bob/cmd_vel": TWIST}
-
-    def advertise(self, topic: str, message_type: str, *, is_commanded: bool = True) -> bool:
-        if "alice" in topic:
-            raise LinkError("the topic carries another type", where=topic)
-        return True
-
-
-def test_a_robot_that_takes_no_publisher_keeps_no_other_from_being_stopped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell who is stopped, or holds a lock")
+@pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
+def test_a_second_process_sees_to_it_that_a_robot_is_halted_where_the_first_one_is_stopped_or_killed(
+    tmp_path: Path, number: signal.Signals
 ) -> None:
-    robot = CommandedRobot(make_context(tmp_path, robot="ros2"))
-    monkeypatch.setattr(robot, "_link", GraphOfTwo(0.0))
-    robot.look()
-    assert list(robot._taken) == ["/bob/cmd_vel"]
-
-
-class GraphOfNodes(SlowGraph):
-    """A graph of velocities: who publishes each topic; a multiplexer that is gone subscribes them all."""
-
-    def __init__(self, nodes: dict[str, list[str]]) -> None:
-        super().__init__(0.0)
-        self._nodes = nodes
-        self.insisted: dict[str, bool] = {}
-
-    def topics(self) -> dict[str, str]:
-        return dict.fromkeys(self._nodes, TWIST)
-
-    def publishers(self, topic: str) -> list[GraphEndpoint]:
-        return [GraphEndpoint(node, TWIST) for node in self._nodes[topic]]
-
-    def advertise(self, topic: str, message_type: str, *, is_commanded: bool = True) -> bool:
-        self.insisted[topic] = is_commanded
-        return True
-
-
-def test_zero_has_to_arrive_only_where_somebody_was_seen_to_command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    nodes: dict[str, list[str]] = {"/joy_vel": [], "/nav_vel": []}
-    graph = GraphOfNodes(nodes)
-    robot = CommandedRobot(make_context(tmp_path, robot="ros2"))
-    monkeypatch.setattr(robot, "_link", graph)
-    robot.look()
-    assert graph.insisted == {"/joy_vel": False, "/nav_vel": False}
-    nodes["/nav_vel"] = ["/planner"]
-    robot.look()
-    assert graph.insisted == {"/joy_vel": False, "/nav_vel": True}
-
-
-class GraphOfClients(GraphOfNodes):
-    """A graph behind a server whose clients cannot be told apart, this link being one of them."""
-
-    def publishers(self, topic: str) -> list[GraphEndpoint]:
-        return [GraphEndpoint(node, TWIST, is_own=True, is_shared=True) for node in self._nodes[topic]]
-
-
-def test_a_server_that_publishes_for_software_as_for_this_link_counts_as_somebody_who_commands(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    graph = GraphOfClients({"/cmd_vel": ["/rosbridge_websocket"]})
-    robot = CommandedRobot(make_context(tmp_path, robot="rosbridge://robot"))
-    monkeypatch.setattr(robot, "_link", graph)
-    told: list[str] = []
-    robot.tell = lambda topic, _: told.append(topic)
-    robot.look()
-    assert graph.insisted == {"/cmd_vel": True}
-    assert told == ["/cmd_vel"]
+    start = begun(tmp_path)
+    with start.events.open("w") as supervisor:
+        fcntl.flock(supervisor, fcntl.LOCK_EX)
+        halts = Halting(start, "Planner")
+        first = halts._process.pid
+        wait_until(Path(f"/proc/{first}/task/{first}/children").read_text, "there is a second one")
+        os.kill(first, number)
+        os.waitid(os.P_PID, first, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
+        # Nobody reaches this robot: that is what has to be told, by whoever tries.
+        CommandedTopics(start).add("rosbridge://127.0.0.1:1", "/cmd_vel", TWIST)
+    wait_until(CommandedTopics(start).problem, "somebody tried to halt the robot")
+    with pytest.raises(PluginError, match="zero could not be commanded"):
+        halts.finish()
+    assert halts._process.returncode == (0 if number == signal.SIGSTOP else -signal.SIGKILL)
+    wait_until(lambda: not is_subject_left(ExperimentFolder(tmp_path)), "neither is left")
 
 
 def begun(root: Path) -> Start:

@@ -53,7 +53,7 @@ class OwnThread:
 
 
 class _Task:
-    """A function to execute, and what came of it once `is_over` is released."""
+    """A function to execute; `returned` or `error` is its outcome once `is_over` is released."""
 
     __slots__ = ("act", "error", "is_over", "returned")
 

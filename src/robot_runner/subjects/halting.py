@@ -7,37 +7,35 @@ part of what is measured, or just before, when the program is about to be ended.
 
     in    a line, or the end of the input: the program is about to be ended, so join now
     out   a line once that is done
+
+A second process, forked from it, goes on where it is killed, together with the orchestrator, say.
 """
 
 from __future__ import annotations
 
 import fcntl
 import json
+import os
 import select
 import signal
 import subprocess
 import sys
-import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, RobotRunnerError, StorageError
-from robot_runner.core.events.context import RobotRunnerContext, SystemClock
+from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND, VELOCITIES, keep_commanding_zero
 from robot_runner.core.links.connect import (
-    connect_robot,
-    is_simulated,
-    is_slow_to_join,
     resolved_robot,
-    robot_namespace,
 )
 from robot_runner.core.links.robot import Advertiser, RobotLink
 from robot_runner.core.storage.guarded_files import read_text
 from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.outliving import is_stopped
 from robot_runner.core.storage.shared_claims import held_against_users
 from robot_runner.subjects.orphans import signal_stopped, wake_supervisor
 from robot_runner.subjects.supervised_program import Start, last_start
@@ -47,6 +45,8 @@ _LOOK = 0.1
 #: How long joining a graph may take, and how long everything from the program's end on, s: an unreachable robot is
 #: tried twice.
 _JOINING, _LONGEST = 10.0, 40.0
+#: How often the second process looks whether the first one was stopped, s; of its death it is told at once.
+_LOOK_AT_GUARDED = 1.0
 
 
 class CommandedTopics:
@@ -172,7 +172,8 @@ class Halting:
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(_LONGEST)
             self._process.kill()
-            self._process.communicate()
+            with suppress(subprocess.TimeoutExpired):  # where it was killed before, the second process goes on
+                self._process.communicate(timeout=_LONGEST)
             if (problem := self._commanded.problem()) is not None:
                 break
         if problem != "":
@@ -311,85 +312,31 @@ def _halt_after(start: Start) -> None:
                 commanded.end(error.problem if isinstance(error, RobotRunnerError) else repr(error))
 
 
-#: How long the discovery of a graph may take, s: with Fast DDS, it has taken up to 3.2 s.
-_DISCOVERY = 4.0
+def _halt_guarded(start: Start) -> None:
+    """Do so with a second process, forked before there are threads or links, that goes on where this one is killed."""
+    waiting, working = os.pipe()
+    guarded = os.getpid()
+    guard = os.fork()
+    if guard == 0:
+        os.close(working)
+        _guard(start, guarded, waiting)
+        return
+    os.close(waiting)
+    try:
+        _halt_after(start)
+    finally:
+        os.kill(guard, signal.SIGKILL)
+        os.waitpid(guard, 0)
 
 
-class CommandedRobot:
-    """The run's robot, which software under test may command.
-
-    A robot without a watchdog carries out the last command of a planner that has ended or died. So on each topic of
-    velocities to which the robot subscribes, the run's link is a publisher, too, and commands zero when it is closed,
-    which is after the software has ended. It does so even if no other publisher was seen: that of a program which
-    commands once and ends, or dies after a second, is gone before it is discovered. If one was seen, zero has to
-    arrive, and if the run is killed, the process that stands by for it commands zero.
-
-    Args:
-        context: of the run; without a robot, or with the embedded one, which other programs cannot reach, nothing is
-            done.
-
-    Attributes:
-        tell: called with each topic on which another publisher of velocities is seen, and its type.
-    """
-
-    def __init__(self, context: RobotRunnerContext) -> None:
-        self._context = context
-        self.tell: Callable[[str, str], object] = lambda *_: None
-        self._link: RobotLink | None = None
-        self._known_at = 0.0
-        self._taken: dict[str, str] = {}
-        self._commanded: set[str] = set()
-        self._lock = threading.Lock()
-
-    def connect(self) -> None:
-        """Join the robot's graph, if it is there already; call it in the thread that executes callbacks."""
-        robot = self._context.robot
-        if self._link is None and robot is not None and not is_simulated(robot):
-            with suppress(LinkError):  # who cannot do without the robot says so
-                self._link = connect_robot(self._context)
-                self._known_at = time.monotonic() + (_DISCOVERY if is_slow_to_join(robot) else 0.0)
-
-    def look(self) -> None:
-        """Look to which topics of velocities the robot subscribes by now, and on which it is commanded."""
-        link = self._link
-        if link is None or not isinstance(link, Advertiser):
-            return
-        with suppress(LinkError), self._lock:
-            for topic, message_type in self._velocities(link):
-                with suppress(LinkError):  # whatever fails at one robot, the others are looked after
-                    link.advertise(topic, message_type, is_commanded=False)
-                    self._taken[topic] = message_type
-            for topic in self._taken.keys() - self._commanded:
-                if any(each.is_shared or not each.is_own for each in link.publishers(topic)):
-                    link.advertise(topic, self._taken[topic])
-                    self._commanded.add(topic)
-                    self.tell(topic, self._taken[topic])
-
-    def look_at_last(self) -> None:
-        """Look once more before the software is ended: in a short run its graph may not be known yet."""
-        if not self._commanded:
-            time.sleep(max(0.0, self._known_at - time.monotonic()))
-        self.look()
-
-    def halt(self) -> None:
-        """Command zero on each topic with another publisher; on others the mission itself may command the robot."""
-        for topic in list(self._commanded):
-            with suppress(LinkError):
-                if self._link is not None:
-                    self._link.publish(topic, self._taken[topic], {})
-
-    def _velocities(self, link: RobotLink) -> list[tuple[str, str]]:
-        """Return the topics of velocities to which the robot subscribes, and their types, except those known before."""
-        below = f"{robot_namespace(self._context).rstrip('/')}/"
-        return [
-            (topic, message_type)
-            for topic, message_type in link.topics().items()
-            if message_type in VELOCITIES
-            and topic.startswith(below)
-            and topic not in self._taken
-            and any(not each.is_own for each in link.subscribers(topic))
-        ]
+def _guard(start: Start, guarded: int, its_end: int) -> None:
+    """Have another process go on where somebody stops it (SIGSTOP), and take its place where somebody kills it."""
+    while not select.select([its_end], [], [], _LOOK_AT_GUARDED)[0]:
+        if is_stopped(guarded):
+            with suppress(ProcessLookupError):
+                os.kill(guarded, signal.SIGCONT)
+    _halt_after(start)
 
 
 if __name__ == "__main__":
-    _halt_after(Start(Path(sys.argv[1])))
+    _halt_guarded(Start(Path(sys.argv[1])))

@@ -27,7 +27,8 @@ from robot_runner.core.treatments import factors_of
 from robot_runner.measuring.host import SUBJECT_VARIABLE
 from robot_runner.measuring.measured_machine import machine_clock
 from robot_runner.subjects import supervised_program
-from robot_runner.subjects.halting import CommandedRobot, CommandedTopics, Halting
+from robot_runner.subjects.commanded_robot import CommandedRobot
+from robot_runner.subjects.halting import CommandedTopics, Halting
 from robot_runner.subjects.read_files import inputs_in, is_own_setup
 from robot_runner.subjects.readiness import Ready, checked_ready
 from robot_runner.subjects.surroundings import Surroundings, is_known, started_once_findings, word

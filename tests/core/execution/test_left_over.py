@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import itertools
+import json
 import os
 import subprocess
 import sys
@@ -217,6 +218,18 @@ def test_an_experiment_goes_on_elsewhere_as_long_as_its_leases_however_the_clock
     assert goes_on(tmp_path), "it was set back to what it was"
     passed += 34.0
     assert not goes_on(tmp_path)
+
+
+@pytest.mark.parametrize("booted_at", ["1" + 400 * "0", "1e300", "1e999", "true", "[]"])
+def test_a_mark_of_runs_elsewhere_with_a_monstrous_moment_goes_by_the_clock_of_time_stamps(
+    tmp_path: Path, booted_at: str
+) -> None:
+    mark = tmp_path / ".probe-0123456789abcdef"
+    facts = json.loads(RunsElsewhere("cluster tcp://scheduler:8786", 33.0).content())
+    mark.write_text(json.dumps(facts).replace(json.dumps(facts["booted_at"]), booted_at))
+    assert goes_on(tmp_path)
+    renew_mark(mark, ExperimentFolder(tmp_path))
+    assert goes_on(tmp_path)
 
 
 def test_after_a_reboot_the_clock_of_time_stamps_tells_whether_an_experiment_goes_on_elsewhere(

@@ -24,7 +24,7 @@ _AT_ONCE, _TRIES = 0.005, 10
 def now_counting_suspension() -> float:
     """Return the time of the steady clock that goes on while this machine is suspended, s.
 
-    A poll or sleep does not count suspension: whoever waits for a moment of this clock has to look again and again.
+    A poll or sleep does not count suspension: to wait for a moment of this clock, look at it again and again.
     """
     return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
 
@@ -85,17 +85,17 @@ class NotedSettings:
     def __init__(self, note: Callable[..., None]) -> None:
         self._note = note
         self._jumps = ClockJumps()
-        self._untold = 0.0
+        self._set_since_finding = 0.0
 
     def take(self) -> None:
-        """Record by how much the clock was set since the last call; call it often, for whoever reads the journal."""
+        """Record by how much the clock was set since the last call; call it often, as `status` computes with it."""
         seconds = self._jumps.taken_setting()
         if seconds:
             self._note("clock_set", seconds=round(seconds, 3))
-            self._untold += seconds
+            self._set_since_finding += seconds
 
     def look(self, run: str = "", told: Iterable[Finding] = ()) -> list[Finding]:
-        """Do the same before records with new stamps are written, and record a finding where the clock was set.
+        """Do the same before records with new stamps are written; also record a finding if the clock was set.
 
         Args:
             run: the run that begins or ends now; empty where the experiment ends.
@@ -105,7 +105,7 @@ class NotedSettings:
             the finding, or nothing.
         """
         self.take()
-        seconds, self._untold = _real(self._untold), 0.0
+        seconds, self._set_since_finding = _real(self._set_since_finding), 0.0
         where = f"{run}, {CLOCKS}" if run else CLOCKS
         if not seconds or any(each.where == where for each in told):
             return []

@@ -368,7 +368,8 @@ class _KeeperProcess:
         deadline = time.monotonic() + _REAPING
         while processes.has_children() and time.monotonic() < deadline:
             spared = self._spared()
-            if not [pid for pid in processes.children() if not is_spared(pid, spared) and processes.try_kill(pid)]:
+            killed = [pid for pid in processes.children() if not is_spared(pid, spared) and processes.try_kill(pid)]
+            if not killed:
                 return
             time.sleep(_LOOK)
 

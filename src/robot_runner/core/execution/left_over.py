@@ -54,6 +54,8 @@ MARK_OF_ELSEWHERE = ".probe-"
 _ELSEWHERE = re.compile(r"\.probe-[0-9a-f]{16}")
 #: The largest mark that is read, bytes; the time for one that cannot be read, and the longest that is believed, s.
 _MOST_BYTES, _USUAL, _LONGEST = 4096, 60.0, 86400.0
+#: A damaged mark may name any number; no clock shows a moment so far from 1970, s.
+_NO_MOMENT = 1e11
 
 
 class RunMark:
@@ -236,8 +238,8 @@ def _now_by_clock_of(mark: Path, folder: ExperimentFolder) -> float | None:
     It is not after a reboot, or on another machine: the steady clock is another one there.
     """
     match _facts_of(mark, folder):
-        case {"boot": str(boot), "booted_at": int() | float() as booted_at} if boot and boot == _boot():
-            return booted_at + now_counting_suspension()
+        case {"boot": str(boot), "booted_at": float() as booted_at} if boot and boot == _boot():
+            return booted_at + now_counting_suspension() if abs(booted_at) < _NO_MOMENT else None
     return None
 
 
@@ -295,7 +297,7 @@ def is_subject_left(folder: ExperimentFolder) -> bool:
     """Whether software under test of `per="experiment"` is still alive or being ended, or its robot being stopped.
 
     Its supervisor holds the lock of a file in the folder of its start for as long as that takes. One that is stopped
-    does not count, as of a run: whoever comes next sees to it.
+    does not count, as of a run: the next execution ends it.
     """
     return any(_is_locked_by_us(path, folder.root) for path in folder.subjects.glob("*/*/*.jsonl"))
 
