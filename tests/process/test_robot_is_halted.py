@@ -14,9 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.core.links.ssh_server import SshServer
 from tests.process.conftest import kill_together, wait_until
 from tests.ros.real_graph import over
 from tests.ros.ros1_master import RUDE
+from tests.subjects.conftest import gone
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.execution.left_systems import may_be_moving, robots_left
@@ -156,6 +158,8 @@ def test_a_robot_that_a_program_of_all_runs_drives_stands_still_between_two_runs
             killed == "the orchestrator and the processes that halt"
         ):  # nobody is left who could: the next execution does
             assert robot.moves()
+            (told,) = may_be_moving(ExperimentFolder.found_at(experiment.folder))
+            assert "killed while Planner commanded the robot" in told.problem
             experiment = start(config=config)
             wait_until(robot.stood_still, "it is commanded to stand still before the program is started again")
             wait_until(
@@ -167,21 +171,64 @@ def test_a_robot_that_a_program_of_all_runs_drives_stands_still_between_two_runs
             )
             assert said in experiment.output
             experiment.nobody_is_left()
-        told = sorted((experiment.folder / "subjects" / "Planner").glob("*/commanded.jsonl"))
-        assert not robot.moves(), [each.read_text() for each in told]
+        files = sorted((experiment.folder / "subjects" / "Planner").glob("*/commanded.jsonl"))
+        assert not robot.moves(), [each.read_text() for each in files]
+
+
+@pytest.fixture
+def server(tmp_path: Path) -> Iterator[SshServer]:
+    (tmp_path / "sshd").mkdir()
+    started = SshServer(tmp_path / "sshd")
+    yield started
+    started.stop()
+
+
+def on_host(server: SshServer) -> str:
+    """Return the arguments of a program that is executed on another computer, where the graph is the same."""
+    known = {"CYCLONEDDS_URI": os.environ.get("CYCLONEDDS_URI")}  # a shell over there has not this one's variables
+    return f"host='robot', ssh_config={str(server.config)!r}, environment={known!r}"
 
 
 @over("dds")
 @pytest.mark.long
+def test_a_robot_that_a_program_out_of_reach_may_drive_on_is_told_of_and_no_further_run_begins(
+    graph: str, start: Callable[..., Experiment], tmp_path: Path, server: SshServer
+) -> None:
+    (tmp_path / "planner.py").write_text(PLANNER)
+    config = tmp_path / "config.py"
+    text = CONFIG.format(robot=graph).replace('per="experiment"', on_host(server)).replace("sleep(0.1)", "sleep(3600)")
+    config.write_text(text.replace("600_000", "0"))
+    with open_robot(graph) as (link, _):
+        robot = Robot(link)
+        experiment = start(config=config)
+        wait_until(robot.moves, "the program drives it")
+        told = experiment.folder / ".to_make_safe"
+        wait_until(lambda: told.exists() and "/cmd_vel" in told.read_text(), "the run has seen that")
+        server.cut()
+        assert experiment.end() == 1
+    assert "and commands the robot until then: THE ROBOT MAY BE MOVING" in experiment.output
+    assert [row["status"] for row in experiment.table] == ["Failed", "-"], experiment.output
+
+
+@over("dds")
+@pytest.mark.long
+@pytest.mark.parametrize("is_far", [False, True], ids=["here", "on another computer"])
 @pytest.mark.parametrize("with_all", [False, True], ids=["the run", "the run, its keeper and the orchestrator"])
 def test_a_program_that_takes_longer_to_end_than_its_killed_run_is_made_safe_drives_the_robot_no_further(
-    graph: str, start: Callable[..., Experiment], tmp_path: Path, with_all: bool
+    graph: str,
+    start: Callable[..., Experiment],
+    tmp_path: Path,
+    request: pytest.FixtureRequest,
+    with_all: bool,
+    is_far: bool,
 ) -> None:
     obstinate = PLANNER.replace("lambda *_: os._exit(0)", "signal.SIG_IGN").replace("0.05", "0.001")
     (tmp_path / "planner.py").write_text(obstinate)
     config = tmp_path / "config.py"
     text = CONFIG.format(robot=graph).replace('per="experiment"', "grace_s=60").replace("sleep(0.1)", "sleep(3600)")
     text = text.replace('"sh", "-c", \'"$0" "$@" & wait\', ', "").replace('["hall", "kitchen"]', '["hall"]')
+    if is_far:
+        text = text.replace("grace_s=60", f"grace_s=60, {on_host(request.getfixturevalue('server'))}")
     config.write_text(text)
     with open_robot(graph) as (link, _):
         robot = Robot(link)
@@ -193,6 +240,7 @@ def test_a_program_that_takes_longer_to_end_than_its_killed_run_is_made_safe_dri
         kill_together([experiment.run_process(), *others])
         assert experiment.end() == (-signal.SIGKILL if with_all else 1)
         assert experiment.nobody_is_left()
+        assert gone(str(tmp_path / "planner.py")), "also over there"
         assert not robot.moves(), experiment.output
 
 
@@ -359,10 +407,22 @@ def test_robots_that_a_killed_experiment_left_moving_are_stopped_before_another_
         assert experiment.nobody_is_left()
 
 
+def renamed(folder: Path) -> Path:
+    """Rename the folder of an experiment."""
+    return folder.rename(folder.with_name("old"))
+
+
 @over("dds", "ros1", "rosbridge")
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["trial", "another"], ids=["the same", "another"])
-@pytest.mark.parametrize("becomes_of_it", [shutil.rmtree, lambda folder: folder.rename(folder.with_name("old"))])
+@pytest.mark.parametrize(
+    ("becomes_of_it", "name"),
+    [
+        pytest.param(shutil.rmtree, "trial", id="removed-the same"),
+        pytest.param(renamed, "another", id="renamed-another"),
+        pytest.param(shutil.rmtree, "another", id="removed-another", marks=pytest.mark.soak),
+        pytest.param(renamed, "trial", id="renamed-the same", marks=pytest.mark.soak),
+    ],
+)
 def test_robots_are_stopped_also_where_the_folder_of_the_killed_experiment_was_removed_or_renamed(
     graph: str, start: Callable[..., Experiment], tmp_path: Path, name: str, becomes_of_it: Callable[[Path], object]
 ) -> None:
@@ -391,9 +451,9 @@ def test_of_a_live_experiment_whose_folder_was_renamed_no_robot_is_said_to_be_le
         config.write_text(TWO_ROBOTS.format(**{name: link for name, (link, _) in both.items()}))
         experiment = start(config=config)
         wait_until(lambda: all(robot.moves() for _, robot in both.values()), "both of them drive")
-        renamed = experiment.folder.rename(experiment.folder.with_name("old"))
+        folder = renamed(experiment.folder)
         assert not [each for each in robots_left() if str(tmp_path) in each.where], "which `robot-runner doctor` tells"
-        assert not may_be_moving(ExperimentFolder.found_at(renamed)), "which `robot-runner status` tells"
+        assert not may_be_moving(ExperimentFolder.found_at(folder)), "which `robot-runner status` tells"
         kill_together(experiment.processes())
         experiment.end()
         assert len([each for each in robots_left() if str(tmp_path) in each.where]) == 2

@@ -74,3 +74,18 @@ def test_a_robot_of_which_nothing_is_heard_any_more_is_told_to_stand_still_as_it
         with pytest.raises(LinkError, match="the robot does not answer any more"):
             link.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
     assert heard == [0.2, 0.0]
+
+
+@pytest.mark.skipif(not hasattr(socket, "TCP_USER_TIMEOUT"), reason="a socket option of Linux")
+def test_what_a_process_sent_before_it_was_killed_does_not_reach_the_robot_long_after_it_was_stopped(monkeypatch):
+    def seconds():
+        option = socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT
+        return link._transport._session._connection.socket.getsockopt(*option) / 1000
+
+    told = []
+    with closing(RosbridgeServer()) as server, closing(open_rosbridge_link(server.url, SystemClock())) as link:
+        # Less than it takes to repeat a lost packet once more after whoever stops the robot instead is done.
+        assert rosbridge_session._PING_INTERVAL + rosbridge_session._PING_TIMEOUT < seconds() < 12.0
+        monkeypatch.setattr(link._transport._session, "last_words", lambda: told.append(seconds()) or ())
+        link._transport._session._give_up()
+    assert told == [0.0], "but the stop command of a run that goes on does, however late"

@@ -130,8 +130,11 @@ def test_zero_has_to_arrive_only_where_somebody_was_seen_to_command(
 class GraphOfClients(GraphOfNodes):
     """A graph behind a server whose clients cannot be told apart, this link being one of them."""
 
+    planners: tuple[str, ...] | list[str] = ()
+
     def publishers(self, topic: str) -> list[GraphEndpoint]:
-        return [GraphEndpoint(node, TWIST, is_own=True, is_shared=True) for node in self._nodes[topic]]
+        servers = [GraphEndpoint(node, TWIST, is_own=True, is_shared=True) for node in self._nodes[topic]]
+        return [*servers, *(GraphEndpoint(node, TWIST) for node in self.planners)]
 
 
 def test_a_server_that_publishes_for_software_as_for_this_link_counts_as_somebody_who_commands(
@@ -145,3 +148,18 @@ def test_a_server_that_publishes_for_software_as_for_this_link_counts_as_somebod
     robot.look()
     assert graph.insisted == {"/cmd_vel": True}
     assert told == ["/cmd_vel"]
+
+
+def test_a_program_that_ends_in_a_mission_does_not_stop_a_robot_that_the_mission_may_drive_through_the_same_server(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    graph = GraphOfClients({"/cmd_vel": ["/rosbridge_websocket"]})
+    robot = CommandedRobot(make_context(tmp_path, robot="rosbridge://robot"))
+    monkeypatch.setattr(robot, "_link", graph)
+    robot.look()
+    robot.halt()
+    assert graph.commanded == []
+    graph.planners = ["/planner"]
+    robot.look()
+    robot.halt()
+    assert graph.commanded == ["/cmd_vel"], "a node of its own has commanded it since"

@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -18,6 +19,7 @@ from tests.waiting import wait_until
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.resources import Resources
+from robot_runner.core.execution.interruption import STOP_SIGNALS
 from robot_runner.core.execution.left_over import is_subject_left
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.subjects import halting
@@ -90,6 +92,84 @@ def test_a_second_process_sees_to_it_that_a_robot_is_halted_where_the_first_one_
         halts.finish()
     assert halts._process.returncode == (0 if number == signal.SIGSTOP else -signal.SIGKILL)
     wait_until(lambda: not is_subject_left(ExperimentFolder(tmp_path)), "neither is left")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell which processes there are")
+@pytest.mark.parametrize("number", STOP_SIGNALS)
+def test_a_stop_signal_to_all_processes_ends_the_program_and_not_those_that_halt_its_robot(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    start = begun(tmp_path)
+    with start.events.open("w") as supervisor:
+        fcntl.flock(supervisor, fcntl.LOCK_EX)
+        halts = Halting(start, "Planner")
+        first = halts._process.pid
+        wait_until(Path(f"/proc/{first}/task/{first}/children").read_text, "there is a second one")
+        os.killpg(first, number)
+        CommandedTopics(start).add("rosbridge://127.0.0.1:1", "/cmd_vel", TWIST)
+    wait_until(CommandedTopics(start).problem, "somebody tried to halt the robot")
+    with pytest.raises(PluginError, match="zero could not be commanded"):
+        halts.finish()
+    assert halts._process.returncode == 0
+
+
+def test_where_a_process_fails_that_halts_the_robot_the_second_one_does_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def halt(_start: Start) -> None:
+        if os.getpid() == first:
+            raise RuntimeError("a broken client library")
+        done.touch()
+
+    first, done = os.getpid(), tmp_path / "done"
+    monkeypatch.setattr(halting, "_halt_after", halt)
+    if (process := os.fork()) == 0:
+        first = os.getpid()
+        try:
+            halting._halt_guarded(begun(tmp_path))
+        finally:
+            os._exit(0)
+    os.waitpid(process, 0)
+    wait_until(done.exists, "the second one has done it")
+
+
+def test_a_robot_is_halted_also_where_the_system_has_no_second_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fork() -> int:
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    halted: list[Start] = []
+    monkeypatch.setattr(halting.os, "fork", fork)
+    monkeypatch.setattr(halting, "_halt_after", halted.append)
+    monkeypatch.setattr(halting.signal, "pthread_sigmask", lambda *_: None)  # of this process
+    start = begun(tmp_path)
+    halting._halt_guarded(start)
+    assert halted == [start]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell who holds a lock")
+@pytest.mark.long
+def test_where_halting_robots_takes_too_long_nobody_goes_on_with_it_once_that_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(halting, "_LONGEST", 1.0)  # less than it takes to find that nothing answers
+    start = begun(tmp_path)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        CommandedTopics(start).add(f"rosbridge://127.0.0.1:{silent.getsockname()[1]}", "/cmd_vel", TWIST)
+        with pytest.raises(PluginError, match=r"ROBOT MAY BE MOVING.*longer than 1 s"):
+            Halting(start, "Planner").finish()
+        assert not is_subject_left(ExperimentFolder(tmp_path))
+
+
+def test_robots_of_one_graph_are_halted_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[Any] = []
+    monkeypatch.setattr(halting, "keep_commanding_zero", lambda _link, topics: told.append(topics) or [])
+    topics = {f"dds:domain=7,namespace={name}": [(f"/{name}/cmd_vel", TWIST)] for name in ("alice", "bob")}
+    robots = halting._CommandedRobots(SimpleNamespace(by_robot=lambda: topics), Resources())  # type: ignore[arg-type]
+    robots._links = {"dds:domain=7": SimpleNamespace()}  # type: ignore[dict-item]
+    robots.stop()
+    assert told == [[("/alice/cmd_vel", TWIST), ("/bob/cmd_vel", TWIST)]]
 
 
 def begun(root: Path) -> Start:

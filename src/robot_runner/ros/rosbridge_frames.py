@@ -211,6 +211,18 @@ _CLOSE_TIMEOUT = 2.0
 #: How long the network may take nothing of what is sent before the connection is given up, s: as a silent one is.
 _SENDING = 5.0
 
+#: For how long the system tries to deliver what was sent, s (Linux): longer than a session takes to give up. Otherwise
+#: it would do so for minutes, even of a killed process, and a robot that was stopped meanwhile would drive again.
+_DELIVERING = 10.0
+
+
+def deliver_for(connection: ClientConnection, seconds: float) -> ClientConnection:
+    """Set for how long the system tries to deliver what is sent; 0 for as long as it usually does, which is minutes."""
+    if hasattr(socket, "TCP_USER_TIMEOUT"):
+        with suppress(OSError):  # it was closed meanwhile
+            connection.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(seconds * 1000))
+    return connection
+
 
 def _bounded(connection: ClientConnection) -> ClientConnection:
     """Set a timeout for sending: a send that hangs would block all later ones, the stop command among them."""
@@ -250,10 +262,10 @@ def connect(address: RosbridgeAddress, timeout: float, closing: ExitStack, *, wh
     )
     try:
         if not security.is_tls:
-            return closing.enter_context(_bounded(opened()))
+            return closing.enter_context(deliver_for(_bounded(opened()), _DELIVERING))
         # Our own socket: websockets would send our credentials before a certificate's fingerprint can be seen.
         secure = secure_socket(address.host, address.port, security, timeout, _SENDING, where=where)
-        return closing.enter_context(opened(sock=secure))
+        return closing.enter_context(deliver_for(opened(sock=secure), _DELIVERING))
     except (socket.gaierror, UnicodeError) as error:  # a part of the name is empty, or has more than 63 characters
         fix = "Correct the robot's address, or give it as a number."
         raise LinkError(f"the host {address.host!r} is not known", where=where, fix=fix) from error

@@ -41,7 +41,14 @@ class CommandedRobot:
         self._known_at = 0.0
         self._taken: dict[str, str] = {}
         self._commanded: set[str] = set()
+        #: Of these, those with another publisher for certain: a shared server may publish for the mission alone.
+        self._seen: set[str] = set()
         self._lock = threading.Lock()
+
+    @property
+    def was_commanded(self) -> bool:
+        """Whether the software has commanded it, as far as its graph tells."""
+        return bool(self._commanded)
 
     def connect(self) -> None:
         """Join the robot's graph, if it is there already; call it in the thread that executes callbacks."""
@@ -61,11 +68,15 @@ class CommandedRobot:
                 with suppress(LinkError):  # whatever fails at one robot, the others are looked after
                     link.advertise(topic, message_type, is_commanded=False)
                     self._taken[topic] = message_type
-            for topic in self._taken.keys() - self._commanded:
-                if any(each.is_shared or not each.is_own for each in link.publishers(topic)):
+            for topic in self._taken.keys() - self._seen:
+                publishers = link.publishers(topic)
+                is_seen = not all(each.is_own for each in publishers)
+                if topic not in self._commanded and (is_seen or any(each.is_shared for each in publishers)):
                     link.advertise(topic, self._taken[topic])
                     self._commanded.add(topic)
                     self.tell(topic, self._taken[topic])
+                if is_seen:
+                    self._seen.add(topic)
 
     def look_at_last(self) -> None:
         """Look once more before the software is ended: in a short run its graph may not be known yet."""
@@ -74,8 +85,11 @@ class CommandedRobot:
         self.look()
 
     def halt(self) -> None:
-        """Command zero on each topic with another publisher; on others the mission itself may command the robot."""
-        for topic in list(self._commanded):
+        """Command zero on each topic with another publisher; on others the mission itself may command the robot.
+
+        Where only a server is seen that publishes for both, zero is commanded as the link is closed.
+        """
+        for topic in list(self._seen):
             with suppress(LinkError):
                 if self._link is not None:
                     self._link.publish(topic, self._taken[topic], {})

@@ -8,7 +8,7 @@ part of what is measured, or just before, when the program is about to be ended.
     in    a line, or the end of the input: the program is about to be ended, so join now
     out   a line once that is done
 
-A second process, forked from it, goes on where it is killed, together with the orchestrator, say.
+A second process, forked from it, goes on where it is killed or fails, together with the orchestrator, say.
 """
 
 from __future__ import annotations
@@ -28,10 +28,9 @@ from typing import Any
 from robot_runner.core.errors import Finding, LinkError, PluginError, RobotRunnerError, StorageError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.resources import Resources
+from robot_runner.core.execution.interruption import STOP_SIGNALS
 from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND, VELOCITIES, keep_commanding_zero
-from robot_runner.core.links.connect import (
-    resolved_robot,
-)
+from robot_runner.core.links.connect import resolved_robot
 from robot_runner.core.links.robot import Advertiser, RobotLink
 from robot_runner.core.storage.guarded_files import read_text
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -160,29 +159,45 @@ class Halting:
                 select.select([self._process.stdout], [], [], _JOINING)
 
     def finish(self) -> None:
-        """After the end of the program, wait until zero was commanded; if the process was killed, start another.
+        """After the end of the program, wait until zero was commanded; if the processes were killed, start others.
+
+        Nobody commands the robot any more afterwards.
 
         Raises:
             PluginError: zero could not be commanded.
         """
-        problem: str | None = None
+        reason = ""
         for attempt in range(2):
-            if attempt:
-                self._begin()
-            with suppress(subprocess.TimeoutExpired):
-                self._process.wait(_LONGEST)
-            self._process.kill()
-            with suppress(subprocess.TimeoutExpired):  # where it was killed before, the second process goes on
-                self._process.communicate(timeout=_LONGEST)
-            if (problem := self._commanded.problem()) is not None:
+            try:
+                if attempt:
+                    self._begin()
+            except OSError as error:
+                reason = f"no process can be started: {error.strerror}"
                 break
-        if problem != "":
-            reason = problem or "the process that was to do it died twice"
+            reason = (
+                "the process that was to do it died twice" if self._ends() else f"it takes longer than {_LONGEST:g} s"
+            )
+            if (problem := self._commanded.problem()) is not None:
+                reason = problem
+                break
+        if reason:
             raise PluginError(
                 f"{MAY_BE_MOVING}: {self._name} has ended, and zero could not be commanded: {reason}",
                 where=self._name,
                 fix=STOP_BY_HAND,
             )
+
+    def _ends(self) -> bool:
+        """Wait until neither process is left; where that takes too long, kill them and return False."""
+        try:
+            self._process.communicate(timeout=_LONGEST)  # until the second one has closed the output, too
+        except subprocess.TimeoutExpired:
+            with suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGKILL)
+            with suppress(subprocess.TimeoutExpired):
+                self._process.communicate(timeout=_JOINING)
+            return False
+        return True
 
 
 def end_left_subjects(root: Path, may_command: Callable[[str], bool]) -> Iterator[Finding]:
@@ -224,11 +239,23 @@ class _CommandedRobots:
     def __init__(self, commanded: CommandedTopics, resources: Resources) -> None:
         self._commanded = commanded
         self._resources = resources
+        self._graphs: dict[str, str] = {}
         self._links: dict[str, RobotLink] = {}
+
+    def _by_graph(self) -> dict[str, list[tuple[str, str]]]:
+        """Return the topics by how their graph is reached: one after the other, many robots would drive on for long."""
+        found: dict[str, list[tuple[str, str]]] = {}
+        for robot, topics in self._commanded.by_robot().items():
+            if robot not in self._graphs:
+                self._graphs[robot] = robot
+                with suppress(LinkError):  # which opening it reports
+                    self._graphs[robot] = resolved_robot(robot)[1].graph
+            found.setdefault(self._graphs[robot], []).extend(topics)
+        return found
 
     def join(self) -> None:
         """Become a publisher on the program's topics, as far as possible."""
-        for robot, topics in self._commanded.by_robot().items():
+        for robot, topics in self._by_graph().items():
             with suppress(RobotRunnerError):
                 link = self._link(robot)
                 for topic, message_type in topics:
@@ -237,7 +264,7 @@ class _CommandedRobots:
 
     def command_zero(self) -> None:
         """Command zero once, wherever that is possible."""
-        for robot, topics in self._commanded.by_robot().items():
+        for robot, topics in self._by_graph().items():
             for topic, message_type in topics:
                 with suppress(Exception):  # `stop` reports what fails
                     self._link(robot).publish(topic, message_type, {})
@@ -249,7 +276,7 @@ class _CommandedRobots:
             RobotRunnerError: it does not reach a robot whose graph is there.
         """
         with ExitStack() as each_of_them:
-            for robot, topics in self._commanded.by_robot().items():
+            for robot, topics in self._by_graph().items():
                 each_of_them.callback(self._stop, robot, topics)
 
     def _stop(self, robot: str, topics: Sequence[tuple[str, str]]) -> None:
@@ -313,20 +340,23 @@ def _halt_after(start: Start) -> None:
 
 
 def _halt_guarded(start: Start) -> None:
-    """Do so with a second process, forked before there are threads or links, that goes on where this one is killed."""
-    waiting, working = os.pipe()
+    """Do so with a second process, forked before there are threads or links, that goes on where this one cannot."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)  # sent to all processes, they end the program, and not us
     guarded = os.getpid()
-    guard = os.fork()
+    try:
+        waiting, working = os.pipe()
+        guard = os.fork()
+    except OSError:  # the system has no more of them: one process is better than none
+        _halt_after(start)
+        return
     if guard == 0:
         os.close(working)
         _guard(start, guarded, waiting)
         return
     os.close(waiting)
-    try:
-        _halt_after(start)
-    finally:
-        os.kill(guard, signal.SIGKILL)
-        os.waitpid(guard, 0)
+    _halt_after(start)  # whatever it raises, the second process takes its place
+    os.kill(guard, signal.SIGKILL)
+    os.waitpid(guard, 0)
 
 
 def _guard(start: Start, guarded: int, its_end: int) -> None:

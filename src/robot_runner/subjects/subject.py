@@ -274,8 +274,8 @@ class Subject(System):
             if self._ended.was_killed:
                 problem = f"{self.name} did not end within {self.grace_s:g} s of {self.stop_signal.name} and was killed"
                 context.warn(problem, fix="Allow it more time (grace_s), or give the stop_signal that it obeys.")
-        for remark in program.remarks():
-            context.warn(f"{self.name} {remark}", fix="Look at the computer that it was executed on.")
+        for remark in program.remarks(may_drive=self._robot is not None and self._robot.was_commanded):
+            context.warn(f"{self.name} {remark}", fix="Look at the computer that it was executed on, and at the robot.")
 
     def make_safe(self, context: RobotRunnerContext) -> None:
         """End it, whatever has failed before."""

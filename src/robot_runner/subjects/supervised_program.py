@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from robot_runner.core.errors import PluginError, StorageError, did_you_mean
+from robot_runner.core.links.commanded_topics import MAY_BE_MOVING
 from robot_runner.core.links.ssh_command import gist, remedy, ssh_command
 from robot_runner.core.storage.shared_claims import held_against_users
 from robot_runner.core.words import listed, one_line
@@ -158,15 +159,15 @@ class Start:
             return Ended(None, f"the connection is lost: {gist(str(lost['lost']))}")
         return None if supervised else Ended(None, "its supervisor was killed")
 
-    def remarks(self) -> list[str]:
-        """Return what went wrong at the end: what could not be ended, or cleaned up."""
+    def remarks(self, *, may_drive: bool) -> list[str]:
+        """Return what went wrong at the end: what could not be ended, or cleaned up, and may drive a robot."""
         left = self._told("gone").get("gone") or []
         unclean = self._told("unclean").get("unclean")
-        lost = self._told("lost").get("lost")
         told = [f"could not be ended with all that it started: process {listed(map(str, left))}"] if left else []
         told += [f"left something behind: {unclean}"] if unclean else []
-        if lost:
-            told.append(f"was out of reach when it was to end; it is ended there {LEASE:g} s after the connection")
+        if self._told("lost").get("lost"):
+            more = f", and commands the robot until then: {MAY_BE_MOVING}" if may_drive else ""
+            told += [f"was out of reach when it was to end; it is ended there {LEASE:g} s after the connection{more}"]
         return told
 
     def await_end(self, seconds: float) -> None:
@@ -208,8 +209,7 @@ class Start:
             return {}
         for line in lines:
             with suppress(ValueError):
-                event = json.loads(line)
-                if isinstance(event, dict) and kind in event:
+                if isinstance(event := json.loads(line), dict) and kind in event:
                     return event
         return {}
 

@@ -4,6 +4,7 @@ It imports nothing of Robot Runner, as its text is sent to computers that have n
 
     in    one line of JSON, the task; then `stop`, or the end of the input (the sender is gone): end the program.
           With a `lease`, something has to arrive every so many seconds: a network that is cut does not end the input.
+          Where that ends after `stop`, who waits for the end was killed: the program is killed, too.
     out   one line of JSON for each event: `{"started": pid, "at": ..., "steady": ...}`, the times by the wall clock and
           the steady clock, or `{"refused": why}`; where output is
           forwarded `{"out": text}` and `{"err": text}`, a character a byte; `{"ended": code, "asked": ..., ...}` once
@@ -123,6 +124,7 @@ class Supervisor:
             os.set_blocking(end, False)
         signal.set_wakeup_fd(wake)
         self.is_told = False
+        self.is_deserted = False
         signal.signal(signal.SIGCHLD, lambda *_: None)
         for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
             signal.signal(number, self.take_signal)
@@ -196,7 +198,9 @@ class Supervisor:
 
     def look(self, seconds: float) -> None:
         """Wait at most this long for input, output, or an end, and handle it."""
-        readers = [0, self.wakes] if not self.is_told else [self.wakes]
+        lease = self.task["lease"]
+        hears = not self.is_told or (lease is not None and not self.is_deserted)
+        readers = [0, self.wakes] if hears else [self.wakes]
         if len(self.waiting) < WAITING:
             readers += self.pipes
         writers = [1] if self.waiting else []
@@ -206,8 +210,8 @@ class Supervisor:
         if 0 in ready:
             said = os.read(0, 4096)
             self.heard = time.monotonic()
+            self.is_deserted = lease is not None and self.is_told and not said
             self.is_told = self.is_told or not said or b"stop" in said
-        lease = self.task["lease"]
         if lease is not None and time.monotonic() - self.heard > lease:
             self.is_told = True
         for pipe in set(ready).intersection(self.pipes):
@@ -271,11 +275,13 @@ class Supervisor:
         Without `stops_group` the program alone gets the signal, so that it can end what it started itself.
         """
         tell(-self.pid if self.task["stops_group"] else self.pid, self.task["stop_signal"])
-        if self.wait(lambda: self.code is not None, self.task["grace"]):
+        self.wait(lambda: self.code is not None or self.is_deserted, self.task["grace"])
+        if self.code is not None:
             return True
         for pid in descendants(os.getpid()):
             tell(pid, signal.SIGTERM)
-        if not self.wait(lambda: self.code is not None, LAST_GRACE):
+        self.wait(lambda: self.code is not None or self.is_deserted, LAST_GRACE)
+        if self.code is None:
             tell(self.pid, signal.SIGKILL)
             self.wait(lambda: self.code is not None, DEATH)
         return False
@@ -284,7 +290,8 @@ class Supervisor:
         """End what the program left behind, whatever session it has; return what could not be ended."""
         for pid in descendants(os.getpid()):
             tell(pid, signal.SIGTERM)
-        if self.wait(lambda: not descendants(os.getpid()), LAST_GRACE):
+        self.wait(lambda: self.is_deserted or not descendants(os.getpid()), LAST_GRACE)
+        if not descendants(os.getpid()):
             return []
         if not LINUX:  # there, orphans are not descendants of this process
             tell(-self.pid, signal.SIGKILL)

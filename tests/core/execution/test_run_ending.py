@@ -285,6 +285,48 @@ def test_a_request_to_end_that_python_drops_is_repeated(execute: Execute, run_pr
     assert "Exception ignored" not in executed.log("r_1")
 
 
+def no_thread(_timer: threading.Timer) -> None:
+    raise RuntimeError("can't start new thread")
+
+
+def test_a_thread_ends_a_callback_also_where_the_system_has_no_further_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    went_on = threading.Event()
+
+    def end() -> None:
+        gate.end_run(RunFailed("too warm"))
+        went_on.set()
+
+    def callback() -> None:
+        gate.arm()
+        threading.Thread(target=end).start()
+        time.sleep(20)
+
+    monkeypatch.setattr(threading.Timer, "start", no_thread)
+    gate = InterruptGate()
+    with gate.woken_by_threads(), pytest.raises(RunFailed, match="too warm"):
+        callback()
+    assert went_on.wait(20), "nothing is raised in the thread"
+
+
+def test_a_dropped_request_to_end_stays_one_where_the_system_has_no_further_thread(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Held:
+        def __del__(self) -> None:
+            gate.end_run(RunFailed("too warm"))
+
+    def callback() -> None:
+        held = Held()
+        gate.arm()
+        del held
+        gate.end_run(RunFailed("too cold"))
+
+    monkeypatch.setattr(threading.Timer, "start", no_thread)
+    gate = InterruptGate()
+    with gate.woken_by_threads(), pytest.raises(RunFailed, match="too warm"):
+        callback()
+
+
 def test_a_mission_that_is_stopped_where_python_drops_it_ends_all_the_same(execute: Execute) -> None:
     executed = ended(execute, DROPPED.format(during=f"{STOP}; time.sleep(60)"))
     assert [row["status"] for row in executed.table] == ["Done"]

@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from types import FrameType
 from typing import Self
@@ -177,7 +177,8 @@ class InterruptGate:
     def _wake_later(self) -> None:
         again = threading.Timer(ASK_AGAIN, self._send_wake)
         again.daemon = True
-        again.start()
+        with suppress(RuntimeError):  # the system has no further thread: the first time has to do
+            again.start()
 
     def _send_wake(self) -> None:
         if self._is_listening:

@@ -158,10 +158,14 @@ def _told(findings: list[Finding]) -> list[Finding]:
 
 def _ended_by_rooms(root: Path, may_command: Callable[[str], bool]) -> list[Finding]:
     """Let rooms end what they have started for all runs of a killed execution, and stop the robots it commanded."""
+    return _found_by_rooms("left_behind", root, may_command)
+
+
+def _found_by_rooms(group: str, *arguments: object) -> list[Finding]:
     found: list[Finding] = []
-    for point in entry_points("left_behind"):
+    for point in entry_points(group):
         try:
-            found += instances_of(Finding, point.load()(root, may_command))
+            found += instances_of(Finding, point.load()(*arguments))
         except Exception as error:  # noqa: BLE001 - another package's code; what it raises is a finding like others
             found.append(failed_check(point.where, error, "it"))
     return found
@@ -327,12 +331,16 @@ def _finding(standby: Standby, left: LeftSystems) -> Finding:
 
 
 def may_be_moving(folder: ExperimentFolder) -> list[Finding]:
-    """Return a warning for each run that was killed with its keeper and standby: its robot may be moving."""
-    left = [each for _, each in _left_in(folder)]
-    if not left or holder_of(folder.lock) is not None or goes_on(folder.root, counts_orphans=False):
+    """Return warnings of what was killed with all who would have stopped its robot: it may be moving.
+
+    That is a run, with its keeper and standby, or what a room has started for all runs.
+    """
+    if holder_of(folder.lock) is not None:
         return []
     fix = "Start the experiment again, which does it before anything else, or stop it by hand."
-    return [Finding.warning(each.run_id, f"{MAY_BE_MOVING}: {each.in_words}", fix) for each in left]
+    left = [Finding.warning(each.run_id, f"{MAY_BE_MOVING}: {each.in_words}", fix) for _, each in _left_in(folder)]
+    left += _found_by_rooms("left_moving", folder.root)
+    return [] if left and goes_on(folder.root, counts_orphans=False) else left
 
 
 def goes_on(root: Path, *, counts_orphans: bool = True) -> bool:

@@ -1,0 +1,63 @@
+"""What is told of a robot that software for all runs drives on, as nobody was left to halt it."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from robot_runner.core.execution.left_systems import may_be_moving
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.subjects.halting import CommandedTopics
+from robot_runner.subjects.supervised_program import Start
+
+TWIST = "geometry_msgs/Twist"
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Start:
+    """Return a start of software that has commanded a robot."""
+    start = Start(tmp_path / "trial" / "subjects" / "Planner" / "1")
+    start.folder.mkdir(parents=True)
+    CommandedTopics(start).add("ros2:domain=7", "/cmd_vel", TWIST)
+    return start
+
+
+def told(root: Path) -> list[str]:
+    return [each.problem for each in may_be_moving(ExperimentFolder(root))]
+
+
+def test_a_robot_that_software_for_all_runs_drives_on_is_told_of_until_it_was_halted(
+    start: Start, tmp_path: Path
+) -> None:
+    (problem,) = told(tmp_path / "trial")
+    assert problem.startswith("THE ROBOT MAY BE MOVING: an earlier execution was killed while Planner commanded")
+    assert "(ros2:domain=7)" in problem
+    CommandedTopics(start).end("")
+    assert told(tmp_path / "trial") == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell who holds a lock")
+def test_of_a_robot_that_is_about_to_be_halted_nothing_is_told(start: Start, tmp_path: Path) -> None:
+    with CommandedTopics(start).locked() as inherited:
+        halting = subprocess.Popen(["/bin/sleep", "60"], pass_fds=inherited)
+    with halting:
+        assert told(tmp_path / "trial") == []
+        halting.kill()
+    assert len(told(tmp_path / "trial")) == 1
+
+
+def test_software_that_has_commanded_no_robot_has_left_none_moving(tmp_path: Path) -> None:
+    (tmp_path / "trial" / "subjects" / "Planner" / "1").mkdir(parents=True)
+    (tmp_path / "trial" / "subjects" / "Detector").mkdir()
+    assert told(tmp_path / "trial") == []
+
+
+def test_a_copy_that_was_made_meanwhile_tells_of_nothing(start: Start, tmp_path: Path) -> None:
+    del start
+    shutil.copytree(tmp_path / "trial", tmp_path / "backup")
+    assert told(tmp_path / "backup") == []
+    assert len(told(tmp_path / "trial")) == 1
