@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["Browser", "browser", "started_browser"]
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-_DEADLINE = 60.0
+_DEADLINE = 120.0
 
 
 class Browser:

@@ -202,7 +202,7 @@ def test_search_finds_a_page_that_is_opened_as_a_file(words: str, leads_to: str,
         (function look() {{
             const links = [...document.querySelectorAll(".md-search-result__link")].map(a => a.getAttribute("href"));
             if (links.length) done(links);
-            else if (Date.now() - began > 20000) done([]);
+            else if (Date.now() - began > 100000) done([]);
             else setTimeout(look, 50);
         }})();
     }})""")

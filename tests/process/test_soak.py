@@ -128,6 +128,7 @@ def torture(start: Start, write_config: Callable[..., Any], *, kills: int, runs:
 
 
 @pytest.mark.long
+@pytest.mark.timeout(900)  # half a minute on a quiet machine
 def test_kills_at_random_moments_lose_nothing(
     start: Start, write_config: Callable[..., Any], request: pytest.FixtureRequest
 ) -> None:
