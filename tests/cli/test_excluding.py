@@ -47,6 +47,14 @@ def edit(path: Path, old: str, new: str) -> None:
     path.write_text(text.replace(old, new), encoding="utf-8")
 
 
+def killed(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+def include_second(folder: ExperimentFolder) -> tuple[str, ...]:
+    return include_runs(folder, ["r_2"])
+
+
 def reasons(executed: Any) -> list[str]:
     return [row["excluded"] for row in executed.table]
 
@@ -90,11 +98,15 @@ def test_an_experiment_that_goes_on_finds_nothing_odd(execute: Execute) -> None:
 
 
 @pytest.mark.long
-def test_what_the_journal_has_counts_where_the_table_was_not_written_any_more(execute: Execute) -> None:
+def test_what_the_journal_has_counts_where_the_table_was_not_written_any_more(
+    execute: Execute, monkeypatch: pytest.MonkeyPatch
+) -> None:
     executed = execute(COUNTING)
-    table = (executed.folder / "run_table.csv").read_text(encoding="utf-8")
-    exclude_runs(folder_of(executed), ["r_2"], WHY)
-    (executed.folder / "run_table.csv").write_text(table, encoding="utf-8")  # killed before it was written
+    with monkeypatch.context() as patched:
+        patched.setattr(excluding, "write_run_table", killed)
+        with pytest.raises(KeyboardInterrupt):
+            exclude_runs(folder_of(executed), ["r_2"], WHY)
+    assert "excluded" not in executed.table[0]
     resume(executed)
     assert reasons(executed) == ["", WHY, "", ""]
 
@@ -207,10 +219,6 @@ def test_a_kill_between_the_files_leaves_runs_that_can_be_excluded_and_included(
     execute: Execute, monkeypatch: pytest.MonkeyPatch, unwritten: str
 ) -> None:
     executed = execute(COUNTING)
-
-    def killed(*_: object) -> None:
-        raise KeyboardInterrupt
-
     with monkeypatch.context() as patched:
         patched.setattr(excluding, unwritten, killed)
         with pytest.raises(KeyboardInterrupt):
@@ -220,6 +228,24 @@ def test_a_kill_between_the_files_leaves_runs_that_can_be_excluded_and_included(
     assert exclude_runs(folder_of(executed), ["r_3"], WHY) == ("r_3",)
     assert include_runs(folder_of(executed), ["r_2"]) == ("r_2",)
     assert reasons(executed) == ["", "", WHY, ""]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("unwritten", ["write_run_table", "write_schema"])
+@pytest.mark.parametrize("correct", [lambda folder: exclude_runs(folder, ["r_3"], WHY), include_second])
+def test_a_second_correction_that_is_killed_is_no_edit_by_hand_and_can_be_made_again(
+    execute: Execute, monkeypatch: pytest.MonkeyPatch, correct: Callable[..., Any], unwritten: str
+) -> None:
+    executed = execute(COUNTING)
+    for is_made_again in (False, True):
+        exclude_runs(folder_of(executed), ["r_2"], WHY)
+        with monkeypatch.context() as patched:
+            patched.setattr(excluding, unwritten, killed)
+            with pytest.raises(KeyboardInterrupt):
+                correct(folder_of(executed))
+        correct(folder_of(executed)) if is_made_again else resume(executed)
+        assert reasons(executed) == (["", "", "", ""] if correct is include_second else ["", WHY, WHY, ""])
+    assert executed.journal("deviation") == []
 
 
 @pytest.mark.long

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from tests.conftest import HEAD, TABLE, written_config
 from tests.core.execution.conftest import execute_in
 
+from robot_runner.cli.excluding import exclude_runs
 from robot_runner.cli.extension import Extension, ExtensionRequest, extend_experiment
 from robot_runner.cli.planning import plan_of
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
@@ -25,6 +26,7 @@ from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.recovery import Resumption, TableChoice, TableDisagreementError
 from robot_runner.core.storage.executed_runs import executed_order
 from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -433,6 +435,17 @@ def test_a_design_and_a_table_that_were_both_changed_tell_nothing(execute: Execu
     (executed.folder / "run_table.csv").unlink()
     with pytest.raises(ExecutionError, match="nothing tells which runs were planned"):
         extend(executed)
+
+
+@pytest.mark.long
+def test_an_experiment_with_excluded_runs_takes_what_a_changed_config_adds(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    exclude_runs(ExperimentFolder.found_at(executed.folder), ["r_2"], "the door was open")
+    written_config(executed.config.parent, COUNTING, table=changed(**{"repetitions=2": "repetitions=3"}))
+    assert [run.run_id for run in extend(executed).runs] == ["r_5", "r_6"]
+    resume(executed)
+    assert [row["excluded"] for row in executed.table] == ["", "the door was open", "", "", "", ""]
+    assert executed.journal("deviation") == []
 
 
 @pytest.mark.long

@@ -164,10 +164,12 @@ def test_keys_links_and_what_is_half_written_stay_behind(copied, tmp_path):
     # The copy of a repository that was being made when the execution was killed.
     (copied / "revisions/.planner-1a2b3c4d.git.tmp").mkdir(parents=True)
     (copied / "revisions/.planner-1a2b3c4d.git.tmp/HEAD").touch()
+    (copied / ".config.tmp").mkdir()  # likewise that of a config
+    (copied / ".config.tmp/study.py").touch()
     packed = _pack(copied, tmp_path / "small.zip")
     assert {each.name for each in packed.left_out} == {"known_hosts", "robot.pem", "passwords", "elsewhere"}
     assert not {"known_hosts", "robot.pem", "passwords"} & _names(packed.path)
-    assert not any("revisions" in name for name in _names(packed.path))
+    assert not any("revisions" in name or ".tmp" in name for name in _names(packed.path))
     assert "`robot.pem`" in _text(packed.path, "README.md")
 
 

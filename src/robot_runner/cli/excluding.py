@@ -9,12 +9,13 @@ from dataclasses import dataclass, replace
 from robot_runner.core.design.columns import EXCLUDED
 from robot_runner.core.design.selection import RunChooser
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
+from robot_runner.core.execution.recovered_table import TableHistory
 from robot_runner.core.storage.executed_runs import ExcludedRuns
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import ExperimentLock
 from robot_runner.core.storage.manifest import read_manifest
-from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.run_table_reading import digest_of, read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
 from robot_runner.core.storage.table_columns import ColumnDescription, TableLayout
 from robot_runner.core.storage.table_schema import EXCLUSION, read_schema, write_schema
@@ -74,7 +75,7 @@ def include_runs(folder: ExperimentFolder, expressions: Sequence[str], reason: s
     """
     with _correcting(folder) as table:
         chosen = table.chosen(expressions, _reason_findings(reason) if reason else ())
-        out = [run_id for run_id in chosen if table.excluded.reason(run_id) is not None]
+        out = [run_id for run_id in chosen if table.excludes(run_id)]
         if not out:
             present = ", ".join(table.excluded.present) or "none is"
             fix = f"Name runs that are excluded: {present}."
@@ -93,6 +94,11 @@ class _Table:
     excluded: ExcludedRuns
     journal: Journal
 
+    def excludes(self, run_id: str) -> bool:
+        """Return whether a run is excluded: by the journal, or by the file, which a kill may have left behind."""
+        is_in_file = self.rows.excluded(self.rows.index_of(run_id)) is not None
+        return is_in_file or self.excluded.reason(run_id) is not None
+
     def chosen(self, expressions: Sequence[str], findings: Iterable[Finding]) -> list[str]:
         chooser = RunChooser(self.rows.planned, has_repetition=self.rows.layout.has_repetition)
         places = chooser.choose("RUNS", expressions).places
@@ -109,8 +115,9 @@ class _Table:
 def _correcting(folder: ExperimentFolder) -> Iterator[_Table]:
     """Lock an experiment's folder, and write its table and schema at the end.
 
-    The journal gets no `table_written` record: so the next session compares the file with the journal, and still finds
-    what was edited by hand before this correction.
+    Where the file is as we wrote it, so it is known afterwards, too: a correction that is killed before it is written
+    again is then no edit by hand. Otherwise the next session compares it with the journal, and still finds what was
+    edited by hand, or had ended after it was written, before this correction.
     """
     read_manifest(folder.manifest)  # raises where there is no experiment
     with ExperimentLock(folder.lock):
@@ -121,12 +128,16 @@ def _correcting(folder: ExperimentFolder) -> Iterator[_Table]:
                 raise StorageError(f"{path.name} is missing", where=str(folder.root), fix=fix)
         schema = read_schema(folder.schema)
         rows = _read_rows(folder, schema)
+        history = TableHistory.of(folder.journal)
+        is_as_written = not history.newer and digest_of(folder.run_table) == history.written
         with Journal(folder.journal) as journal:
-            yield _Table(rows, ExcludedRuns.read(folder.journal), journal)
-        # The journal has the correction: if writing the table fails, the next execution brings it up to date.
-        # The schema comes first: where only the table has the column, it would be taken for one of the user's own.
-        write_schema(folder.schema, _with_exclusion(schema))
-        write_run_table(folder.run_table, rows)
+            yield _Table(rows, history.excluded, journal)
+            # The journal has the correction: if writing the table fails, the next execution brings it up to date.
+            # The schema comes first: where only the table has the column, it would be taken for one of the user's own.
+            write_schema(folder.schema, _with_exclusion(schema))
+            digest = write_run_table(folder.run_table, rows)
+            if is_as_written:
+                journal.append("table_written", sha256=digest)
 
 
 def _read_rows(folder: ExperimentFolder, schema: Sequence[ColumnDescription]) -> RunTableRows:

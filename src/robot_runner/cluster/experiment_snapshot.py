@@ -49,8 +49,8 @@ def snapshot_of(experiment: Experiment) -> dict[str, Any]:
         "config": experiment.config_path.name,
         # Byte by byte, each as the character of its number: Python reads the encoding from the file itself.
         "files": {
-            place.relative_to(experiment.folder.config).as_posix(): path.read_bytes().decode("latin-1")
-            for path, place in config_files(experiment).items()
+            place.as_posix(): path.read_bytes().decode("latin-1")
+            for path, place in config_files(experiment, Path()).items()
         },
         # The robot that `auto` has found here is the one for the worker, too.
         "set": {**experiment.overrides, **({"robot": robot} if isinstance(robot, str) else {})},

@@ -196,8 +196,8 @@ _TRANSIENT = re.compile(
 #: Files that file managers leave in folders.
 DESKTOP_FILES = frozenset({".DS_Store", "Thumbs.db"})
 _BYTE_CODE = "__pycache__"
-#: Partial copies of repositories from a killed execution, and files of executions beside the experiment's runs.
-_HALF_MADE = re.compile(r"\..*\.git\.tmp|\.aside-[a-z0-9_]{8}")
+#: Partial copies of repositories and configs from a killed execution, and files of executions beside its runs.
+_HALF_MADE = re.compile(r"\.(?:.*\.git|config)\.tmp|\.aside-[a-z0-9_]{8}")
 _WORKING_FOLDERS = frozenset({".git", ".ipynb_checkpoints", ".venv"})
 
 

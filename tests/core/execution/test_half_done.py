@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import errno
+import os
 import shutil
 import signal
 import time
@@ -15,7 +17,7 @@ import pytest
 from tests.conftest import HEAD
 
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
-from robot_runner.core.errors import ExecutionError
+from robot_runner.core.errors import ExecutionError, StorageError
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.notices import AttemptFinished, ExperimentStarted, Notice, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
@@ -51,6 +53,26 @@ def test_a_resume_needs_room_only_for_the_runs_that_are_left(
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=4095))
     (finding,) = prepare(config).findings
     assert finding.problem.startswith("1 run will keep about 0.00 MB")
+
+
+@pytest.mark.long
+def test_a_run_whose_end_the_disk_took_and_did_not_flush_is_not_executed_again(
+    execute: Execute, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ends = iter(range(10))
+
+    def flushed(descriptor: int) -> None:
+        last = os.pread(descriptor, 1 << 20, 0).splitlines()[-1]
+        if b'"kind":"attempt_finished"' in last and next(ends) == 1:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    with monkeypatch.context() as patched:
+        patched.setattr("robot_runner.core.storage.journal.fsync_file", flushed)
+        with pytest.raises(StorageError, match="journal"):
+            execute(READING)
+    again = execute(READING)
+    assert [row["status"] for row in again.table] == ["Done"] * 4
+    assert [each["run"] for each in again.journal("attempt_started")] == ["r_1", "r_2", "r_3", "r_4"]
 
 
 @pytest.mark.long

@@ -14,6 +14,7 @@ from robot_runner.core.execution import circumstances
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.recovery import Resumption, TableChoice, config_changes
+from robot_runner.core.storage.guarded_files import replace
 
 Execute = Callable[..., Any]
 Write = Callable[..., Path]
@@ -107,6 +108,61 @@ def test_a_changed_config_can_be_accepted_and_both_are_kept(execute: Execute, wr
     resume(write_config(COUNTING.replace("context.attempt", "7")), accept_changes=True)
     assert "7" in (executed.folder / "config" / "config.py").read_text(encoding="utf-8")
     assert "7" not in (executed.folder / "earlier_configs" / "1" / "config.py").read_text(encoding="utf-8")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("room", [0, 1])
+def test_a_disk_without_room_for_a_copy_of_the_config_makes_no_earlier_config_of_a_half_one(
+    write_config: Write, monkeypatch: pytest.MonkeyPatch, room: int
+) -> None:
+    copies = iter(range(10))
+
+    def copy(path: Path, content: bytes, root: Path) -> None:
+        if next(copies) == room:
+            raise StorageError("the file cannot be written: No space left on device", where=str(path))
+        replace(path, content, root)
+
+    config = write_config(COUNTING)
+    config.with_name(f"helper_{room}.py").write_text("", encoding="utf-8")
+    config.write_text(f"import helper_{room}\n{config.read_text(encoding='utf-8')}", encoding="utf-8")
+    with monkeypatch.context() as patched:
+        patched.setattr(circumstances, "replace", copy)
+        with pytest.raises(StorageError):
+            resume(config)
+    resume(config)
+    folder = prepare_or_refuse(config).folder
+    assert sorted(path.name for path in folder.config.iterdir()) == ["config.py", f"helper_{room}.py"]
+    assert not folder.earlier_configs.exists()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("step", range(3))
+def test_a_changed_config_whose_copy_a_kill_interrupted_is_asked_about_again(
+    execute: Execute, write_config: Write, monkeypatch: pytest.MonkeyPatch, step: int
+) -> None:
+    executed = execute(COUNTING)
+    changed = write_config(COUNTING.replace("context.attempt", "7"))
+    steps = iter(range(10))
+
+    def killed_at(done: Callable[..., Any]) -> Callable[..., Any]:
+        def do(*arguments: Any) -> Any:
+            if next(steps) == step:
+                raise KeyboardInterrupt
+            return done(*arguments)
+
+        return do
+
+    with monkeypatch.context() as patched:
+        patched.setattr(circumstances, "replace", killed_at(replace))
+        patched.setattr(Path, "rename", killed_at(Path.rename))
+        with pytest.raises(KeyboardInterrupt):
+            resume(changed, accept_changes=True)
+    with pytest.raises(ExecutionError, match="the line was"):
+        resume(changed)
+    resume(changed, accept_changes=True)
+    assert "7" in (executed.folder / "config" / "config.py").read_text(encoding="utf-8")
+    (earlier,) = (executed.folder / "earlier_configs").iterdir()
+    assert "7" not in (earlier / "config.py").read_text(encoding="utf-8")
 
 
 @pytest.mark.long

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -248,15 +249,19 @@ def keep_config_files(experiment: Experiment) -> None:
     """
     kept = experiment.folder.config
     root = experiment.folder.root
-    contents = {target: source.read_bytes() for source, target in config_files(experiment).items()}
+    contents = {target: source.read_bytes() for source, target in config_files(experiment, kept).items()}
     with storage_errors(kept, "written"):
         contents = kept_contents(experiment.inputs, experiment.config_path.parent, kept) | contents
+        unfinished = experiment.folder.unfinished_config
+        shutil.rmtree(unfinished, ignore_errors=True)  # of an execution that was killed, or had no room
         if not kept.exists() or not all(_holds(target, content, root) for target, content in contents.items()):
-            if kept.exists():
-                kept.rename(next_in(experiment.folder.earlier_configs, root))
             for target, content in contents.items():
-                make_folder(target.parent, root)
-                replace(target, content, root)
+                copy = unfinished / target.relative_to(kept)
+                make_folder(copy.parent, root)
+                replace(copy, content, root)
+            if kept.exists():  # it may be missing where a kill came between these two lines
+                kept.rename(next_in(experiment.folder.earlier_configs, root))
+            unfinished.rename(kept)
         # The registration is that of the first run, and is never replaced.
         if experiment.registration is not None and not experiment.folder.manifest.exists():
             replace(experiment.folder.registration, read_bytes(experiment.registration.path))

@@ -176,10 +176,9 @@ class ProgressManager:
     @property
     def excluded(self) -> tuple[str, ...]:
         """The ids of the runs that are left out."""
-        if not self._rows.layout.has_exclusions:
-            return ()
         rows = self._rows
-        return tuple(rows.run_id(place) for place in range(len(rows)) if rows.excluded(place) is not None)
+        places = range(len(rows)) if rows.layout.has_exclusions else ()
+        return tuple(rows.run_id(place) for place in places if rows.excluded(place) is not None)
 
     @property
     def failed(self) -> tuple[str, ...]:
@@ -341,10 +340,11 @@ class ProgressManager:
     def _keep_outcome(self, task: RunTask, outcome: RunOutcome, facts: dict[str, Any], *, flush: bool = True) -> None:
         self._last_outcomes[task.place] = outcome
         told = {**facts, **outcome.fields(), **self._left()}
-        self._journal.append("attempt_finished", flush=flush, run=task.run_id, attempt=task.attempt, **told)
-        if self._table.take_outcome(task.run_id, outcome):
-            # Without the types of the schema, a text such as "1" would be read back as a number.
+        self._journal.append("attempt_finished", run=task.run_id, attempt=task.attempt, **told)
+        if self._table.take_outcome(task.run_id, outcome):  # without the types there, "1" would be read as a number
             self._table.write_schema(self._folder.schema)
+        if flush:  # where the disk refuses that, the journal has the record all the same, and the table is to have it
+            self._journal.flush()
         self._file.refresh()
 
     def note(self, kind: str, *, flush: bool = False, **fields: Any) -> None:

@@ -26,6 +26,7 @@ from robot_runner.core.secret_names import is_same_setting, shown_settings
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.guarded_files import read_bytes
 from robot_runner.core.storage.input_files import input_changes
+from robot_runner.core.storage.layout import last_config
 from robot_runner.core.storage.manifest import is_damaged, read_manifest
 from robot_runner.core.storage.run_table_rows import RunTableRows
 
@@ -154,10 +155,10 @@ _PLAN_FIX = (
 )
 
 
-def config_files(experiment: Experiment) -> dict[Path, Path]:
-    """Return the config file and the local modules that it imported, each with its place in the experiment's folder."""
+def config_files(experiment: Experiment, kept: Path) -> dict[Path, Path]:
+    """Return the config file and the local modules that it imported, each with the place of its copy in a folder."""
     places = {experiment.config_path: Path(experiment.config_path.name), **experiment.local_modules}
-    return {source: experiment.folder.config / place for source, place in places.items()}
+    return {source: kept / place for source, place in places.items()}
 
 
 def config_changes(experiment: Experiment, *, of_design: bool = True, of_settings: bool = True) -> list[Finding]:
@@ -173,17 +174,18 @@ def config_changes(experiment: Experiment, *, of_design: bool = True, of_setting
         return []
     manifest = read_manifest(folder.manifest)
     ignored = frozenset() if of_design else _DESIGN
-    files = config_files(experiment)
-    if (earlier := _earlier_name(experiment, manifest)) is not None:
-        files[experiment.config_path] = folder.config / earlier
+    kept = last_config(folder)
+    files = config_files(experiment, kept)
+    if (earlier := _earlier_name(experiment, manifest, kept)) is not None:
+        files[experiment.config_path] = kept / earlier
     findings = [
         finding
-        for source, kept in files.items()
-        if kept.exists()
-        for finding in _changed_lines(source, _text(read_bytes(kept, folder.root)), _text(source.read_bytes()), ignored)
+        for source, copy in files.items()
+        if copy.exists()
+        for finding in _changed_lines(source, _text(read_bytes(copy, folder.root)), _text(source.read_bytes()), ignored)
     ]
     if of_settings:
-        findings += input_changes(experiment.inputs, folder.config)
+        findings += input_changes(experiment.inputs, kept)
         last = (manifest.get("executions") or [manifest])[-1]
         settings = {str(name): str(text) for name, text in last.get("deviations", {}).items()}
         findings += _changed_settings(settings, experiment.overrides)
@@ -192,10 +194,9 @@ def config_changes(experiment: Experiment, *, of_design: bool = True, of_setting
     return findings
 
 
-def _earlier_name(experiment: Experiment, manifest: Mapping[str, Any]) -> str | None:
+def _earlier_name(experiment: Experiment, manifest: Mapping[str, Any], kept: Path) -> str | None:
     """Return the earlier name of the config file, where it has another name now."""
     name = str((manifest.get("config") or {}).get("file"))
-    kept = experiment.folder.config
     has_other = name not in {experiment.config_path.name, "", ".", ".."} and Path(name).name == name
     return name if has_other and not (kept / experiment.config_path.name).exists() else None
 

@@ -109,8 +109,18 @@ class Journal:
             raise StorageError(problem, where=str(self._path), fix="Plan fewer runs at a time.")
         with storage_errors(self._path, "written"):
             self._write(line)
-            if flush:
-                self._flush()
+        if flush:
+            self.flush()
+
+    def flush(self) -> None:
+        """Flush all records to the disk.
+
+        Raises:
+            StorageError: they cannot be flushed; readers find them all the same, unless the power fails.
+        """
+        with storage_errors(self._path, "written"):
+            fsync_file(self._descriptor)
+            self._put_back_if_removed()
 
     @property
     def is_ours_alone(self) -> bool:
@@ -144,8 +154,7 @@ class Journal:
         if self._descriptor < 0:
             return
         try:
-            with storage_errors(self._path, "written"):
-                self._flush()
+            self.flush()
         finally:
             os.close(self._descriptor)
             self._descriptor = -1
@@ -161,10 +170,6 @@ class Journal:
             if not is_at(self._descriptor, self._path):
                 fix = "Move it back, and start the experiment again: it resumes."
                 raise StorageError("the journal was moved while it was written", where=str(self._path), fix=fix)
-
-    def _flush(self) -> None:
-        fsync_file(self._descriptor)
-        self._put_back_if_removed()
 
     def _put_back_if_removed(self) -> None:
         if os.fstat(self._descriptor).st_nlink == 0:

@@ -84,6 +84,8 @@ class ExperimentFolder:
     earlier_tables = _Member("earlier_tables")
     #: Configs that were executed before the config changed, numbered.
     earlier_configs = _Member("earlier_configs")
+    #: The copy of a config, until it is whole.
+    unfinished_config = _Member(".config.tmp")
     #: Held by the process that executes the experiment.
     lock = _Member(".lock")
     #: A request of a second terminal to the orchestrator.
@@ -311,6 +313,14 @@ def next_in(folder: Path, root: Path) -> Path:
     """
     make_folder(folder, root)
     return folder / str(1 + sum(1 for _ in folder.iterdir()))
+
+
+def last_config(folder: ExperimentFolder) -> Path:
+    """Return the folder with the config as executed last: an earlier one where a kill kept the next from its place."""
+    if folder.config.exists() or not folder.earlier_configs.exists():
+        return folder.config
+    numbered = (path for path in folder.earlier_configs.iterdir() if path.name.isdecimal())
+    return max(numbered, key=lambda path: int(path.name), default=folder.config)
 
 
 def runs_put_away(folder: ExperimentFolder) -> list[str]:
