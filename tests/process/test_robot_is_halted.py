@@ -191,13 +191,14 @@ def on_host(server: SshServer) -> str:
 
 @over("dds")
 @pytest.mark.long
+@pytest.mark.parametrize("per", ["run", "experiment"])
 def test_a_robot_that_a_program_out_of_reach_may_drive_on_is_told_of_and_no_further_run_begins(
-    graph: str, start: Callable[..., Experiment], tmp_path: Path, server: SshServer
+    graph: str, start: Callable[..., Experiment], tmp_path: Path, server: SshServer, per: str
 ) -> None:
     (tmp_path / "planner.py").write_text(PLANNER)
     config = tmp_path / "config.py"
-    text = CONFIG.format(robot=graph).replace('per="experiment"', on_host(server)).replace("sleep(0.1)", "sleep(3600)")
-    config.write_text(text.replace("600_000", "0"))
+    text = CONFIG.format(robot=graph).replace('per="experiment"', f"per={per!r}, {on_host(server)}")
+    config.write_text(text.replace("sleep(0.1)", "sleep(3600)").replace("600_000", "0"))
     with open_robot(graph) as (link, _):
         robot = Robot(link)
         experiment = start(config=config)
@@ -207,7 +208,11 @@ def test_a_robot_that_a_program_out_of_reach_may_drive_on_is_told_of_and_no_furt
         server.cut()
         assert experiment.end() == 1
     assert "and commands the robot until then: THE ROBOT MAY BE MOVING" in experiment.output
-    assert [row["status"] for row in experiment.table] == ["Failed", "-"], experiment.output
+    assert [row["status"] for row in experiment.table] == ["Failed", "-" if per == "run" else "Failed"]
+    if per == "experiment":  # it would be started again before the next run, which is not begun
+        assert "(r_2) failed after" in experiment.output
+        assert "before_run of Planner" in experiment.output
+        assert "it was started again" not in experiment.output
 
 
 @over("dds")

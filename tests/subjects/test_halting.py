@@ -172,6 +172,24 @@ def test_robots_of_one_graph_are_halted_together(monkeypatch: pytest.MonkeyPatch
     assert told == [[("/alice/cmd_vel", TWIST), ("/bob/cmd_vel", TWIST)]]
 
 
+@pytest.mark.parametrize("has_commanded", [True, False])
+def test_a_robot_may_be_moving_where_what_commands_it_was_out_of_reach_as_it_was_to_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_commanded: bool
+) -> None:
+    start = begun(tmp_path)
+    start.events.write_text('{"lost": "Connection reset by peer", "at": 1.0}\n')
+    if has_commanded:
+        CommandedTopics(start).add("dds:domain=7", "/cmd_vel", TWIST)
+    monkeypatch.setattr(Halting, "_begin", lambda each: each._commanded.end(""))  # zero was commanded
+    monkeypatch.setattr(Halting, "_ends", lambda _: True)
+    halts = Halting(start, "Planner")
+    if has_commanded:
+        with pytest.raises(PluginError, match=r"Planner was out of reach .* until then: THE ROBOT MAY BE MOVING"):
+            halts.finish()
+    else:
+        halts.finish()
+
+
 def begun(root: Path) -> Start:
     """Return a start of an experiment in this folder."""
     start = Start(root / "subjects" / "Planner" / "1")

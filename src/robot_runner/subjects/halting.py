@@ -164,7 +164,7 @@ class Halting:
         Nobody commands the robot any more afterwards.
 
         Raises:
-            PluginError: zero could not be commanded.
+            PluginError: zero could not be commanded, or the program was out of reach and may command the robot again.
         """
         reason = ""
         for attempt in range(2):
@@ -180,12 +180,12 @@ class Halting:
             if (problem := self._commanded.problem()) is not None:
                 reason = problem
                 break
-        if reason:
-            raise PluginError(
-                f"{MAY_BE_MOVING}: {self._name} has ended, and zero could not be commanded: {reason}",
-                where=self._name,
-                fix=STOP_BY_HAND,
-            )
+        told = f"{MAY_BE_MOVING}: {self._name} has ended, and zero could not be commanded: {reason}"
+        problems = [told] if reason else []
+        remarks = self._start.remarks(may_drive=bool(self._commanded.by_robot()))
+        problems += [f"{self._name} {each}" for each in remarks if MAY_BE_MOVING in each]  # it is on another computer
+        if problems:
+            raise PluginError(problems[0], where=self._name, fix=STOP_BY_HAND)
 
     def _ends(self) -> bool:
         """Wait until neither process is left; where that takes too long, kill them and return False."""
