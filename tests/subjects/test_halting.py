@@ -10,6 +10,8 @@ import signal
 import socket
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -78,15 +80,10 @@ def test_a_second_process_sees_to_it_that_a_robot_is_halted_where_the_first_one_
     tmp_path: Path, number: signal.Signals
 ) -> None:
     start = begun(tmp_path)
-    with start.events.open("w") as supervisor:
-        fcntl.flock(supervisor, fcntl.LOCK_EX)
-        halts = Halting(start, "Planner")
+    with guarded(start) as halts:
         first = halts._process.pid
-        wait_until(Path(f"/proc/{first}/task/{first}/children").read_text, "there is a second one")
         os.kill(first, number)
         os.waitid(os.P_PID, first, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
-        # Nobody reaches this robot: that is what has to be told, by whoever tries.
-        CommandedTopics(start).add("rosbridge://127.0.0.1:1", "/cmd_vel", TWIST)
     wait_until(CommandedTopics(start).problem, "somebody tried to halt the robot")
     with pytest.raises(PluginError, match="zero could not be commanded"):
         halts.finish()
@@ -100,13 +97,9 @@ def test_a_stop_signal_to_all_processes_ends_the_program_and_not_those_that_halt
     tmp_path: Path, number: signal.Signals
 ) -> None:
     start = begun(tmp_path)
-    with start.events.open("w") as supervisor:
-        fcntl.flock(supervisor, fcntl.LOCK_EX)
-        halts = Halting(start, "Planner")
+    with guarded(start) as halts:
         first = halts._process.pid
-        wait_until(Path(f"/proc/{first}/task/{first}/children").read_text, "there is a second one")
         os.killpg(first, number)
-        CommandedTopics(start).add("rosbridge://127.0.0.1:1", "/cmd_vel", TWIST)
     wait_until(CommandedTopics(start).problem, "somebody tried to halt the robot")
     with pytest.raises(PluginError, match="zero could not be commanded"):
         halts.finish()
@@ -188,6 +181,19 @@ def test_a_robot_may_be_moving_where_what_commands_it_was_out_of_reach_as_it_was
             halts.finish()
     else:
         halts.finish()
+
+
+@contextmanager
+def guarded(start: Start) -> Iterator[Halting]:
+    """Have two processes wait for the end of a program, which ends on leaving, and which has commanded a robot."""
+    with start.events.open("w") as supervisor:
+        fcntl.flock(supervisor, fcntl.LOCK_EX)
+        halts = Halting(start, "Planner")
+        first = halts._process.pid
+        wait_until(Path(f"/proc/{first}/task/{first}/children").read_text, "there is a second one")
+        yield halts
+        # Nobody reaches this robot: that is what has to be told, by whoever tries.
+        CommandedTopics(start).add("rosbridge://127.0.0.1:1", "/cmd_vel", TWIST)
 
 
 def begun(root: Path) -> Start:

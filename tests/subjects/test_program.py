@@ -257,7 +257,7 @@ def test_a_subject_of_the_experiment_that_died_is_started_again_for_the_next_run
     done = execute(body, table=TWO_RUNS)
     assert [row["status"] for row in done.table] == ["Failed", "Done"]
     assert "World has died: exit code 9" in done.finished.failures[0]
-    assert any("it was started again before this run" in finding.problem for finding in done.finished.findings)
+    assert any("it is started again before this run" in finding.problem for finding in done.finished.findings)
     assert sorted(path.name for path in (done.folder / "subjects/World").iterdir()) == ["1", "2"]
 
 

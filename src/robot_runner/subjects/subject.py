@@ -194,13 +194,12 @@ class Subject(System):
         """
         if self.per != "experiment" or self._program is None or (ended := self._program.ended()) is None:
             return
-        death = self._program.death(self.name, ended)
+        context.warn(f"{self._program.death(self.name, ended)}; it is started again before this run")
         self._program.stop()
         halting, self._halting = self._halting, None
         if halting is not None:
             halting.finish()
         self._begin_for_all_runs(context)
-        context.warn(f"{death}; it was started again before this run")
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Start it, wait until it is ready, and watch over it from then on, unless it is started with the mission.
