@@ -230,6 +230,25 @@ def test_a_kill_between_the_files_leaves_runs_that_can_be_excluded_and_included(
     assert reasons(executed) == ["", "", WHY, ""]
 
 
+@pytest.mark.parametrize("unwritten", ["write_run_table", "write_schema"])
+def test_where_a_disk_is_full_it_is_said_that_the_correction_counts_nevertheless(
+    execute: Execute, monkeypatch: pytest.MonkeyPatch, unwritten: str
+) -> None:
+    def full(path: Path, *_: object) -> None:
+        raise StorageError("cannot be written: the disk is full", where=str(path), fix="Make room.")
+
+    executed = execute(COUNTING)
+    with monkeypatch.context() as patched:
+        patched.setattr(excluding, unwritten, full)
+        with pytest.raises(
+            StorageError, match="the correction is in the journal, and counts.*the disk is full"
+        ) as told:
+            exclude_runs(folder_of(executed), ["r_2"], WHY)
+    assert told.value.fix == "Make room. The next execution of the experiment brings them up to date."
+    resume(executed)
+    assert reasons(executed) == ["", WHY, "", ""]
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("unwritten", ["write_run_table", "write_schema"])
 @pytest.mark.parametrize("correct", [lambda folder: exclude_runs(folder, ["r_3"], WHY), include_second])

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from tests.conftest import HEAD, TABLE, written_config
 from tests.core.execution.conftest import execute_in
 
+from robot_runner.cli import extension as extending
 from robot_runner.cli.excluding import exclude_runs
 from robot_runner.cli.extension import Extension, ExtensionRequest, extend_experiment
 from robot_runner.cli.planning import plan_of
@@ -390,6 +391,23 @@ def test_an_experiment_that_is_being_executed_is_left_alone(execute: Execute) ->
             extend(executed, 3)
         holder.communicate()
     assert text_of(executed, "journal.jsonl") == journal
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("unwritten", ["write_run_table", "write_manifest"])
+def test_where_a_disk_is_full_it_is_said_that_the_runs_are_added_nevertheless(
+    execute: Execute, monkeypatch: pytest.MonkeyPatch, unwritten: str
+) -> None:
+    def full(path: Path, *_: object) -> None:
+        raise StorageError("cannot be written: the disk is full", where=str(path), fix="Make room.")
+
+    executed = execute(COUNTING)
+    with monkeypatch.context() as patched:
+        patched.setattr(extending, unwritten, full)
+        with pytest.raises(StorageError, match="the extension is in the journal, and counts.*the disk is full"):
+            extend(executed, 3)
+    resume(executed)
+    assert [row["status"] for row in executed.table] == ["Done"] * 6
 
 
 @pytest.mark.long

@@ -45,6 +45,21 @@ def refuse_without_journal(folder: ExperimentFolder) -> None:
         raise StorageError("journal.jsonl is missing", where=str(folder.root), fix=fix)
 
 
+@contextmanager
+def told_as_recorded(change: str) -> Iterator[None]:
+    """Say of a file that cannot be written that the journal has the change already: it counts, and is not lost.
+
+    Raises:
+        StorageError: the one of the file, with that.
+    """
+    try:
+        yield
+    except StorageError as error:
+        problem = f"{change} is in the journal, and counts, but not in all files: {error.where}: {error.problem}"
+        fix = f"{error.fix} The next execution of the experiment brings them up to date."
+        raise StorageError(problem, where=error.where, fix=fix) from error
+
+
 def exclude_runs(folder: ExperimentFolder, expressions: Sequence[str], reason: str) -> tuple[str, ...]:
     """Exclude runs from the analysis; those that are still to do are not executed either.
 
@@ -132,12 +147,12 @@ def _correcting(folder: ExperimentFolder) -> Iterator[_Table]:
         is_as_written = not history.newer and digest_of(folder.run_table) == history.written
         with Journal(folder.journal) as journal:
             yield _Table(rows, history.excluded, journal)
-            # The journal has the correction: if writing the table fails, the next execution brings it up to date.
-            # The schema comes first: where only the table has the column, it would be taken for one of the user's own.
-            write_schema(folder.schema, _with_exclusion(schema))
-            digest = write_run_table(folder.run_table, rows)
-            if is_as_written:
-                journal.append("table_written", sha256=digest)
+            with told_as_recorded("the correction"):
+                # First the schema: where only the table has the column, it would be taken for one of the user's own.
+                write_schema(folder.schema, _with_exclusion(schema))
+                digest = write_run_table(folder.run_table, rows)
+                if is_as_written:
+                    journal.append("table_written", sha256=digest)
 
 
 def _read_rows(folder: ExperimentFolder, schema: Sequence[ColumnDescription]) -> RunTableRows:

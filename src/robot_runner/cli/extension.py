@@ -11,7 +11,7 @@ from secrets import randbits
 from types import MappingProxyType
 from typing import Any
 
-from robot_runner.cli.excluding import refuse_without_journal
+from robot_runner.cli.excluding import refuse_without_journal, told_as_recorded
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.plugin_checks import check_treatments
 from robot_runner.core.design.asking import AdaptiveDesign, decides_order
@@ -242,7 +242,11 @@ class _Extending:
         keep_config_files(self._experiment)
         with Journal(self._folder.journal) as journal:
             journal.append(EXTENDED, flush=True, **fields)
-            journal.append("table_written", sha256=write_run_table(self._folder.run_table, recovered.rows))
+            with told_as_recorded("the extension"):
+                self._write_files(journal, recovered, model)
+
+    def _write_files(self, journal: Journal, recovered: RecoveredTable, model: GrownRunTableModel) -> None:
+        journal.append("table_written", sha256=write_run_table(self._folder.run_table, recovered.rows))
         recovered.write_schema(self._folder.schema)
         self._manifest["design"] |= described_design(model)
         if self._request.accept_changes:
