@@ -241,7 +241,7 @@ def test_where_a_disk_is_full_it_is_said_that_the_correction_counts_nevertheless
     with monkeypatch.context() as patched:
         patched.setattr(excluding, unwritten, full)
         with pytest.raises(
-            StorageError, match="the correction is in the journal, and counts.*the disk is full"
+            StorageError, match=r"the correction is in the journal, and counts.*the disk is full"
         ) as told:
             exclude_runs(folder_of(executed), ["r_2"], WHY)
     assert told.value.fix == "Make room. The next execution of the experiment brings them up to date."

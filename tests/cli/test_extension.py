@@ -404,7 +404,7 @@ def test_where_a_disk_is_full_it_is_said_that_the_runs_are_added_nevertheless(
     executed = execute(COUNTING)
     with monkeypatch.context() as patched:
         patched.setattr(extending, unwritten, full)
-        with pytest.raises(StorageError, match="the extension is in the journal, and counts.*the disk is full"):
+        with pytest.raises(StorageError, match=r"the extension is in the journal, and counts.*the disk is full"):
             extend(executed, 3)
     resume(executed)
     assert [row["status"] for row in executed.table] == ["Done"] * 6
