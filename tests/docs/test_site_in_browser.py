@@ -19,7 +19,7 @@ KINDS = (
     "index.html",
     "extend.html",
     "cli.html",
-    "reference-plugins.html",
+    "reference-analysis.html",
     "what-a-value-means.html",
     "decisions/0012-one-keeper-per-run.html",
 )

@@ -22,6 +22,8 @@ FACTORS = {
     "SplitPlot('Floor', 'Plot')": {"Plot": "123456", "Floor": "wc", "Task": "abc"},
     "LatinSquare('Day', 'Robot')": {"Day": "1234", "Robot": "ABCD", "Task": "abcd"},
 }
+#: One of them every time, all of them in `make soak`.
+EACH = [pytest.param(each, marks=[pytest.mark.soak] * (not each.startswith("LatinSquare"))) for each in FACTORS]
 BODY = """
 analysis = AnalysisPlan("Energy")
 claims = []
@@ -58,7 +60,7 @@ def planned(folder: Path) -> list[tuple[str, ...]]:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("design", FACTORS)
+@pytest.mark.parametrize("design", EACH)
 def test_a_design_of_order_is_the_same_after_kills_and_in_its_replication(
     start: Callable[..., Any],
     robot_runner: Callable[..., Answer],

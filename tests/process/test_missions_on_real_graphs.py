@@ -45,7 +45,7 @@ STOPPED_WITHIN = 3.0
 
 
 @pytest.mark.long
-@over("ros1", "dds")
+@over("ros1", soak=["dds"])
 def test_when_the_run_is_killed_its_goal_is_cancelled_and_the_safe_message_is_published(
     graph: str, start: Start, write_config: Callable[..., Path]
 ) -> None:

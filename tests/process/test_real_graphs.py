@@ -18,7 +18,7 @@ from tests.conftest import HEAD, TABLE
 from tests.process.conftest import kill_together, wait_until
 from tests.process.graph_simulation import rival, simulated_robot, witness
 from tests.processor_wait import OWN_WAITS, ProcessorWait, family
-from tests.ros.real_graph import over
+from tests.ros.real_graph import over, over_pairs
 from tests.ros.ros1_master import RUDE
 
 from robot_runner.core.storage.journal import read_journal
@@ -273,8 +273,7 @@ def seconds_to_standstill(graph: str, experiment: Any, looking: Any, doomed: str
 
 
 @pytest.mark.long
-@over("ros1", "dds", "ros2")
-@pytest.mark.parametrize("doomed", ["the run", "all three"])
+@over_pairs("doomed", ["the run", "all three"], "ros1", "dds", "ros2", everywhere=["all three"])
 def test_a_robot_without_a_watchdog_stands_still_within_a_second_whoever_is_killed(
     graph: str, start: Start, tmp_path: Path, doomed: str
 ) -> None:
@@ -345,7 +344,7 @@ SECOND_ROBOT = {"pose": {"pose": {"position": {"x": 0.01}, "orientation": {"w": 
 
 
 @pytest.mark.long
-@over("ros1", "dds", soak=["ros2"])
+@over("ros1", soak=["dds", "ros2"])
 def test_whoever_else_commands_the_robot_or_tells_its_odometry_fails_the_run_at_once(
     graph: str, start: Start, tmp_path: Path
 ) -> None:

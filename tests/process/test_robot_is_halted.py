@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.core.links.ssh_server import SshServer
 from tests.process.conftest import kill_together, wait_until
-from tests.ros.real_graph import over
+from tests.ros.real_graph import over, over_pairs
 from tests.ros.ros1_master import RUDE
 from tests.subjects.conftest import gone
 
@@ -104,20 +104,22 @@ def parent_of(pid: int) -> int:
     return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
 
 
-@over("dds", "ros1", "ros2")
-@pytest.mark.parametrize(
+@pytest.mark.long
+@over_pairs(
     "killed",
     [
         "the orchestrator",
-        pytest.param("the supervisor", marks=pytest.mark.long),
-        pytest.param("the orchestrator and the supervisor", marks=pytest.mark.long),
-        pytest.param("the program", marks=pytest.mark.long),
-        pytest.param("the processes that halt", marks=pytest.mark.long),
-        pytest.param("the orchestrator and the first process that halts", marks=pytest.mark.long),
-        pytest.param("the orchestrator and the processes that halt", marks=pytest.mark.long),
-        pytest.param("the orchestrator, as the first process that halts is stopped", marks=pytest.mark.long),
-        pytest.param("the orchestrator, as the supervisor is stopped", marks=pytest.mark.long),
+        "the supervisor",
+        "the orchestrator and the supervisor",
+        "the program",
+        "the processes that halt",
+        "the orchestrator and the first process that halts",
+        "the orchestrator and the processes that halt",
+        "the orchestrator, as the first process that halts is stopped",
+        "the orchestrator, as the supervisor is stopped",
     ],
+    *("dds", "ros1", "ros2"),
+    everywhere=["the orchestrator", "the orchestrator and the processes that halt"],
 )
 def test_a_robot_that_a_program_of_all_runs_drives_stands_still_between_two_runs_whoever_is_killed(
     graph: str, start: Callable[..., Experiment], tmp_path: Path, killed: str
@@ -222,8 +224,15 @@ def test_a_robot_that_a_program_out_of_reach_may_drive_on_is_told_of_and_no_furt
 
 @over("dds")
 @pytest.mark.long
-@pytest.mark.parametrize("is_far", [False, True], ids=["here", "on another computer"])
-@pytest.mark.parametrize("with_all", [False, True], ids=["the run", "the run, its keeper and the orchestrator"])
+@pytest.mark.parametrize(
+    ("with_all", "is_far"),
+    [
+        pytest.param(True, False, id="the run, its keeper and the orchestrator-here"),
+        pytest.param(False, True, id="the run-on another computer"),
+        pytest.param(False, False, id="the run-here", marks=pytest.mark.soak),
+        pytest.param(True, True, id="the run, its keeper and the orchestrator-far", marks=pytest.mark.soak),
+    ],
+)
 def test_a_program_that_takes_longer_to_end_than_its_killed_run_is_made_safe_drives_the_robot_no_further(
     graph: str,
     start: Callable[..., Experiment],
@@ -263,8 +272,15 @@ AT_FIRST = """
 
 @over("dds")
 @pytest.mark.long
-@pytest.mark.parametrize("per", ["run", "experiment"])
-@pytest.mark.parametrize("name", ["another", "trial"], ids=["another experiment", "the same without the program"])
+@pytest.mark.parametrize(
+    ("per", "name"),
+    [
+        pytest.param("run", "another", id="another experiment"),
+        pytest.param("experiment", "trial", id="the same without the program"),
+        pytest.param("run", "trial", id="run-trial", marks=pytest.mark.soak),
+        pytest.param("experiment", "another", id="experiment-another", marks=pytest.mark.soak),
+    ],
+)
 def test_a_program_that_nobody_was_left_to_end_is_ended_and_its_robot_stopped_by_whoever_uses_that_next(
     graph: str, start: Callable[..., Experiment], tmp_path: Path, per: str, name: str
 ) -> None:
@@ -394,9 +410,8 @@ def test_robots_that_nobody_was_left_to_stop_are_stopped_by_the_next_execution_b
         again.nobody_is_left()
 
 
-@over("dds", "ros1", "rosbridge")
 @pytest.mark.long
-@pytest.mark.parametrize("stopped", ["", "standby", "keeper"])
+@over_pairs("stopped", ["", "standby", "keeper"], "rosbridge", "dds", "ros1", everywhere=[""])
 def test_robots_that_a_killed_experiment_left_moving_are_stopped_before_another_one_that_uses_them_begins(
     graph: str, start: Callable[..., Experiment], tmp_path: Path, stopped: str
 ) -> None:
@@ -418,7 +433,7 @@ def renamed(folder: Path) -> Path:
     return folder.rename(folder.with_name("old"))
 
 
-@over("dds", "ros1", "rosbridge")
+@over("rosbridge", soak=["dds", "ros1"])
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("becomes_of_it", "name"),

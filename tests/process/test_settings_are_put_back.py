@@ -49,7 +49,7 @@ def _state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
 
 
-@pytest.fixture(params=["dds", pytest.param("ros1", marks=needs_ros1)])
+@pytest.fixture(params=["dds", pytest.param("ros1", marks=[needs_ros1, pytest.mark.soak])])
 def planner(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, Callable[[], Any]]]:
     """The robot's name, and what tells the speed of its planner, which is 0.2 at first."""
     if request.param == "ros1":

@@ -25,6 +25,23 @@ def over(*links: str, soak: Sequence[str] = ()) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("graph", params, indirect=True)
 
 
+def over_pairs(
+    name: str, values: Sequence[str], first: str, *others: str, everywhere: Sequence[str] = ()
+) -> pytest.MarkDecorator:
+    """Execute a test that takes `graph` and `name` with each value over the first link.
+
+    Those of `everywhere` are executed over the other links as well, and other pairs in `make soak` only: a link does
+    not change what becomes of each of ten deaths, and every pair would take CI a quarter of an hour.
+    """
+    pairs = [(link, value) for link in (first, *others) for value in values]
+    soaks = [link != first and value not in everywhere for link, value in pairs]
+    params = [
+        pytest.param(*pair, marks=[*_MARKS[pair[0]], *[pytest.mark.soak] * is_soak])
+        for pair, is_soak in zip(pairs, soaks, strict=True)
+    ]
+    return pytest.mark.parametrize(("graph", name), params, indirect=["graph"])
+
+
 @pytest.fixture
 def graph(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """How a robot on a graph of this test run is reached; `over` says on which. A rosbridge is the test's own."""
