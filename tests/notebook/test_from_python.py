@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import linecache
 import os
@@ -35,7 +36,7 @@ from robot_runner.core.execution.notices import AttemptFinished
 from robot_runner.notebook import apart, from_python
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Coroutine, Iterator
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 
@@ -309,32 +310,88 @@ CELLS = [
 ]
 
 
+class Kernel:
+    """A real kernel of Jupyter, which executes cells."""
+
+    def __init__(self, manager: Any, client: Any) -> None:
+        self._manager = manager
+        self._client = client
+
+    async def execute(self, cell: str) -> str:
+        """Return what a cell printed and showed."""
+        taken: list[str] = []
+
+        def take(message: Any) -> None:
+            content = message["content"]
+            shown = content.get("data", {}).get("text/plain", "")
+            taken.append(content.get("text", "") or shown or "\n".join(content.get("traceback", [])))
+
+        reply = await self._client.execute_interactive(cell, timeout=120, output_hook=take)
+        assert reply["content"]["status"] == "ok", "".join(taken)
+        return "".join(taken)
+
+    async def interrupt(self) -> None:
+        """Do what the button of a notebook does."""
+        await self._manager.interrupt_kernel()
+
+
+def in_a_kernel(folder: Path, told: Callable[[Kernel], Coroutine[Any, Any, None]]) -> None:
+    from jupyter_client.manager import start_new_async_kernel  # takes half a second to import
+
+    async def executed() -> None:
+        manager, client = await start_new_async_kernel(kernel_name="python3", cwd=str(folder))
+        try:
+            await told(Kernel(manager, client))
+        finally:
+            client.stop_channels()
+            await manager.shutdown_kernel(now=True)
+            manager.context.destroy()
+
+    asyncio.run(executed())
+
+
+@pytest.mark.long
 def test_it_works_in_a_notebook(tmp_path: Path) -> None:
-    """A real kernel, with its threads; skipped where ipykernel is not installed."""
-    manager = pytest.importorskip("jupyter_client.manager")
-    pytest.importorskip("ipykernel")
-    kernel, client = manager.start_new_kernel(kernel_name="python3", cwd=str(tmp_path))
-    try:
-        said = ""
-        for cell in CELLS:
-            taken: list[str] = []
+    async def told(kernel: Kernel) -> None:
+        said = "".join([await kernel.execute(cell) for cell in CELLS])
+        assert "preparing r_1" in said
+        assert "r_2 is done after" in said
+        assert "True [1.0, 2.0] it stands in no file" in said
+        assert (await kernel.execute("results")).endswith("experiments/notebook: runs 2 done; 1 finding>")
 
-            def take(message: Any, taken: list[str] = taken) -> None:
-                content = message["content"]
-                taken.append(content.get("text", "") or "\n".join(content.get("traceback", [])))
-
-            reply = client.execute_interactive(cell, timeout=120, output_hook=take)
-            assert reply["content"]["status"] == "ok", "".join(taken)
-            said += "".join(taken)
-    finally:
-        client.stop_channels()
-        kernel.shutdown_kernel(now=True)
-    assert "preparing r_1" in said
-    assert "r_2 is done after" in said
-    assert "True [1.0, 2.0] it stands in no file" in said
+    in_a_kernel(tmp_path, told)
     folder = tmp_path / "experiments" / "notebook"
     assert "class Notebook(ExperimentConfig):" in (folder / "config" / "config_from_python.py").read_text()
     assert json.loads((folder / "manifest.json").read_text())["config"]["kept"] == "cell"
+
+
+SLOW = """    def launch_mission(self, context):
+        from pathlib import Path
+        Path("begun").touch()
+        context.clock.sleep(0 if Path("again").exists() else 600)
+    def stop_run(self, context):
+        print("closed")
+    def before_run"""
+
+
+@pytest.mark.long
+def test_the_button_that_interrupts_a_notebook_closes_the_run_and_the_next_call_resumes(tmp_path: Path) -> None:
+    async def told(kernel: Kernel) -> None:
+        await kernel.execute(CELLS[0])
+        await kernel.execute(CELLS[1].replace("    def before_run", SLOW))
+        cell = "results = run_experiment(Notebook, say=print)\nprint(results.is_interrupted, results)"
+        executing = asyncio.create_task(kernel.execute(cell))
+        await asyncio.to_thread(wait_until, (tmp_path / "begun").exists, "the run has begun")
+        await kernel.interrupt()
+        said = await executing
+        assert "the user interrupted the experiment" in said
+        assert "True <ExperimentResults of " in said
+        assert "runs 2 to do" in said
+        assert "closed" in (tmp_path / "experiments/notebook/runs/r_1/log.txt").read_text()
+        (tmp_path / "again").touch()
+        assert "runs 2 done" in await kernel.execute("run_experiment(Notebook)")
+
+    in_a_kernel(tmp_path, told)
 
 
 def test_where_what_takes_the_lines_fails_the_experiment_goes_on(wherever: Any, tmp_path: Path) -> None:

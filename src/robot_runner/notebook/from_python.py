@@ -20,7 +20,7 @@ from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.run_table_reading import read_described_table
-from robot_runner.core.words import shown_duration
+from robot_runner.core.words import counted, shown_duration
 from robot_runner.notebook.apart import execute_forked, execute_in_interpreter
 from robot_runner.notebook.python_config import NAME, PREFIX, as_texts, config_of_object, is_config, runs_named
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class ExperimentResults:
     """What an experiment has yielded so far, this call and earlier ones together.
 
@@ -52,6 +52,12 @@ class ExperimentResults:
     is_interrupted: bool
     is_stopped_by_policy: bool
     seconds: float
+
+    def __repr__(self) -> str:
+        """Say what a notebook shows of it: the rows, the failures and the findings may be many, and have names."""
+        states = {"done": self.done_count, "failed": self.failed_count, "to do": self.todo_count}
+        told = ", ".join(f"{count} {state}" for state, count in states.items() if count)
+        return f"<ExperimentResults of {self.folder}: runs {told or 'none'}; {counted(len(self.findings), 'finding')}>"
 
     @property
     def exit_code(self) -> int:
