@@ -101,6 +101,8 @@ def see_to_what_others_left(experiment: Experiment, roots: Iterable[Path], claim
             problem = f"whether a killed execution has left something there is not known: {error.strerror}"
             findings.append(Finding.warning(str(root), problem, "Check whether its robot stands still."))
             continue
+        except ValueError:  # a damaged record: no folder has such a name
+            continue
         for slot, left in found:
             if left.robot is not None and may_command(left.robot) and not left.is_told:
                 late.append((_late_standby(experiment, slot, left, (), is_for_all=False), slot, left))
