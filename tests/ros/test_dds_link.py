@@ -115,7 +115,7 @@ def test_the_graph_shows_the_other_node_and_the_other_node_this_one(other, link)
 def test_a_subscriber_that_goes_while_it_is_to_acknowledge_is_not_said_to_be_reached(link, monkeypatch):
     mine, robot = link(), link()
     robot.subscribe("cmd_vel", "geometry_msgs/Twist", lambda message: None)
-    assert mine.advertise("cmd_vel", "geometry_msgs/Twist")
+    wait_until(lambda: mine.advertise("cmd_vel", "geometry_msgs/Twist"), "they have discovered each other")
     kind = dds_transport._Publisher
     is_acknowledged = kind._is_acknowledged
 
