@@ -84,20 +84,56 @@ INA226_IIO = {
     "in_shunt_resistor": "0.010000000",
     "in_sampling_frequency": "455",
 }
-# The IIO driver pac1934, whose channels have labels and energy counters.
+# The IIO driver pac1934 with a shunt of 10 milliohm, whose channels have labels and energy counters. Its scales of
+# power and energy are 11921 by the shunt in microohm: 3.2 V^2 at the end of both ranges by 2^28 steps, in uW and uJ.
 PAC1934 = {
     "name": "pac1934",
     "in_voltage1_raw": "10240",
     "in_voltage1_scale": "0.488281250",
     "in_voltage1_label": "VBAT",
-    "in_current1_raw": "4096",
-    "in_current1_scale": "0.250000000",
-    "in_power1_raw": "1000",
-    "in_power1_scale": "5.120000000",
-    "in_energy1_raw": "2000",
-    "in_energy1_scale": "0.500000000",
+    "in_current1_raw": "6554",
+    "in_current1_scale": "0.152500000",
+    "in_power1_raw": "4194304",
+    "in_power1_scale": "1.192100000",
+    "in_energy1_raw": "838860800",
+    "in_energy1_scale": "1.192100000",
     "in_energy1_en": "1",
 }
+# The IIO driver axp20x-adc, which numbers voltages and currents each by themselves: the second voltage is that of a
+# thermistor, the third that of a pin, the second current charges the battery, and the third discharges it.
+AXP209 = {
+    "name": "axp20x-adc",
+    "in_voltage2_raw": "1500",
+    "in_voltage_scale": "1.700000000",
+    "in_voltage3_raw": "1000",
+    "in_current2_raw": "600",
+    "in_current2_scale": "0.500000",
+    "in_current3_raw": "2000",
+    "in_current3_scale": "0.500000",
+}
+# The hwmon driver ltc4261: in1 and in2 are auxiliary inputs. And ltc4222, whose voltages are two for each current.
+LTC4261 = {"name": "ltc4261", "in1_input": "1830", "in2_input": "1250", "curr1_input": "900"}
+LTC4222 = {
+    "name": "ltc4222",
+    "in1_input": "12000",
+    "in2_input": "1020",
+    "in3_input": "5000",
+    "in4_input": "1100",
+    "curr1_input": "800",
+    "curr2_input": "2000",
+}
+# The hwmon driver ltc2992: as hwmon counts voltages from 0 and all else from 1, in1 is that of the second supply.
+LTC2992 = {
+    "name": "ltc2992",
+    "in0_input": "12000",
+    "in1_input": "5000",
+    "in2_input": "700",
+    "curr1_input": "1000",
+    "curr2_input": "2000",
+    "power1_input": "12000000",
+    "power2_input": "10000000",
+}
+LTC4151 = {"name": "ltc4151", "in1_input": "24000", "in2_input": "310", "curr1_input": "500"}
 # A PMBus supply, whose labels say which of its numbers belong together.
 PMBUS = {
     "name": "ltc3880",

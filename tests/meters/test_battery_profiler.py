@@ -3,6 +3,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import struct
 
 import pytest
 
@@ -62,6 +63,20 @@ def test_a_battery_that_does_not_measure_its_current_yields_no_energy(measure, c
     assert context.measures["ChargeUsed"] is None
     facts = json.loads((context.raw_data_folder / "quality.json").read_text())
     assert facts["measures_current"] is False
+
+
+def float32(number):
+    return struct.unpack("f", struct.pack("f", number))[0]
+
+
+def test_what_an_autopilot_does_not_measure_is_missing_in_the_messages_of_mavros(measure):
+    # MAVLink's UINT16_MAX mV and -1 for the current and the state of charge, as mavros' sys_status.cpp converts them.
+    unknown = {"voltage": float32(65.535), "current": float32(0.01), "percentage": float32(-0.01)}
+    context = measure(lambda _: unknown)
+    assert set(context.measures.values()) == {None}
+    context = measure(lambda _: {**unknown, "voltage": 14.8})
+    assert context.measures["MeanVoltage"] == pytest.approx(14.8)
+    assert context.measures["Energy"] is None
 
 
 def _problems(context):

@@ -151,6 +151,17 @@ def test_a_reading_without_power_now_and_then_is_bridged(measure):
     assert not problems
 
 
+@pytest.mark.parametrize(("rate", "told"), [(10.0, []), (2.5, ["the power was reported in 23 of 26 readings only"])])
+def test_a_stretch_without_power_that_is_bridged_over_much_of_the_window_is_doubted(measure, rate, told):
+    # The meter answers without its power, where another one would raise an error, and the quality would tell.
+    missing = 3 / rate
+    measures, problems = measure(
+        lambda time: ElectricalReading(None if 3.05 < time < 3.05 + missing else 8.0, wobbling(time)), rate_hz=rate
+    )
+    assert measures["Energy"] == pytest.approx(80.0)
+    assert problems == told
+
+
 @pytest.mark.parametrize("odd", [float("nan"), float("inf"), 1e300])
 def test_what_is_no_quantity_costs_a_reading_and_not_the_run(measure, odd):
     def say(time):
@@ -207,6 +218,12 @@ def test_power_that_voltage_and_current_allow_is_not_doubted(measure, watts, vol
 def test_power_at_no_voltage_or_no_current_is_doubted(measure, volts, amperes):
     problems = measure(lambda time: ElectricalReading(8.0 + 0.01 * (round(time * 10) % 7), volts, amperes))[1]
     assert any("the power contradicts voltage times current" in each for each in problems)
+
+
+def test_no_power_at_the_volts_and_amperes_of_a_load_is_doubted(measure):
+    # As a Sonoff Pow R2 told it until it was started again (Tasmota's issue 3515).
+    problems = measure(lambda time: ElectricalReading(0.0, 124.0 + wobbling(time) / 12.0, 0.521))[1]
+    assert any("the power contradicts voltage times current in 101 of 101 readings" in each for each in problems)
 
 
 @pytest.mark.parametrize("later", [0.02, 0.04])

@@ -86,6 +86,11 @@ def test_the_range_of_a_counter_is_the_power_of_two_above_it(energy_range):
     assert parse_energibridge(records)[-1]["energy_J"] == pytest.approx(15.0)
 
 
+def test_a_counter_that_was_set_back_near_its_range_has_not_gone_round_without_time_to():
+    records = ["Delta,Time,PACKAGE_ENERGY (J)", "0,1000,250000.0", "200,1200,250005.0", "200,1400,3.0"]
+    assert math.isnan(parse_energibridge(records)[-1]["energy_J"])
+
+
 def test_a_counter_that_was_set_back_far_from_its_range_has_not_gone_round():
     records = ["Delta,Time,PACKAGE_ENERGY (J)", "0,0,40000.0", "200,200,40010.0", "200,400,5.0", "200,600,15.0"]
     assert [math.isnan(row["energy_J"]) for row in parse_energibridge(records)[1:]] == [False, False, True, True]

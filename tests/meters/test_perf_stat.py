@@ -139,6 +139,30 @@ def test_an_event_that_cannot_be_counted_is_named_and_one_that_was_scaled_too(tm
     assert "'cache-misses' was counted in 50 % of the time only, and scaled up by perf" in problems
 
 
+DIES = "perf adds up the energy of 2 dies, and each tells that of its whole package"
+
+
+@pytest.mark.parametrize(
+    ("vendor", "mask", "told"),
+    [
+        ("AuthenticAMD", "0,8", [("EnergyPkg", DIES)]),
+        ("AuthenticAMD", "0-1", [("EnergyPkg", DIES)]),
+        ("AuthenticAMD", "0", []),
+        ("GenuineIntel", "0,8", []),
+    ],
+)
+def test_energy_that_the_kernel_has_once_for_each_die_of_an_amd_package_is_doubted(tmp_path, vendor, mask, told):
+    # Linux before 6.12: one processor of each die reads the one counter of its package (arch/x86/events/rapl.c).
+    cpuinfo = write(tmp_path / "cpuinfo", f"processor\t: 0\nvendor_id\t: {vendor}")
+    write(tmp_path / "bus/event_source/devices/power/cpumask", mask)
+    for number in range(16):
+        write(tmp_path / f"devices/system/cpu/cpu{number}/topology/physical_package_id", 0)
+    plugin = PerfStat(events=["power/energy-pkg/", "cycles"], sysfs=tmp_path, cpuinfo=cpuinfo)
+    window = Window(0.0, 1.0)
+    measured = Measured([], [], window, window, Ending(0, was_asked=True, was_killed=False, complaint=""))
+    assert list(plugin.column_doubts(measured)) == told
+
+
 def test_times_that_perf_counts_in_nanoseconds_are_in_seconds():
     duration, user = PerfStat(events=["duration_time", "user_time"]).columns
     assert (duration.measure.unit, duration.factor, user.measure.unit, user.factor) == ("s", 1e-9, "s", 1e-9)

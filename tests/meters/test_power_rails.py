@@ -92,7 +92,7 @@ def test_the_energy_counter_of_an_ina228_is_found(tree):
     ("files", "name", "expected"),
     [
         (rail_trees.INA226_IIO, "ina226", (7.6, 12.4, 0.613, None)),
-        (rail_trees.PAC1934, "VBAT", (5.12, 5.0, 1.024, 1000.0)),
+        (rail_trees.PAC1934, "VBAT", (5.0000298, 5.0, 0.999485, 1000.00596)),
     ],
 )
 def test_registers_of_iio_are_scaled(tree, files, name, expected):
@@ -114,6 +114,28 @@ def test_a_voltage_of_the_same_number_is_not_taken_for_that_of_another_label(tre
     rails = found(tree)
     assert reading(rails["PPT"])[:3] == (pytest.approx(9.0), None, None)
     assert set(rails["vddgfx"].files) == {"voltage"}
+
+
+def test_voltages_and_currents_that_are_each_numbered_by_themselves_make_no_power(tree):
+    for files in (rail_trees.LTC4261, rail_trees.LTC4222):
+        tree.hwmon(files)
+    tree.iio(rail_trees.AXP209)
+    rails = found(tree)
+    assert rails
+    assert not [name for name, rail in rails.items() if rail.tells_power]
+
+
+def test_power_does_not_get_the_voltage_of_another_supply_that_has_its_number(tree):
+    tree.hwmon(rail_trees.LTC2992)
+    rails = found(tree)
+    assert reading(rails["ltc2992:power1"])[:3] == (pytest.approx(12.0), None, 1.0)
+    assert reading(rails["ltc2992:power2"])[:3] == (pytest.approx(10.0), None, 2.0)
+
+
+def test_a_chip_that_numbers_voltage_and_current_of_a_rail_alike_has_power(tree):
+    tree.hwmon(rail_trees.LTC4151)
+    (rail,) = (rail for rail in found(tree).values() if rail.tells_power)
+    assert reading(rail)[:3] == pytest.approx((12.0, 24.0, 0.5))
 
 
 def test_an_average_stands_in_where_there_is_no_power_of_the_moment(tree):

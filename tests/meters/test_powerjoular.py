@@ -96,6 +96,16 @@ def test_zero_watts_are_no_power_but_a_counter_that_was_not_found(measure):
     assert any("said 0 W" in finding.problem for finding in context.broker.findings)
 
 
+# Version 0.7.3 does not notice that a counter of 2^32 x 61 uJ has wrapped; 1.1.0 adds that range where the one of the
+# memory, 2^32 x 15.3 uJ, has (powerjoular.adb).
+@pytest.mark.parametrize("watts", ["-262131.83500000000000", "196608.50000000000000"])
+def test_a_counter_that_wrapped_unnoticed_is_no_power(measure, watts):
+    context = measure(RECORDED.replace("7.50000000000000", watts))
+    assert context.measures["MeanPower"] == pytest.approx(12.5)
+    (problem,) = {finding.problem for finding in context.broker.findings if "draws" in finding.problem}
+    assert f"rows hold no number in column 'Total Power', the first '{watts} W, which no computer draws'" in problem
+
+
 @pytest.fixture
 def doubts(tmp_path):
     """Executes a run in which these records came, and returns what is doubtful about its energy."""

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.meters.fake_sysfs import FakePowercap, write
-from tests.meters.rehearsed import problems
+from tests.meters.rehearsed import measured, problems
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
@@ -114,9 +114,10 @@ def test_an_unwrapped_counter_never_falls_and_agrees_with_the_true_one(steps, st
     assert unwrapped([count % 1000 for count in true], wraps_at=1000) == [count - start for count in true]
 
 
-def test_a_counter_that_is_set_back_is_not_taken_for_one_that_went_round(measure, tmp_path, clock):
+@pytest.mark.parametrize("package", [90_000_000_000, 200_000_000_000, 260_000_000_000])
+def test_a_counter_that_is_set_back_is_not_taken_for_one_that_went_round(measure, tmp_path, clock, package):
     # As where the computer was suspended meanwhile, which its clock does not tell of.
-    powercap = FakePowercap(tmp_path / "powercap", package=90_000_000_000, wraps_at=262_143_000_000)
+    powercap = FakePowercap(tmp_path / "powercap", package=package, wraps_at=262_143_000_000)
 
     def suspend():
         powercap.counts["intel-rapl:0"] = 0
@@ -125,6 +126,13 @@ def test_a_counter_that_is_set_back_is_not_taken_for_one_that_went_round(measure
     context = measure(powercap)
     assert context.measures["Energy"] == pytest.approx(160.0, rel=0.01)
     assert "the counter of package-0 was set back: what it counted shortly before that is lost" in problems(context)
+
+
+def test_a_counter_that_jumps_ahead_is_doubted(measure, tmp_path, clock):
+    powercap = FakePowercap(tmp_path / "powercap")
+    clock.at(20.0, lambda: powercap.draw(package=2_000.0))
+    told = "the counter of package-0 jumped ahead by more than can have been drawn"
+    assert told in problems(measure(powercap))
 
 
 @pytest.mark.parametrize(
@@ -207,6 +215,30 @@ def test_two_sockets_are_added_up(measure, tmp_path, clock):
     ]
     clock.every(0.05, lambda: write(powercap.root / "intel-rapl:1" / "energy_uj", round(3e6 * clock.now())))
     assert measure(powercap).measures["Energy"] == pytest.approx(160.0 + 60.0, rel=3e-3)
+
+
+def dies(root, count):
+    """Lay out a package of so many dies, whose counters agree; the kernel numbers them in hexadecimal."""
+    for number in range(count):
+        files = {"name": f"package-0-die-{number}", "energy_uj": 0, "max_energy_range_uj": 65_532_610_987}
+        for file, content in files.items():
+            write(root / f"intel-rapl:{number:x}" / file, content)
+
+
+# Linux before 6.12 has a package of an AMD processor once for each of its dies, which all show its one counter.
+# (drivers/powercap/intel_rapl_common.c, rapl_msrs_are_pkg_scope).
+@pytest.mark.parametrize(("vendor", "packages"), [("AuthenticAMD", 1), ("HygonGenuine", 1), ("GenuineIntel", 12)])
+def test_the_counter_of_an_amd_package_is_not_counted_once_for_each_of_its_dies(tmp_path, clock, vendor, packages):
+    root, cpuinfo = tmp_path / "powercap", write(tmp_path / "cpuinfo", f"processor\t: 0\nvendor_id\t: {vendor}")
+    dies(root, 12)
+
+    def draw() -> None:
+        for number in range(12):
+            write(root / f"intel-rapl:{number:x}" / "energy_uj", round(68e6 * (clock.now() - 10.0)))
+
+    clock.every(0.1, draw)
+    context = measured(tmp_path, Rapl(root=root, cpuinfo=cpuinfo), clock, 2.0)
+    assert context.measures["Energy"] == pytest.approx(packages * 136.0, rel=0.01)
 
 
 def test_on_a_simulated_robot_power_is_that_of_real_time(tmp_path):

@@ -331,6 +331,8 @@ def test_what_cannot_be_is_refused(settings):
     ("answer", "number"),
     [
         ("150 mA", 0.15),
+        ("150 mADC", 0.15),
+        ("150 mAmps", 0.15),
         ("7600MW", 7.6),
         ("1.2 kW", 1200.0),
         ("12.5 V", 12.5),

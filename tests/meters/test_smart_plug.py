@@ -126,6 +126,13 @@ def test_a_reading_that_the_plug_itself_says_to_be_wrong_is_none(error):
     assert DIALECTS["shelly2"].read({"": harmless}, 0).power == 0.0
 
 
+def test_the_power_that_a_shelly_1_was_told_of_its_load_is_no_reading():
+    # It measures nothing: its firmware (v1.12.1) shows the power of its settings, 0 W unless somebody has set one.
+    answer = b'{"relays":[{"ison":true}],"meters":[{"power":0.00,"is_valid":true}],"ext_sensors":{}}'
+    with pytest.raises(ValueError, match="reported no power"):
+        DIALECTS["shelly1"].read({"": answer}, 0)
+
+
 def test_an_answer_that_is_nested_without_end_is_no_answer():
     with pytest.raises(ValueError, match="which is not JSON"):
         DIALECTS["shelly2"].read({"": b"[" * 100_000}, 0)

@@ -27,6 +27,9 @@ _FULLEST = 1.5
 #: Steps of a state of charge are coarse if larger than this share of the charge used; steps are recognised where each
 #: value stays for this many messages on average.
 _COARSE, _STAYS = 0.1, 3
+#: MAVROS passes on what MAVLink has for unknown: UINT16_MAX mV, and -1 in steps of 10 mA, with its sign changed, and in
+#: those of 1 % (mavros, sys_status.cpp).
+_UNKNOWN_VOLTS, _UNKNOWN_AMPERES = 65.535, 0.01
 _FIX = "Look at the topic, with `ros2 topic hz` or `rostopic hz`, before you use this run."
 _FIX_MESSAGES = "Look at its messages, with `ros2 topic echo` or `rostopic echo`, before you use this run."
 
@@ -45,7 +48,8 @@ class _Heard:
         self.times.append(time)
         self.voltage.append(float(message["voltage"]))
         self.current.append(-float(message.get("current", math.nan)))
-        self.charge.append(100.0 * float(message.get("percentage", math.nan)))
+        share = float(message.get("percentage", math.nan))
+        self.charge.append(100.0 * share if share >= 0 else math.nan)
 
     def over(self, window: Window) -> _Heard:
         """Return the messages of a window, without one at its very start, which came before the subscription."""
@@ -59,13 +63,13 @@ class _Heard:
 
     @property
     def measures_current(self) -> bool:
-        """Whether any message has a current: boards that do not measure it publish NaN, or 0 throughout."""
-        return any(math.isfinite(value) and value for value in self.current)
+        """Whether any message has a current: boards that do not measure it publish NaN, 0 or 10 mA throughout."""
+        return any(math.isfinite(value) and value and not _is(-value, _UNKNOWN_AMPERES) for value in self.current)
 
     @property
     def volts(self) -> list[float]:
-        """The voltages; NaN for 0, which drivers publish before their first measurement, or if they have none."""
-        return [value or math.nan for value in self.voltage]
+        """The voltages; NaN for 0, which drivers publish before their first measurement, and for an unknown one."""
+        return [math.nan if not value or _is(value, _UNKNOWN_VOLTS) else value for value in self.voltage]
 
     def power(self) -> Series:
         watts = [volts * amperes for volts, amperes in zip(self.volts, self.current, strict=True)]
@@ -202,7 +206,7 @@ class Battery(Profiler):
         for quantity, series, names in told:
             if is_sufficient and len(series) and not len(sufficient(series, window, self.rate_hz)):
                 missing = len(heard.times) - len(series)
-                what = "NaN or 0" if quantity == "voltage" else "NaN"
+                what = "not measured (NaN, 0 or 65.535 V)" if quantity == "voltage" else "NaN"
                 some = f"{missing} of {len(heard.times)} messages"
                 yield f"the battery's {quantity} was {what} in {some}: no value", names
         fullest = max(heard.series(heard.charge).values, default=0.0) / 100
@@ -248,6 +252,10 @@ def _step(values: Sequence[float]) -> float:
     told = sorted({round(value, 6) for value in values})
     stays = len(told) > 1 and len(values) >= _STAYS * len(told)
     return min(later - sooner for sooner, later in pairwise(told)) if stays else 0.0
+
+
+def _is(value: float, number: float) -> bool:
+    return math.isclose(value, number, rel_tol=1e-6)  # messages have floats of 32 bits
 
 
 def _finite(values: Sequence[float]) -> list[float | None]:

@@ -32,9 +32,8 @@ _COUNTERS = ("CPU_ENERGY (J)", "PACKAGE_ENERGY (J)")
 _WHOLE = "SYSTEM_POWER (Watts)"
 #: A counter that falls by more than this share of itself has restarted at 0; its range is a power of two in joules.
 _WRAP = 0.5
-#: It has wrapped, and was not reset, if it then grew by less than this share of its last value before: 16 kJ of
-#: 65536 J, in a row or two.
-_MOST_BETWEEN = 0.25
+#: It has wrapped, and was not reset, if no more was drawn until the next row than a computer can draw with its GPUs, W.
+_MOST_WATTS = 30e3
 _INSTALL = "Build it from https://github.com/tdurieux/EnergiBridge (cargo build -r), and put it on the PATH."
 
 
@@ -72,26 +71,26 @@ def _summary(row: Row, joules: float | None) -> Row:
 
 
 def _joules_between(sooner: Row, later: Row) -> float:
+    seconds = (float(later["Time"] or 0) - float(sooner["Time"] or 0)) / 1000
     for name in _POWERS:
         if later.get(name):
-            seconds = (float(later["Time"] or 0) - float(sooner["Time"] or 0)) / 1000
             return float(later[name] or 0) * seconds
     for name in _COUNTERS:
         if later.get(name):
-            return _growth(float(sooner.get(name) or 0), float(later[name] or 0))
+            return _growth(float(sooner.get(name) or 0), float(later[name] or 0), seconds)
     return 0.0
 
 
-def _growth(sooner: float, later: float) -> float:
+def _growth(sooner: float, later: float, seconds: float) -> float:
     """Return by how much a 32-bit counter of 2^-n J grew: its range is the power of two above its last value.
 
-    A counter that fell long before the end of its range was reset, as by a suspended machine: NaN, as its increase is
-    unknown.
+    A counter that fell before it can have reached its range was reset, as by a suspended machine: NaN, as its increase
+    is unknown.
     """
     if later >= sooner * _WRAP:
         return later - sooner
     beyond = later - sooner + float(2 ** math.ceil(math.log2(sooner)))
-    return beyond if beyond < sooner * _MOST_BETWEEN else math.nan
+    return beyond if beyond < _MOST_WATTS * seconds else math.nan
 
 
 class EnergiBridge(CommandProfiler):
@@ -187,14 +186,20 @@ _BOARD = Path("/proc/device-tree/model")
 
 
 def parse_powerjoular(records: Sequence[str]) -> list[Row | None]:
-    """Return the rows. A power of exactly 0 is not a value: PowerJoular writes it if it found nothing to measure.
+    """Return the rows; a power of exactly 0 is missing: PowerJoular writes it if it found nothing to measure.
 
     Example:
         >>> parse_powerjoular(["Date,CPU Utilization,Total Power", "2026-01-01 10:00:00,0.5,0.00000000000000"])[1]
         {'Date': '2026-01-01 10:00:00', 'CPU Utilization': '0.5', 'Total Power': None}
     """
-    rows = parse_csv(records)
-    return [row if row is None or float(row.get(_POWER) or 0) else {**row, _POWER: None} for row in rows]
+    return [row and {**row, _POWER: _possible(row.get(_POWER) or 0)} for row in parse_csv(records)]
+
+
+def _possible(watts: str | float) -> str | float | None:
+    """Return a power; a text instead if a counter wrapped, which versions before 1.1.1 do not handle, or was reset."""
+    if not float(watts):
+        return None
+    return watts if 0 < float(watts) < _MOST_WATTS else f"{watts} W, which no computer draws"
 
 
 class PowerJoular(CommandProfiler):

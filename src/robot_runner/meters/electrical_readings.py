@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from itertools import groupby, pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from robot_runner.measuring.quality import quality_of
+from robot_runner.measuring.quality import SampleQuality, quality_of
 from robot_runner.measuring.series import Series, longest_standstill, renewed_every
 from robot_runner.meters.counters import fall_count
 
@@ -26,6 +26,8 @@ OFF_SHARE = 0.05
 #: A counter includes what readings of power miss. The two disagree only if they differ by more than this many times the
 #: error by steps between readings: bursts shorter than the time between readings explain up to 2.5 times that error.
 STEP_ERRORS = 3
+#: Values are missing between two that are more than this many periods apart.
+_LONG_GAP = 1.5
 #: Larger than any value of a meter in SI units, and small enough for sums and squares to stay finite.
 _BEYOND = 1e18
 #: Power contradicts voltage times current above this multiple: a small current that is rounded doubles the ratio, three
@@ -33,8 +35,8 @@ _BEYOND = 1e18
 #: of a charger in standby makes it some hundredths, and the noise of a clamp without a load a 200th.
 _MOST_OF_APPARENT, _LEAST_OF_APPARENT = 10.0, 1 / 500
 #: No power at all contradicts this many volt-amperes: such a clamp shows 0 W at 19 VA (a Shelly Pro EM-50 in ShellyPy's
-#: issue 20), and coarse meters show whole watts.
-_APPARENT = 100.0
+#: issue 20), coarse meters show whole watts, and one that failed showed 0 W at 65 VA (Tasmota's issue 3515).
+_APPARENT = 50.0
 #: A reading of 0 may be up to a step of a coarse meter, V and A; and less than this many volt-amperes may be noise.
 _VOLTS_AT_0, _AMPERES_AT_0, _NOISE = 0.1, 0.01, 0.001
 #: Contradictions are reported if a step of the load does not explain their number and they are this share of the
@@ -113,20 +115,29 @@ def series_of(sampling: Sampling[Readings], place: int, quantity: str) -> Series
 
 def told_series(sampling: Sampling[Readings], place: int, quantity: str) -> Series:
     """Return one quantity of a channel if its values cover enough of the window, else an empty series."""
-    moments = zip(sampling.times, sampling.readings, strict=True)
-    times = [time for time, readings in moments if _quantity(readings[place], quantity) is not None]
-    is_sufficient = quality_of(times, sampling.window, sampling.rate).is_sufficient
+    is_sufficient = _told_quality(sampling, place, quantity).is_sufficient
     return series_of(sampling, place, quantity) if is_sufficient else Series([], [])
 
 
+def _told_quality(sampling: Sampling[Readings], place: int, quantity: str) -> SampleQuality:
+    moments = zip(sampling.times, sampling.readings, strict=True)
+    times = [time for time, readings in moments if _quantity(readings[place], quantity) is not None]
+    return quality_of(times, sampling.window, sampling.rate)
+
+
 def partly_told(sampling: Sampling[Readings], place: int) -> Iterator[str]:
-    """Yield the quantities of a channel with too few values for a measure; `{of}` stands for the channel."""
+    """Yield the quantities of a channel whose values leave much of the window out; `{of}` stands for the channel."""
     readings = [each[place] for each in sampling.within().readings]
     for quantity, word in (("power", "power"), ("voltage", "voltage"), ("current", "current"), ("joules", "energy")):
         told = sum(_quantity(reading, quantity) is not None for reading in readings)
         is_known = any(getattr(reading, quantity) is not None for reading in readings)
-        if is_known and told < len(readings) and not len(told_series(sampling, place, quantity)):
+        if is_known and told < len(readings) and _is_partial(_told_quality(sampling, place, quantity)):
             yield f"the {word}{{of}} was reported in {told} of {len(readings)} readings only"
+
+
+def _is_partial(quality: SampleQuality) -> bool:
+    gap = quality.largest_gap if quality.largest_gap > _LONG_GAP * quality.period else 0.0
+    return not quality.is_sufficient or gap > OFF_SHARE * quality.duration
 
 
 def falls_of(sampling: Sampling[Readings], place: int) -> int:

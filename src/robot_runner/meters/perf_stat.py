@@ -17,7 +17,9 @@ from robot_runner.core.plugin import Circumstances
 from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_findings
 from robot_runner.meters.command import CommandProfiler, Measured
 from robot_runner.meters.command_output import Aggregate, CommandColumn, Row, TimeColumn, TimeKind
+from robot_runner.meters.machine.machine_state import text_in
 from robot_runner.meters.parameter_checks import check_list, check_positive
+from robot_runner.meters.rapl import is_amd
 
 _INSTALL = "Install it: sudo apt install linux-perf (Debian), linux-tools-generic (Ubuntu)."
 _DEFAULT_EVENTS = ("task-clock", "context-switches", "page-faults", "instructions", "cycles", "cache-misses")
@@ -29,6 +31,8 @@ _OF_SECOND = MappingProxyType(
 )
 #: On all processors these count idle time, too: the result is the window times the number of processors.
 _CLOCKS = ("task-clock", "cpu-clock")
+#: The energy of all packages, and no other energy.
+_PACKAGES = "power/energy-pkg"
 _SEPARATOR = ";"  # events may have commas in their names
 _COUNTED = " counted"
 _NOT_SUPPORTED, _NOT_COUNTED = "<not supported>", "<not counted>"
@@ -94,6 +98,8 @@ class PerfStat(CommandProfiler):
         interval_ms: time between two readings, ms.
         program: the program, if it is not on the PATH.
         paranoia: the file with the kernel's limit on what users may count.
+        sysfs: the folder of sysfs.
+        cpuinfo: the file with the processor's vendor.
 
     Raises:
         PluginError: there are no events, two yield one measure, or the interval is not positive.
@@ -116,12 +122,16 @@ class PerfStat(CommandProfiler):
         interval_ms: int = 200,
         program: str = "perf",
         paranoia: Path = Path("/proc/sys/kernel/perf_event_paranoid"),
+        sysfs: Path = Path("/sys"),
+        cpuinfo: Path = Path("/proc/cpuinfo"),
     ) -> None:
         check_positive(name or "PerfStat", interval_ms=interval_ms)
         check_list(name or "PerfStat", events=events)
         self.events = tuple(events)
         self.pid = pid
         self.paranoia = paranoia
+        self.sysfs = sysfs
+        self.cpuinfo = cpuinfo
         scope = ["--all-cpus"] if pid is None else ["--pid", str(pid)]
         counting = [program, "stat", "-x", _SEPARATOR, "-e", ",".join(self.events)]
         self._trial = [*counting, *(scope if pid is None else ()), "--", "true"]
@@ -160,6 +170,16 @@ class PerfStat(CommandProfiler):
                 yield name, f"this machine cannot count {event!r}"
             elif shares and min(shares) < _FULL_TIME:
                 yield name, f"{event!r} was counted in {min(shares):.0f} % of the time only, and scaled up by perf"
+            if event.startswith(_PACKAGES) and (dies := self._dies_alike()):
+                yield name, f"perf adds up the energy of {dies} dies, and each tells that of its whole package"
+
+    def _dies_alike(self) -> int:
+        """Return on how many dies the kernel reads the counters of fewer AMD packages, as Linux before 6.12; else 0."""
+        mask = text_in(self.sysfs / "bus/event_source/devices/power/cpumask")  # such as `0,8-9`
+        ranges = [list(map(int, each.split("-"))) for each in mask.split(",") if each]
+        dies = sum(each[-1] - each[0] + 1 for each in ranges)
+        files = (self.sysfs / "devices/system/cpu").glob("cpu[0-9]*/topology/physical_package_id")
+        return dies if is_amd(self.cpuinfo) and dies > len(set(map(text_in, files))) else 0
 
     def _refused_scope(self) -> list[Finding]:
         if self.pid is not None or os.geteuid() == 0 or not self.paranoia.exists():

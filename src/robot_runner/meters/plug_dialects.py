@@ -155,6 +155,8 @@ class _ShellyFirst:
         power, voltage, current = (_number(fields, name) for name in ("power", "voltage", "current"))
         if fields.get("is_valid") is False:
             raise ValueError("the plug says that its reading is not valid")
+        if joules is None:  # without a counter it measures nothing, like a Shelly 1: the power is one that somebody set
+            power = None
         return _required(ElectricalReading(power, voltage, current, joules), meters)
 
 

@@ -58,8 +58,9 @@ def _understood(rails: Sequence[Rail], paths: Sequence[str], lines: Sequence[str
 class PowerRails(ElectricalProfiler):
     """Measures supply rails through Linux' drivers: hwmon and IIO, as a Jetson, a server and most carrier boards have.
 
-    Any driver that shows power, energy, or voltage and current works: those of INA219, INA226, INA228, INA237, INA238,
-    INA260 and INA3221, PMBus supplies, ACPI's power meter, the supplies of some workstations.
+    Any driver that shows power or energy works, and others whose voltage and current are known to be those of one rail:
+    those of INA219, INA226, INA228, INA237, INA238, INA260 and INA3221, PMBus supplies, the power meter of ACPI, the
+    supplies of some workstations.
 
     Args:
         rails: the names of the rails, such as `["VDD_IN"]`; None takes the only one with power.

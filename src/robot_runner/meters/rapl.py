@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -24,21 +24,27 @@ if TYPE_CHECKING:
     from robot_runner.measuring.periodic import Sampling
 
 POWERCAP = Path("/sys/class/powercap")
-#: `intel-rapl:0` is a package, `intel-rapl:0:1` a domain within it; AMD processors have the same names. The same
-#: package may appear once more as `intel-rapl-mmio:0`, which would count it twice.
-_FOLDER = re.compile(r"intel-rapl:\d+(:\d+)?")
+#: `intel-rapl:0` is a package, `intel-rapl:0:1` a domain within it, in hexadecimal; AMD processors have the same names.
+#: The same package may appear once more as `intel-rapl-mmio:0`, which would count it twice.
+_FOLDER = re.compile(r"intel-rapl:[\da-f]+(:[\da-f]+)?")
+#: A die of a package. An AMD package has one counter, which Linux before 6.12 shows for each die (drivers/powercap/
+#: intel_rapl_common.c, rapl_msrs_are_pkg_scope); an Intel processor has one for each die.
+_DIE = re.compile(r"-die-\d+")
 #: The domains that can be measured besides the packages.
 _KINDS = {"core": "the cores", "uncore": "the graphics unit", "dram": "the memory", "psys": "the whole platform"}
 _MAY_REST = "uncore"
-#: The vendors with an energy counter for each core (MSR_AMD_CORE_ENERGY_STATUS). Linux' powercap shows a single one for
-#: a package, as on Intel's processors: that of any core, on which it reads (drivers/powercap/intel_rapl_msr.c).
-_OF_ONE_CORE = ("AuthenticAMD", "HygonGenuine")
+#: The vendors with such packages, and with a counter for each core (MSR_AMD_CORE_ENERGY_STATUS). Linux' powercap shows
+#: a single one for a package, as on Intel's processors: that of any core, on which it reads (intel_rapl_msr.c).
+_AMD = ("AuthenticAMD", "HygonGenuine")
 _LEAVE_OUT = "Leave 'core' out."
 _ONE_CORE = "the counter `core` of an AMD processor is that of one of its cores: no value"
 _MICRO = 1e-6
 #: A counter is doubted if it stood still for this long, s, and for this share of the window: the processor updates it
 #: about every millisecond (Intel, Software Developer's Manual, volume 3B, RAPL domains).
 _STILL, _STILL_SHARE = 0.5, 0.05
+#: More than a processor or its platform draws, W: a counter that would have counted as much until it wrapped was reset.
+#: It may have counted for a little longer than between two readings, s.
+_MOST_WATTS, _LATE = 3e3, 0.1
 _FIRST_LINES = 10  # of /proc/cpuinfo: the vendor is in the second
 
 
@@ -112,6 +118,14 @@ def _unreadable(where: str, root: Path, domains: Sequence[Domain]) -> list[Findi
     return []
 
 
+def is_amd(cpuinfo: Path) -> bool:
+    """Whether this file is that of a processor of AMD's design: its packages have one counter, whatever their dies."""
+    if not cpuinfo.is_file():
+        return False
+    with cpuinfo.open(encoding="utf-8", errors="replace") as file:
+        return any(vendor in line for line in islice(file, _FIRST_LINES) for vendor in _AMD)
+
+
 class Rapl(PolledProfiler[Counters]):
     """Measures the energy of the processor of this machine with its own counters (RAPL, running average power limit).
 
@@ -181,7 +195,9 @@ class Rapl(PolledProfiler[Counters]):
         del context
         for finding in permission_findings(self.name, self.root, ("package", *self.domains)):
             raise PluginError(finding.problem, where=self.name, fix=finding.fix)
-        self._domains = [each for each in find_domains(self.root) if each.kind in {"package", *self.domains}]
+        found = [each for each in find_domains(self.root) if each.kind in {"package", *self.domains}]
+        alike = {_DIE.sub("", each.label) if is_amd(self.cpuinfo) else each.label: each for each in reversed(found)}
+        self._domains = [each for each in found if each in alike.values()]
         return FileCounters([each.counter for each in self._domains])
 
     def columns(self, sampling: Sampling[Counters]) -> Sequence[Column]:
@@ -201,7 +217,8 @@ class Rapl(PolledProfiler[Counters]):
         """Return the energy of each kind of domain, and the mean power of the packages."""
         by_kind: dict[str, list[float]] = {kind: [] for kind in ("package", *self.domains)}
         for domain, counts in zip(self._domains, zip(*sampling.readings, strict=True), strict=True):
-            counted = growth(Series(sampling.times, unwrapped(counts, domain.wraps_at)), sampling.window)
+            wraps_at = _wraps_at(domain, sampling.times, counts)
+            counted = growth(Series(sampling.times, unwrapped(counts, wraps_at)), sampling.window)
             if counted is None:
                 return {}
             by_kind[domain.kind].append(counted * _MICRO)
@@ -220,18 +237,30 @@ class Rapl(PolledProfiler[Counters]):
             counts = [reading[place] for reading in within.readings]
             if domain.kind != _MAY_REST:
                 yield from _standstill(domain.label, within.times, counts, sampling.window.duration)
-            if fall_count(counts, domain.wraps_at):
+            wraps_at = _wraps_at(domain, within.times, counts)
+            if fall_count(counts, wraps_at):
                 yield f"the counter of {domain.label} was set back: what it counted shortly before that is lost"
+            if not _is_possible(within.times, unwrapped(counts, wraps_at)):
+                yield f"the counter of {domain.label} jumped ahead by more than can have been drawn"
 
     def _tells_of_one_core(self) -> bool:
-        if "core" not in self.domains or not self.cpuinfo.is_file():
-            return False
-        with self.cpuinfo.open(encoding="utf-8", errors="replace") as file:
-            return any(vendor in line for line in islice(file, _FIRST_LINES) for vendor in _OF_ONE_CORE)
+        return "core" in self.domains and is_amd(self.cpuinfo)
 
     def details(self) -> Mapping[str, Any]:
         """Return the domains that were read, and the values at which their counters wrap."""
         return {"domains": [{"label": each.label, "wraps_at_uJ": each.wraps_at} for each in self._domains]}
+
+
+def _wraps_at(domain: Domain, times: Sequence[float], counts: Sequence[int]) -> int | None:
+    """Return the value at which a counter wraps; None if one of its falls was a reset, as of a suspended computer."""
+    return domain.wraps_at if _is_possible(times, unwrapped(counts, domain.wraps_at)) else None
+
+
+def _is_possible(times: Sequence[float], totals: Sequence[float]) -> bool:
+    steps = zip(pairwise(times), pairwise(totals), strict=True)
+    return all(
+        (later - sooner) * _MICRO <= _MOST_WATTS * (end - start + _LATE) for (start, end), (sooner, later) in steps
+    )
 
 
 def _standstill(label: str, times: Sequence[float], counts: Sequence[int], duration: float) -> Iterator[str]:

@@ -22,7 +22,10 @@ from robot_runner.meters.polled import trial_findings
 _INSTALL = "Install it: pip install 'robot-runner[scpi]'."
 _ENERGY_UNITS = {"J": 1.0, "Wh": 3600.0, "kWh": 3.6e6}
 #: A number, and the prefix of its unit in answers such as `150 mA`; the unit of an energy counter is a parameter.
-_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?)(?:\s*([munk])[WVA]\b)?", re.IGNORECASE)
+_NUMBER = re.compile(
+    r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?)(?:\s*([munk])(?:[WVA](?:[AD]C)?|volts?|amps?|watts?)\b)?",
+    re.IGNORECASE,
+)
 _PREFIXES = {"m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
 #: The values for overload and for no number. Source: SCPI-99, volume 1, section 7.2.1.4: 9.9E37 and 9.91E37.
 _NO_NUMBER = 9.9e37

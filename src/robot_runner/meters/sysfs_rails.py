@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 #: Linux, Documentation/hwmon/sysfs-interface.rst and Documentation/ABI/testing/sysfs-bus-iio.
 _HWMON = {"power": ("power", 1e-6), "energy": ("joules", 1e-6), "curr": ("current", 1e-3), "in": ("voltage", 1e-3)}
 _IIO = {"power": ("power", 1e-3), "energy": ("joules", 1.0), "current": ("current", 1e-3), "voltage": ("voltage", 1e-3)}
+#: The driver of PAC1931 to PAC1934 scales to uW and uJ instead. Source: Linux, drivers/iio/adc/pac1934.c: 3.2 V^2
+#: divided by the shunt and by 2^28 steps is 0.011921 W for a shunt of 1 uohm, for which its scale is 11921.
+_PAC193X, _IIO_OF_PAC193X = "pac193", {**_IIO, "power": ("power", 1e-6), "energy": ("joules", 1e-6)}
 _HWMON_FILE = re.compile(r"(power|energy|curr|in)(\d+)_(input|average|label)")
 _IIO_FILE = re.compile(r"in_(power|energy|current|voltage)(\d*)_(input|raw|scale|offset|label)|rail_name_(\d+)")
 
@@ -33,6 +36,10 @@ _INA3221_CHANNELS = (1, 2, 3)
 _SHUNT_RANGES = {**SHUNT_RANGES, "ina3221": 0.1638}
 #: Half a step of hwmon's currents, A.
 _HALF_STEP = 0.0005
+#: Chips whose voltage and current of one number are those of one rail. Others without labels number each quantity by
+#: itself: in1 is an auxiliary input (ltc4261), or the voltage of the second supply (ltc2992), as hwmon counts voltages
+#: from 0 and all else from 1. Source: Linux, Documentation/hwmon/ltc*.rst.
+_NUMBERED_ALIKE = ("ina", "ltc2945", "ltc4151", "ltc4215", "ltc4245", "ltc4260", "sq52206", "sy24655")
 #: PMBus drivers name the quantities of one rail vin, iin, pin, or vout1, iout1, pout1.
 _PMBUS = re.compile(r"[vip](in|out\d*)")
 
@@ -231,7 +238,7 @@ def _hwmon_rails(folder: str, chip: str, lines: Mapping[str, str]) -> list[_Foun
     for kind in _HWMON:
         for place in sorted(place for place in files if place[0] == kind):
             label = labels.get(place, "")
-            key = _rail_key(chip, label, place[1])
+            key = _rail_key(chip, kind, label, place[1])
             if key in rails and _HWMON[kind][0] in rails[key][2]:  # another rail of the same label
                 key = f"{key}#{place[1]}"
             fallback, known, quantities = rails.setdefault(key, (f"{kind}{place[1]}", label, {}))
@@ -246,10 +253,10 @@ def _is_shunt(chip: str, kind: str, number: int) -> bool:
     return number not in _INA3221_CHANNELS if chip.startswith("ina3221") else number == 0
 
 
-def _rail_key(chip: str, label: str, number: int) -> str:
+def _rail_key(chip: str, kind: str, label: str, number: int) -> str:
     """Return a key that all quantities of one rail share."""
     if not label or chip.startswith("ina"):
-        return f"#{number}"
+        return f"#{number}" if kind != "in" or chip.startswith(_NUMBERED_ALIKE) else f"in#{number}"
     match = _PMBUS.fullmatch(label)
     return match[1] if match else label
 
@@ -264,10 +271,12 @@ def _iio_rails(folder: str, chip: str, lines: Mapping[str, str]) -> list[_Found]
         kind, number = match[1], int(match[2] or 0)
         if is_ina2xx and (kind, number) not in _INA2XX_IIO:
             continue
-        key = "" if is_ina2xx else match[2]
+        # Without power, numbers of voltages and currents may have nothing in common: drivers/iio/adc/axp20x_adc.c.
+        has_power = any(f"in_power{match[2]}_{end}" in lines for end in ("input", "raw"))
+        key = "" if is_ina2xx else match[2] if has_power or kind != "voltage" else f"{kind}{match[2]}"
         label = lines.get(f"rail_name_{match[2]}") or lines.get(f"in_{kind}{match[2]}_label") or ""
         fallback, known, quantities = rails.setdefault(key, (f"{kind}{match[2]}", label, {}))
-        quantity, unit = _IIO[kind]
+        quantity, unit = (_IIO_OF_PAC193X if chip.startswith(_PAC193X) else _IIO)[kind]
         quantities[quantity] = _iio_file(f"{folder}/{name}", kind, match, unit, lines)
         rails[key] = fallback, known or label, quantities
     return list(rails.values())
