@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import os
 import socket
+import struct
 import threading
 import time
+from contextlib import ExitStack, contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer
+from types import SimpleNamespace
 
 import pytest
 from tests.loopback_port import claim_port
 from tests.processor_wait import ProcessorWait
 from tests.ros.ros1_master import needs_ros1
+from tests.waiting import PATIENCE
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.connect import link_findings
 from robot_runner.ros.ros1_master import Master, master_address
+from robot_runner.ros.ros1_services import call_service
 
 
 @pytest.mark.parametrize(
@@ -64,6 +69,52 @@ def test_a_master_that_is_silent_is_given_up_at_the_deadline():
             Master(f"http://127.0.0.1:{server.getsockname()[1]}", timeout=0.3).check()
         wait.look()
         assert 0.3 <= time.monotonic() - begun < 2.0 + wait.seconds
+
+
+@contextmanager
+def hardly_reading():
+    """Yield a server whose connections take a few kilobytes until it reads; the rest lies in the client's system."""
+    with socket.socket() as server:
+        server.settimeout(PATIENCE)
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        server.bind(("127.0.0.1", 0))
+        server.listen()
+        yield server
+
+
+def read_late(connection):
+    """Read all that comes; raises a ConnectionResetError where the rest was dropped."""
+    while connection.recv(65536):
+        pass
+
+
+def test_a_request_that_was_given_up_is_not_delivered_later():
+    """What it sets would overwrite the value that is put back meanwhile."""
+    with hardly_reading() as server:
+        with pytest.raises(LinkError, match=r"does not answer within 0\.3 s"):
+            Master(f"http://127.0.0.1:{server.getsockname()[1]}", timeout=0.3).set_parameter("/map", value=20000 * "x")
+        with server.accept()[0] as connection, pytest.raises(ConnectionResetError):
+            read_late(connection)
+
+
+def test_a_call_of_a_service_that_was_given_up_is_not_delivered_later():
+    with hardly_reading() as server, ExitStack() as leaving:
+
+        def greet():
+            connection = leaving.enter_context(server.accept()[0])
+            connection.recv(65536)
+            connection.sendall(struct.pack("<I", 0))  # a header without fields
+            accepted.append(connection)
+
+        accepted, kind = [], SimpleNamespace(_type="std_srvs/SetBool", _md5sum="*")
+        greeting = threading.Thread(target=greet)
+        greeting.start()
+        request = SimpleNamespace(serialize=lambda buffer: buffer.write(20000 * b"x"))
+        with pytest.raises(LinkError, match=r"0\.5 s"):
+            call_service("/lamp", f"rosrpc://127.0.0.1:{server.getsockname()[1]}", kind, request, timeout=0.5)
+        greeting.join(PATIENCE)
+        with pytest.raises(ConnectionResetError):
+            read_late(accepted[0])
 
 
 class _WebServer(BaseHTTPRequestHandler):

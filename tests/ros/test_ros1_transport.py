@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import errno
+import os
 import socket
+import struct
+import subprocess
+import sys
 import threading
 import time
+import xmlrpc.client
+from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from types import SimpleNamespace
 
 import pytest
+from tests.loopback_port import claim_port
 from tests.ros.ros1_master import quiet_about_rospy
 from tests.ros.test_ros1_link import execute, opened
 from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.links import commanded_topics
 from robot_runner.core.links.commanded_topics import command_for_certain
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros import ros1_publisher
@@ -263,3 +271,122 @@ def test_a_robot_is_not_taken_for_stopped_where_rospy_was_shut_down(master_uri):
         """,
     )
     assert "could not be told to stand still" in printed
+
+
+@contextmanager
+def deaf_robot(master_uri, topic):
+    """Have a node subscribe a topic of type String or Twist, and take nothing until it is read from; yield its socket.
+
+    What is published lies in the system of the publisher then, as where the network is cut.
+    """
+    node, there = "/deaf_robot", f"http://127.0.0.1:{claim_port()}"
+    with xmlrpc.client.ServerProxy(master_uri) as master, socket.socket() as connection:
+        *_, publisher = master.registerSubscriber(node, topic, "*", there)[2]  # those before were killed
+        with xmlrpc.client.ServerProxy(publisher) as other:
+            _, _, (_, host, port) = other.requestTopic(node, topic, [["TCPROS"]])
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        connection.settimeout(PATIENCE)
+        connection.connect((host, port))
+        fields = [f"topic={topic}", "md5sum=*", f"callerid={node}"]
+        header = b"".join(struct.pack("<I", len(each)) + each.encode() for each in fields)
+        connection.sendall(struct.pack("<I", len(header)) + header)
+        (length,) = struct.unpack("<I", connection.recv(4, socket.MSG_WAITALL))
+        connection.recv(length, socket.MSG_WAITALL)
+        try:
+            yield connection
+        finally:
+            master.unregisterSubscriber(node, topic, there)
+
+
+@quiet_about_rospy
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell what is not acknowledged")
+def test_a_robot_that_acknowledges_no_command_is_not_said_to_have_been_told_to_stand_still(
+    opened, master_uri, monkeypatch
+):
+    command, link = ("/cmd_vel", TWIST), opened()
+    link.publish(*command, {"linear": {"x": 0.2}})
+    with deaf_robot(master_uri, "/cmd_vel"):
+        for _ in range(1000):
+            link.publish(*command, {"linear": {"x": 0.2}})
+            time.sleep(0)
+        (connection,) = publisher_of("/cmd_vel").connections
+        wait_until(lambda: not connection._queue, "rospy has handed all of them to the system")
+        monkeypatch.setattr(ros1_publisher, "CONNECTING", 0.2)
+        monkeypatch.setattr(commanded_topics, "_TELLING", 0.1)
+        monkeypatch.setattr(commanded_topics, "_REACHING", 0.5)
+        with pytest.raises(LinkError, match="the robot's subscription is not reached"):
+            commanded_topics.keep_commanding_zero(link, [command])
+        with pytest.raises(LinkError, match=r"could not be told to stand still: a message is not taken.*deaf_robot"):
+            link.close()
+
+
+@quiet_about_rospy
+@pytest.mark.parametrize("is_off", [True, False], ids=["silent", "refusing"])
+def test_a_robot_that_does_not_answer_is_awaited_whoever_else_subscribes_to_its_commands(
+    opened, master_uri, monkeypatch, is_off
+):
+    """As where its network is cut; where its machine refuses, its node was killed, and stays at the master."""
+    command, link = ("/cmd_vel", TWIST), opened()
+    opened().subscribe("cmd_vel", TWIST, lambda _: None)
+    monkeypatch.setattr(ros1_publisher, "CONNECTING", 0.2)
+    monkeypatch.setattr(commanded_topics, "_TELLING", 0.1)
+    monkeypatch.setattr(commanded_topics, "_REACHING", 0.5)
+    with socket.socket() as listening, xmlrpc.client.ServerProxy(master_uri) as master, ExitStack() as leaving:
+        listening.bind(("127.0.0.1", 0))
+        if is_off:
+            listening.listen()
+            leaving.enter_context(pytest.raises(LinkError, match="the robot's subscription is not reached"))
+        there = f"http://127.0.0.1:{listening.getsockname()[1]}"
+        master.registerSubscriber("/silent_robot", "/cmd_vel", TWIST, there)
+        leaving.callback(master.unregisterSubscriber, "/silent_robot", "/cmd_vel", there)
+        commanded_topics.keep_commanding_zero(link, [command])
+
+
+#: What a process publishes that a robot has not taken when the process ends.
+TALKATIVE = """
+import os, sys, time
+import rospy
+from robot_runner.core.events.context import SystemClock
+from robot_runner.ros.ros1_link import open_ros1_link
+link = open_ros1_link({}, SystemClock())
+link.publish("/lamp", "std_msgs/String", {"data": ""})
+print("ready", flush=True)
+sys.stdin.readline()
+link.advertise("/lamp", "std_msgs/String")  # it waits until the robot is connected
+for _ in range(5):
+    link.publish("/lamp", "std_msgs/String", {"data": 8000 * "x"})
+(connection,) = rospy.topics.get_topic_manager().get_publisher_impl("/lamp").connections
+while connection._queue or not connection._cond_data_available._waiters:
+    time.sleep(0.01)  # until rospy has handed all of it to the system
+print("published", flush=True)
+sys.stdin.readline()
+link.close()
+os._exit(0)
+"""
+
+
+@quiet_about_rospy
+@pytest.mark.long
+@pytest.mark.parametrize("is_killed", [True, False], ids=["killed", "closed"])
+def test_what_a_process_published_and_a_robot_did_not_take_dies_with_it_where_it_is_killed_alone(master_uri, is_killed):
+    """A robot that was stopped since would drive again: the system would go on delivering it for minutes."""
+    received, environment = 0, {**os.environ, "ROS_MASTER_URI": master_uri, "ROS_IP": "127.0.0.1"}
+    piped = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, "-c", TALKATIVE], env=environment, **piped) as process:
+        try:
+            assert process.stdout.readline() == "ready\n"
+            with deaf_robot(master_uri, "/lamp") as robot:
+                print(file=process.stdin, flush=True)
+                assert process.stdout.readline() == "published\n"
+                if is_killed:
+                    process.kill()
+                else:
+                    print(file=process.stdin, flush=True)
+                process.wait(PATIENCE)
+                with suppress(ConnectionResetError):
+                    while piece := robot.recv(65536):
+                        received += len(piece)
+        finally:
+            process.kill()
+    everything = 5 * (4 + 4 + 8000)
+    assert received < everything / 2 if is_killed else received == everything

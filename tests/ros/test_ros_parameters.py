@@ -300,6 +300,8 @@ def test_who_stands_by_puts_back_what_the_run_left_and_keeps_the_file_where_it_c
     run.link.fault = LinkError("the robot is off", where="link", fix="Switch it on.")
     plugin.make_safe(run.context)
     assert len(list(state.iterdir())) == 1
+    (finding,) = run.findings
+    assert finding["problem"].startswith("parameters of /planner are not put back: link: the robot is off")
     run.link.fault = None
     plugin.make_safe(run.context)
     assert node.values == {"speed": 0.2}

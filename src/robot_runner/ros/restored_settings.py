@@ -130,7 +130,10 @@ class RestoredSettings(OfTheRobot, System):
         kept.remove()
 
     def make_safe(self, context: RobotRunnerContext) -> None:
-        """Restore settings that a run could not restore, as it was killed or failed; what fails stays in its file."""
+        """Restore settings that a run could not restore, as it was killed or failed; what fails stays in its file.
+
+        It is warned of.
+        """
         kept = [*([self._kept] if self._kept is not None else []), *left_settings(self.kind, context.robot)]
         self._kept = None
         for each in kept:
@@ -140,7 +143,8 @@ class RestoredSettings(OfTheRobot, System):
                 each.remove()
             except Exception as error:  # noqa: BLE001 - of whichever kind: what else was left is put back
                 each.give_up()
-                _log.warning("%s of %s are not put back: %s", self.kind, enumerated(each.before), error)
+                problem = f"{self.kind} of {enumerated(each.before)} are not put back: {error}"
+                context.warn(problem, fix=f"The next run with {self.name} on this robot does it, or do it by hand.")
 
     def _put_back_left(self, context: RobotRunnerContext, link: RobotLink) -> None:
         for kept in left_settings(self.kind, context.robot):

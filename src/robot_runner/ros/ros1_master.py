@@ -10,12 +10,13 @@ import socket
 import xmlrpc.client
 from collections.abc import Mapping
 from dataclasses import dataclass
-from http.client import HTTPConnection, HTTPException
+from http.client import HTTPConnection, HTTPException, HTTPResponse
 from typing import Any
 from urllib.parse import urlsplit
 from xml.parsers.expat import ExpatError
 
 from robot_runner.core.errors import LinkError
+from robot_runner.ros.undelivered import drop_undelivered
 
 #: The master's address, unless ROS_MASTER_URI says otherwise.
 DEFAULT_MASTER = "http://localhost:11311"
@@ -127,10 +128,15 @@ class Master:
         code, _, uri = self._answer("lookupService", name)
         return uri if code == _SUCCESS else None
 
-    def pid_of(self, node: str) -> int | None:
-        """Return the process id of a node, as the node reports it, or None where there is no such node."""
+    def pid_of(self, node: str, *, timeout: float | None = None) -> int | None:
+        """Return the process id of a node, as the node reports it, or None where there is no such node.
+
+        Args:
+            node: its full name.
+            timeout: of the node's answer, s; None for that of the master.
+        """
         uri = self.uri_of(node)
-        return None if uri is None else Master(uri, timeout=self._timeout).pid()
+        return None if uri is None else Master(uri, timeout=timeout or self._timeout).pid()
 
     def uri_of(self, node: str) -> str | None:
         """Return the URI of a node, or None where there is no such node."""
@@ -211,6 +217,20 @@ class _Transport(xmlrpc.client.Transport):
         self._timeout = timeout
 
     def make_connection(self, host: Any) -> HTTPConnection:
-        connection = HTTPConnection(host, timeout=self._timeout)
+        connection = _Connection(host, timeout=self._timeout)
         self._connection = host, connection  # where `close` looks for it
         return connection
+
+
+class _Connection(HTTPConnection):
+    """A connection whose request is not delivered any more once it was given up, or this process was killed."""
+
+    def connect(self) -> None:
+        super().connect()
+        drop_undelivered(self.sock)
+
+    def getresponse(self) -> HTTPResponse:
+        asked = self.sock  # the response may take it over
+        response = super().getresponse()
+        drop_undelivered(asked, is_dropped=False)
+        return response

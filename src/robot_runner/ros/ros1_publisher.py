@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import logging
 import math
+import sys
+import termios
 import threading
 import time
+from array import array
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from fcntl import ioctl
 from functools import partial
 from importlib import import_module
 from typing import Any
@@ -19,6 +23,7 @@ from robot_runner.ros.own_thread import OwnThread
 from robot_runner.ros.qos_policies import DEPTHS
 from robot_runner.ros.ros1_node import check_running, completed_first, within
 from robot_runner.ros.ros1_types import as_message
+from robot_runner.ros.undelivered import drop_undelivered
 
 _logger = logging.getLogger(__name__)
 
@@ -72,6 +77,7 @@ class Publisher:
         depth, is_latched = DEPTHS[qos], qos is Qos.TRANSIENT_LOCAL
 
         def complete(publisher: Any) -> None:
+            _have_undelivered_die_with_us(publisher)
             publisher.set_queue_size(depth)
             if is_latched:
                 publisher.enable_latch()
@@ -95,7 +101,7 @@ class Publisher:
         check_running(self._rospy.is_shutdown, self._topic)
 
     def flush(self, seconds: float) -> None:
-        """Return once the messages were sent to the connected subscribers, as far as this machine can know.
+        """Return once the connected subscribers have the messages, as far as this machine can know.
 
         Raises:
             LinkError: a subscriber does not receive them, or has lost its connection; or rospy was shut down.
@@ -103,10 +109,8 @@ class Publisher:
         deadline = time.monotonic() + seconds
         connections = list(self._publisher.impl.connections)
         for connection in connections:
-            while not (is_idle := _is_idle(connection)) and is_idle is not None:
-                if time.monotonic() > deadline:
-                    raise self._not_taken(f"a message is not taken within {seconds:g} s by {connection.endpoint_id}")
-                time.sleep(POLL)
+            if (is_idle := _await_idle(connection, deadline)) is False:
+                raise self._not_taken(f"a message is not taken within {seconds:g} s by {connection.endpoint_id}")
             if is_idle is None:
                 time.sleep(_UNTOLD_SECONDS)
         check_running(getattr(self._rospy.core, "is_shutdown_requested", self._rospy.is_shutdown), self._topic)
@@ -126,16 +130,25 @@ class Publisher:
         within(self._publisher.unregister, where=self._topic, doing="leaving the topic")
 
     def reach(self) -> bool:
-        """Wait until all subscribers are connected, for long enough not to reconnect; return whether they are."""
-        subscribers = len(list(self._subscribers()))  # without dead nodes, which would not connect
+        """Wait until all subscribers are connected, and have what was published; return whether they are.
+
+        They have to be connected for long enough not to reconnect.
+        """
+        subscribers = [each.node for each in self._subscribers()]  # without dead nodes, which would not connect
         deadline = time.monotonic() + CONNECTING
-        while self._publisher.get_num_connections() < subscribers:
+        while self._publisher.get_num_connections() < len(subscribers):
             left = deadline - time.monotonic()
             if left <= 0:
-                connected = self._publisher.get_num_connections()
-                _logger.warning("%s: %d of its %d subscribers are reached", self._topic, connected, subscribers)
+                missing = set(subscribers).difference(each.endpoint_id for each in self._publisher.impl.connections)
+                # Of a machine that was switched off, only `rosnode cleanup` takes its nodes from the master.
+                _logger.warning("%s: subscribers are not reached: %s", self._topic, enumerated(sorted(missing)))
                 return False
             self._arrivals.wait(left)
+        # A subscriber whose network is cut stays connected for minutes, and receives nothing of what is published.
+        for connection in list(self._publisher.impl.connections):
+            if _await_idle(connection, deadline) is False:
+                _logger.warning("%s: %s does not take what is published", self._topic, connection.endpoint_id)
+                return False
         return time.monotonic() - self._arrivals.last >= _SETTLING
 
     def _not_taken(self, problem: str) -> LinkError:
@@ -165,8 +178,31 @@ class _Arrivals:
         self._arrived.clear()
 
 
+def _have_undelivered_die_with_us(publisher: Any) -> None:
+    """Have the system drop what is not delivered yet where this process is killed, but not where the topic is left."""
+    add, close = publisher.add_connection, publisher.close
+
+    def add_dropping(connection: Any) -> Any:
+        drop_undelivered(connection.socket)
+        return add(connection)
+
+    def close_delivering() -> None:
+        for connection in list(publisher.connections):
+            drop_undelivered(getattr(connection, "socket", None), is_dropped=False)
+        close()
+
+    publisher.add_connection, publisher.close = add_dropping, close_delivering
+
+
+def _await_idle(connection: Any, deadline: float) -> bool | None:
+    """Wait until all messages of a connection are delivered, or the deadline has passed; return as `_is_idle` does."""
+    while (is_idle := _is_idle(connection)) is False and time.monotonic() <= deadline:
+        time.sleep(POLL)
+    return is_idle
+
+
 def _is_idle(connection: Any) -> bool | None:
-    """Return whether rospy has handed all messages of a connection to the system; None where that is not known.
+    """Return whether the other machine has all messages of a connection; None where that is not known.
 
     rospy's thread takes the whole queue and then sends it. So an empty queue is not enough: the thread must be waiting,
     too. It is not known without a queue, as of a config's own publisher, or in another version of rospy.
@@ -174,6 +210,20 @@ def _is_idle(connection: Any) -> bool | None:
     try:
         waiters = connection._cond_data_available._waiters  # noqa: SLF001 - rospy tells it nowhere else
         with connection._lock:  # noqa: SLF001 - as above
-            return bool(connection.done or (not connection._queue and waiters))  # noqa: SLF001 - as above
+            is_sent = bool(connection.done or (not connection._queue and waiters))  # noqa: SLF001 - as above
     except (AttributeError, TypeError):
         return None
+    return is_sent and not _is_unacknowledged(connection)
+
+
+def _is_unacknowledged(connection: Any) -> bool:
+    """Return whether the system keeps something that the other machine has not acknowledged; False if it does not tell.
+
+    Source: tcp(7), SIOCOUTQ.
+    """
+    if sys.platform != "linux":
+        return False
+    count = array("i", [0])
+    with suppress(AttributeError, OSError):  # it was closed meanwhile
+        ioctl(connection.socket.fileno(), termios.TIOCOUTQ, count)
+    return count[0] > 0

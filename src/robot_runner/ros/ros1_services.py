@@ -16,6 +16,7 @@ from urllib.parse import urlsplit
 
 from robot_runner.core.errors import LinkError
 from robot_runner.ros.graph_transport import service_timeout, wrong_service_type
+from robot_runner.ros.undelivered import drop_undelivered
 
 _LENGTH = struct.Struct("<I")
 _CALLER = "/robot_runner"
@@ -31,6 +32,7 @@ class _Connection:
         self._deadline = time.monotonic() + timeout
         self._socket = socket.create_connection((parts.hostname or "", parts.port or 0), timeout=timeout)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        drop_undelivered(self._socket)  # a request that was given up must not take effect later
 
     def send(self, data: bytes) -> None:
         """Send bytes, preceded by their length."""
@@ -50,6 +52,10 @@ class _Connection:
                 raise ConnectionResetError("the service closed the connection")
             data += piece
         return bytes(data)
+
+    def note_answer(self) -> None:
+        """Note that nothing is to be dropped any more."""
+        drop_undelivered(self._socket, is_dropped=False)
 
     def close(self) -> None:
         self._socket.close()
@@ -98,6 +104,7 @@ def _connected(name: str, uri: str, timeout: float) -> Iterator[_Connection]:
     try:
         connection = _Connection(uri, timeout)
         yield connection
+        connection.note_answer()
     except TimeoutError as error:
         raise service_timeout(name, timeout) from error
     except (OSError, struct.error) as error:

@@ -37,7 +37,7 @@ _logger = logging.getLogger(__name__)
 
 #: The timeout for a connected publisher to report the connection, s: it takes a millisecond, or is not supported.
 _TELLING_SECONDS = 0.5
-#: The timeout for asking a service for its type, s.
+#: The timeout for asking a service for its type, and a subscriber whether it is there, s.
 _PROBING_SECONDS = 0.5
 _START = "Start the node that offers it."
 
@@ -131,36 +131,42 @@ class Ros1Transport:
 
     def subscribers(self, topic: str) -> Iterable[GraphEndpoint]:
         """Return the subscribers of a topic, all with the type that the master knows."""
-        return self._endpoints(topic, self._master.state().subscribers)
+        return self._endpoints(topic, self._master.state().subscribers, may_be_silent=True)
 
-    def _endpoints(self, topic: str, by_topic: Mapping[str, tuple[str, ...]]) -> list[GraphEndpoint]:
+    def _endpoints(
+        self, topic: str, by_topic: Mapping[str, tuple[str, ...]], *, may_be_silent: bool = False
+    ) -> list[GraphEndpoint]:
         known, own = plain_type(self._master.topic_types().get(topic, "")), self._rospy.get_name()
         nodes = by_topic.get(topic, ())
         return [
             GraphEndpoint(node, known, node == own)
             for node in nodes
-            if node == own or self._is_there(node, is_alone=len(nodes) == 1)
+            if node == own or self._is_there(node, is_alone=len(nodes) == 1, may_be_silent=may_be_silent)
         ]
 
-    def _is_there(self, node: str, *, is_alone: bool) -> bool:
+    def _is_there(self, node: str, *, is_alone: bool, may_be_silent: bool) -> bool:
         """Whether a node answers: a killed node stays registered at the master.
 
         One of ours is taken away then. Otherwise each run that is killed would leave one more, of which the master
         tells the robot, and which the robot tries to reach, whenever somebody new publishes. The only one of a topic
-        is there until it was taken away: a robot that is out of reach has not gone.
+        is there until it was taken away, and so is one that `may_be_silent`, unless its machine refuses: a robot that
+        is out of reach has not gone, whoever else subscribes to its commands.
         """
-        began, is_taken_away = pid_in_name(node), False
+        began, is_taken_away, is_silent = pid_in_name(node), False, False
         if is_alone and began is None:
             return True
         try:
-            answered = self._master.pid_of(node)
+            # Whoever stops a robot asks again and again, and must not take long: one that answers later is silent.
+            answered = self._master.pid_of(node, timeout=_PROBING_SECONDS if may_be_silent else None)
             is_gone = began is not None and answered not in {None, began}  # its address is somebody else's by now
         except LinkError as error:
-            answered, is_gone = None, began is not None and isinstance(error.__cause__, ConnectionRefusedError)
+            is_refused = isinstance(error.__cause__, ConnectionRefusedError)
+            answered, is_gone = None, began is not None and is_refused
+            is_silent = may_be_silent and isinstance(error.__cause__, OSError) and not is_refused
         if is_gone:
             with suppress(LinkError):
                 is_taken_away = self._is_forgotten(node)
-        return not is_taken_away if is_alone else answered is not None and not is_gone
+        return not is_taken_away if is_alone else is_silent or (answered is not None and not is_gone)
 
     def _is_forgotten(self, node: str) -> bool:
         """Unregister a node with this machine's address: on other machines, it may be a firewall that refuses us."""

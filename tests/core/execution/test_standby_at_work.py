@@ -121,6 +121,16 @@ def test_of_a_robot_whose_driver_has_gone_it_is_told_that_nobody_took_the_comman
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+def test_what_a_system_warns_of_as_it_is_made_safe_is_told(write_config: Callable[..., Path]) -> None:
+    """As that parameters of a node out of reach are not put back: it was said that all of it is done."""
+    warning = 'context.warn("the lamp is still lit")\n        (HERE / "made_safe").write_text'
+    head = HEAD.replace('(HERE / "made_safe").write_text', warning)
+    experiment = prepare_or_refuse(write_config("", head=head, table=TABLE))
+    with after_death(experiment) as told:
+        assert told.endswith("did it, as far as it could: the lamp is still lit")
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 def test_a_robot_whose_server_or_network_is_back_some_seconds_after_the_run_s_death_is_made_safe(
     write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

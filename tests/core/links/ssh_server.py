@@ -124,10 +124,17 @@ class SshServer:
 
     def cut(self) -> None:
         """End the connections that are open, as a network that fails would; the server goes on."""
+        self._signal_connections(signal.SIGKILL)
+
+    def stall(self) -> None:
+        """Have nothing pass over the connections that are open, as a network that nobody is told of; new ones can."""
+        self._signal_connections(signal.SIGSTOP)
+
+    def _signal_connections(self, number: signal.Signals) -> None:
         for pid in _descendants(self._process.pid):
             if "sshd" in _name(pid):
                 with suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
+                    os.kill(pid, number)
 
     def stop(self) -> None:
         """End the server and its connections."""

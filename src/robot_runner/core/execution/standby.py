@@ -13,7 +13,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from copy import copy as shallow_copy
 from typing import Any, NoReturn
@@ -206,19 +206,18 @@ class Standby:
                 print_to_log(self._experiment.folder)
                 settle_streams()
             try:
-                unheard = self._make_safe(connection)
+                doubts = self._make_safe(connection)
             except Exception:  # noqa: BLE001 - the connection may have been lost: what fails again is reported
-                unheard = self._make_safe_anew(deadline)
+                doubts = self._make_safe_anew(deadline)
             # Programs that take longer to end may have commanded the robot since, and nobody else is left to end them.
             if os.getppid() != self._parent and end_left_over(self._experiment.folder):
-                unheard = self._make_safe_anew(deadline)
+                doubts = self._make_safe_anew(deadline)
         except BaseException as error:  # noqa: BLE001 - whatever it is, a person must know that the robot was not stopped
             self.state.set(Care.OUT_OF_REACH, failure_fields(error)["problem"])
         else:
-            names = enumerated(sorted(unheard))
             if self._is_for_all:
                 SystemsFile(self._experiment.folder).remove()  # first: the next run may begin once the state is set
-            self.state.set(Care.MADE_SAFE, f"nobody subscribes to {names} any more" if unheard else "")
+            self.state.set(Care.MADE_SAFE, "; ".join(doubts))
 
     def _make_safe_anew(self, deadline: float) -> list[str]:
         """Make the systems safe over a new connection; try again until `deadline` where the robot is not reached."""
@@ -235,7 +234,7 @@ class Standby:
         """Stop the robot on each topic, make each system safe, and stop the robot again, whatever fails of that.
 
         Returns:
-            the topics without a subscriber.
+            what remains doubtful: topics without a subscriber, and what systems warn of.
         """
         commanded, unheard = self.state.commanded, list[str]()
         with ExitStack() as each_of_them:  # the last one first, as the run does it
@@ -244,7 +243,8 @@ class Standby:
                 each_of_them.callback(made_safe, system, connection.contexts(system.name))
             for topic, message_type in commanded:  # a config, which has no `make_safe`, may have commanded, too
                 each_of_them.callback(connection.stop, topic, message_type)
-        return unheard
+        gone = [f"nobody subscribes to {enumerated(sorted(unheard))} any more"] if unheard else []
+        return [*gone, *connection.warnings]
 
 
 class _Connection:
@@ -252,13 +252,19 @@ class _Connection:
 
     Attributes:
         contexts: makes the context of each owner.
+        warnings: what the owners have warned of.
     """
 
     def __init__(self, experiment: Experiment, task: RunTask) -> None:
         self._resources = Resources()
+        self.warnings: list[str] = []
         self.contexts = run_contexts(
-            experiment, task, clock=SystemClock(), resources=self._resources, report=lambda _kind, _fields: None
+            experiment, task, clock=SystemClock(), resources=self._resources, report=self._take
         )
+
+    def _take(self, kind: str, fields: Mapping[str, Any]) -> None:
+        if kind == "finding":
+            self.warnings.append(str(fields["problem"]))
 
     def stop(self, topic: str, message_type: str) -> None:
         """Publish a zero velocity."""
