@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.util
 import json
+import os
 from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from typing import TYPE_CHECKING, Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -17,7 +20,7 @@ from robot_runner.adaptive.optimise import _Search
 from robot_runner.adaptive.optuna_program import candidates
 from robot_runner.core.design.asking import Decision, Told
 from robot_runner.core.design.planned_runs import PlannedRun
-from robot_runner.core.errors import DesignError
+from robot_runner.core.errors import DesignError, ExecutionError
 
 if TYPE_CHECKING:
     from robot_runner.core.design.factor import Combination
@@ -191,6 +194,16 @@ def test_an_optuna_that_fails_is_told(monkeypatch: pytest.MonkeyPatch, name: str
     told = told_of([(run.combination, 1) for run in model.plan()], energy)
     with pytest.raises(DesignError, match=f"Optuna could not be asked where to search next: {reason}"):
         asking.ask(told)
+
+
+def test_where_there_is_no_process_for_optuna_that_is_told_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    refusal = BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+    monkeypatch.setattr(optimise.subprocess, "run", Mock(side_effect=refusal))
+    model = model_of(Optimise("Energy", runs=20))
+    asking = _Search(model.design, model.factors, model.allowed, 1)  # type: ignore[arg-type]
+    with pytest.raises(ExecutionError, match="no process can be started for the search: ") as raised:
+        asking.ask(told_of([(run.combination, 1) for run in model.plan()], energy))
+    assert "ulimit -u" in raised.value.fix
 
 
 @pytest.mark.long

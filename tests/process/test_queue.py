@@ -269,6 +269,29 @@ def test_an_experiment_whose_process_is_killed_twice_is_begun_again_after_a_rest
     assert list(done_runs(tmp_path / "results" / "first").values()) == [1, 1, 1]
 
 
+def test_an_experiment_for_which_there_is_no_process_at_first_is_begun_again_after_a_rest(
+    robot_runner: Callable[..., Any], config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(queueing, "_REST", 0.01)
+    assert robot_runner("queue", "add", config("first", seconds=0)).code == 0
+    started, refusals = subprocess.Popen, [errno.EAGAIN, errno.ENOMEM]
+
+    def start(*words: Any, **options: Any) -> subprocess.Popen[Any]:
+        if refusals:
+            number = refusals.pop(0)
+            raise OSError(number, os.strerror(number))
+        return started(*words, **options)
+
+    monkeypatch.setattr(subprocess, "Popen", start)
+    answer = robot_runner("queue", "run")
+    told = [line for line in answer.out.splitlines() if line.startswith("the process of")]
+    assert told == [
+        f"the process of 1 (first) cannot be started: {os.strerror(number)}; it is begun again in {rest} s"
+        for number, rest in ((errno.EAGAIN, "0.01"), (errno.ENOMEM, "0.02"))
+    ]
+    assert answer.code == 0
+
+
 @pytest.mark.long
 def test_what_is_damaged_changed_gone_or_not_to_be_kept_is_told_and_holds_up_nobody(
     robot_runner: Callable[..., Any], config: Callable[..., Path], start: Callable[..., subprocess.Popen[str]]

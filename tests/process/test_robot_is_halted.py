@@ -224,6 +224,26 @@ def test_a_robot_that_a_program_out_of_reach_may_drive_on_is_told_of_and_no_furt
 
 @over("dds")
 @pytest.mark.long
+def test_a_robot_that_a_program_out_of_reach_of_a_killed_run_may_drive_on_is_told_of(
+    graph: str, start: Callable[..., Experiment], tmp_path: Path, server: SshServer
+) -> None:
+    (tmp_path / "planner.py").write_text(PLANNER)
+    config = tmp_path / "config.py"
+    text = CONFIG.format(robot=graph).replace('per="experiment"', on_host(server))
+    config.write_text(text.replace("sleep(0.1)", "sleep(3600)").replace("600_000", "0"))
+    with open_robot(graph) as (link, _):
+        robot = Robot(link)
+        experiment = start(config=config)
+        wait_until_seen_to_move(robot, experiment)
+        server.stall()
+        os.kill(experiment.run_process(), signal.SIGKILL)
+        assert experiment.end() == 1
+        assert "THE ROBOT MAY BE MOVING: Planner could not be made safe" in experiment.output
+        assert [row["status"] for row in experiment.table] == ["Failed", "-"]
+
+
+@over("dds")
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("with_all", "is_far"),
     [

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import os
+import resource
 import shutil
 import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
-from tests.waiting import wait_until
+from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.resources import Resources
@@ -141,6 +145,40 @@ def test_a_robot_is_halted_also_where_the_system_has_no_second_process(
     assert halted == [start]
 
 
+@pytest.mark.skipif(resource.getrlimit(resource.RLIMIT_NOFILE)[0] <= 1100, reason="fewer files may be open")
+def test_the_process_that_halts_a_robot_is_told_to_join_its_graph_however_many_files_are_open(tmp_path: Path) -> None:
+    start = begun(tmp_path)
+    CommandedTopics(start).add("rosbridge://127.0.0.1:1", "/cmd_vel", TWIST)
+    (told, telling), (answered, answering) = os.pipe(), os.pipe()
+    far = fcntl.fcntl(answered, fcntl.F_DUPFD_CLOEXEC, 1100)  # select() takes none beyond 1023
+    os.write(answering, b"\n")
+    preparing = object.__new__(Halting)
+    preparing._commanded = CommandedTopics(start)
+    with os.fdopen(telling, "wb") as stdin, os.fdopen(far, "rb") as stdout, os.fdopen(told, "rb") as read:
+        preparing._process = SimpleNamespace(stdin=stdin, stdout=stdout)  # type: ignore[assignment]
+        preparing.prepare()
+        assert read.readline() == b"\n"
+    for each in (answered, answering):
+        os.close(each)
+
+
+@pytest.mark.parametrize("has_commanded", [True, False])
+def test_where_the_system_has_no_process_that_halts_a_robot_it_is_said_with_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_commanded: bool
+) -> None:
+    start = Start(tmp_path / "subjects" / "Planner" / "1")
+    start.folder.mkdir(parents=True)
+    if has_commanded:
+        CommandedTopics(start).add("rosbridge://127.0.0.1:1", "/cmd_vel", TWIST)
+    refusal = BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+    monkeypatch.setattr(subprocess, "Popen", Mock(side_effect=refusal))
+    with pytest.raises(PluginError, match="no process can be started that halts the robot") as caught:
+        Halting(start, "Planner")
+    assert "ulimit -u" in caught.value.fix
+    (finding,) = list(end_left_subjects(tmp_path, lambda _: True)) or [caught.value.as_finding()]
+    assert ("THE ROBOT MAY BE MOVING" in finding.problem) == has_commanded
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell who holds a lock")
 @pytest.mark.long
 def test_where_halting_robots_takes_too_long_nobody_goes_on_with_it_once_that_is_said(
@@ -163,6 +201,17 @@ def test_robots_of_one_graph_are_halted_together(monkeypatch: pytest.MonkeyPatch
     robots._links = {"dds:domain=7": SimpleNamespace()}  # type: ignore[dict-item]
     robots.stop()
     assert told == [[("/alice/cmd_vel", TWIST), ("/bob/cmd_vel", TWIST)]]
+
+
+def test_robots_of_different_graphs_are_halted_at_the_same_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each takes four seconds: the last of ten would drive on for more than half a minute."""
+    both = threading.Barrier(2, timeout=PATIENCE)
+    monkeypatch.setattr(halting, "keep_commanding_zero", lambda *_: both.wait() and [])
+    topics = {f"dds:domain={number}": [("/cmd_vel", TWIST)] for number in (7, 8)}
+    robots = halting._CommandedRobots(SimpleNamespace(by_robot=lambda: topics), Resources())  # type: ignore[arg-type]
+    robots._links = {robot: SimpleNamespace() for robot in topics}  # type: ignore[misc]
+    robots.stop()
+    assert not both.broken
 
 
 @pytest.mark.parametrize("has_commanded", [True, False])

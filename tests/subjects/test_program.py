@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import errno
 import fcntl
 import json
 import os
@@ -16,6 +17,7 @@ from pathlib import Path
 from threading import Timer
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
+from unittest.mock import Mock
 
 import pytest
 from tests.command_line import PROGRAM
@@ -28,13 +30,13 @@ from tests.waiting import wait_until
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.config.treatment_makers import Workshop
 from robot_runner.core.design.factor import Factor
-from robot_runner.core.errors import PluginError, StorageError
+from robot_runner.core.errors import PluginError, RobotRunnerError, StorageError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.plugin import Circumstances
 from robot_runner.plugins.systems import Program
 from robot_runner.subjects import supervisor
 from robot_runner.subjects.revisions import REVISIONS
-from robot_runner.subjects.supervised_program import SupervisedProgram, Task
+from robot_runner.subjects.supervised_program import Start, SupervisedProgram, Task
 from robot_runner.subjects.work_tree import WorkTree
 from robot_runner.testing import SystemContract, make_context, rehearse
 
@@ -446,6 +448,22 @@ def test_what_keeps_a_script_from_being_started_is_told(execute: Callable[..., E
     done = execute(f"plugins = [Program([{str(script)!r}])]")
     assert "Exec format error" in done.finished.failures[0]
     assert "Give a script a first line such as #!/bin/sh" in str(done.journal())
+
+
+@pytest.mark.parametrize("whose", ["the supervisor's", "the program's"])
+def test_where_the_system_has_no_process_for_a_program_it_is_said_with_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whose: str
+) -> None:
+    refusal = BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+    supervisor_of_it = SimpleNamespace(pid=2**31 - 1, stdin=None, poll=lambda: 0, wait=lambda: 0)
+    started = Mock(side_effect=refusal) if whose == "the supervisor's" else Mock(return_value=supervisor_of_it)
+    monkeypatch.setattr(subprocess, "Popen", started)
+    told = {"refused": {"refused": refusal.strerror}}
+    monkeypatch.setattr(Start, "_told", lambda _, kind: told.get(kind, {}))
+    task = Task(command=("true",), environment={})
+    with pytest.raises(RobotRunnerError, match=os.strerror(errno.EAGAIN)) as caught:
+        SupervisedProgram(tmp_path / "start", task, name="Planner")
+    assert "ulimit -u" in caught.value.findings[0].fix
 
 
 def test_a_setup_file_may_lie_at_home_and_a_program_is_named_as_the_system_takes_it(

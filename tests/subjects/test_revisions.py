@@ -17,6 +17,7 @@ from tests.command_line import PROGRAM
 from tests.conftest import HEAD, written_config
 from tests.core.execution.conftest import Executed, execute_in
 from tests.subjects.conftest import Repository, alive, gone
+from tests.waiting import wait_until
 
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import DesignError, ExecutionError
@@ -174,6 +175,23 @@ def test_ctrl_c_ends_a_build(tmp_path: Path, repository: Repository, token: str)
     assert process.returncode == 130, said
     assert f"Building v1.0 of {repository.folder} ..." in said
     assert gone(token)
+
+
+@pytest.mark.long
+def test_a_build_ends_with_its_killed_execution_and_the_next_one_makes_it_anew(
+    tmp_path: Path, repository: Repository, token: str
+) -> None:
+    build = f"echo begun >>{tmp_path}/builds; test -e {tmp_path}/go || setsid sh -c 'sleep 100; :' {token}; {BUILD}"
+    config = written_config(tmp_path, BODY, head=OURS, table=table(repository.folder, build=build))
+    process = subprocess.Popen([PROGRAM, "run", config], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    wait_until(lambda: alive(token), "it is built")
+    process.kill()
+    process.wait(60)
+    assert gone(token)
+    (tmp_path / "go").touch()
+    again = subprocess.run([PROGRAM, "run", config], capture_output=True, text=True, timeout=120, check=False)
+    assert again.returncode == 0, again.stdout + again.stderr
+    assert (tmp_path / "builds").read_text().split() == ["begun"] * 3
 
 
 def test_what_is_no_revision_is_found_before_anything_is_touched(

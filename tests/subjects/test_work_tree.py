@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
+import socket
 import subprocess
+import sys
+import threading
 from typing import TYPE_CHECKING
+from unittest.mock import Mock
 
 import pytest
+from tests.subjects.conftest import gone
 
 from robot_runner.core.config.treatment_makers import Workshop
+from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.git_repository import git
 from robot_runner.subjects import work_tree
 from robot_runner.subjects.work_tree import WorkTree, is_kept, kept_name
@@ -82,3 +90,60 @@ def test_each_repository_has_a_copy_of_its_own() -> None:
         "/home/ada/gr\udcf6\udcdfe",
     ]
     assert len({kept_name(place) for place in places}) == 4
+
+
+#: Makes the work tree of a commit of a repository.
+MAKING = """
+import sys
+from pathlib import Path
+from robot_runner.core.config.treatment_makers import Workshop
+from robot_runner.subjects.work_tree import WorkTree
+WorkTree(sys.argv[1], "a" * 40, "").made("main", Path("log"), Workshop(Path(), lambda: False, print))
+"""
+
+
+@pytest.mark.long
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell of a parent's death")
+def test_a_repository_that_is_being_cloned_is_left_alone_once_the_execution_is_killed(token: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:  # as a slow network
+        place = f"git://127.0.0.1:{silent.getsockname()[1]}/{token}"
+        process = subprocess.Popen([sys.executable, "-c", MAKING, place])
+        connection, _ = silent.accept()
+        with connection:
+            process.kill()
+            process.wait(60)
+            assert gone(token)  # it would write where the next execution makes its own
+
+
+def test_a_work_tree_is_made_anew_once_what_an_earlier_execution_has_left_of_its_build_has_ended(
+    repository: Repository, tmp_path: Path
+) -> None:
+    tree = WorkTree(str(repository.folder), repository.commit_of("main"), "ls -a >seen.txt")
+    workshop = Workshop(tmp_path, lambda: False, print)
+    tree.made("main", tmp_path / "log", workshop)
+    (tree.folder.parent / "built.json").unlink()
+    (tree.folder / "left").touch()
+    (events,) = tree.folder.parent.rglob("events.jsonl")
+    with events.open("a") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        timer = threading.Timer(0.3, lambda: (tree.folder / "late").touch() or held.close())
+        timer.start()
+        tree.made("main", tmp_path / "log", workshop)
+    timer.join()
+    assert {"left", "late"}.isdisjoint((tree.folder / "seen.txt").read_text().split())
+
+
+@pytest.mark.parametrize("is_log", [False, True])
+def test_what_the_disk_does_not_take_of_a_work_tree_is_named(
+    repository: Repository, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_log: bool
+) -> None:
+    tree, log = WorkTree(str(repository.folder), repository.commit_of("main"), "true"), tmp_path / "log"
+    refusal = OSError(errno.ENOSPC, "No space left on device")
+    if is_log:
+        monkeypatch.setattr(work_tree.shutil, "copyfile", Mock(side_effect=refusal))
+    else:
+        monkeypatch.setattr(WorkTree, "_built_before", Mock(side_effect=refusal))
+    named = log if is_log else tree.folder
+    with pytest.raises(StorageError, match=f"{named}: the file cannot be written: No space left") as caught:
+        tree.made("main", log, Workshop(tmp_path, lambda: False, print))
+    assert caught.value.fix == "Make room on the disk, then try again."

@@ -34,6 +34,7 @@ from robot_runner.core.design.design import ChosenCombinations, IsAllowed
 from robot_runner.core.design.factor import Combination, Factor, texts_of
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import DesignError, Finding
+from robot_runner.core.execution.processes import no_process
 from robot_runner.core.words import counted, enumerated, listed
 
 #: The fewest combinations before there is a model; by default two more than twice the number of factors.
@@ -244,6 +245,7 @@ class _Search:
 
         Raises:
             DesignError: it does not answer.
+            ExecutionError: the system has no process left for it.
         """
         design, space = self._design, self._space
         seed = Random(f"{design.seed} {len(tried)}").getrandbits(32)  # noqa: S311 - reproducible, not secret
@@ -272,6 +274,8 @@ class _Search:
             )
         except subprocess.TimeoutExpired as error:
             raise _unanswered(f"no answer came within {_PATIENCE:g} s") from error
+        except OSError as error:
+            raise no_process(error, "the search") from error
         if asked.returncode:
             told = asked.stderr.strip().splitlines() or [f"it ended with {asked.returncode}"]
             raise _unanswered(told[-1])

@@ -212,7 +212,11 @@ class QueueRunner:
     def _execute_one(self, queued: QueuedExperiment) -> bool:
         """Execute an experiment in a process of its own; return whether it has failed."""
         print(f"{named(queued)} of the queue begins: {queued.config}", flush=True)
-        code = self._code_of(queued)
+        try:
+            code = self._code_of(queued)
+            how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
+        except OSError as error:  # the system has no process left for it, mostly for a while
+            code, how = SOME_FAILED, f"cannot be started: {error.strerror}"
         after = self._queue.read_one(queued.number)
         if after is not None and after.has_ended:
             self._rest = 0.0
@@ -225,7 +229,6 @@ class QueueRunner:
             print(f"{named(queued)} stays in the queue; to go on: robot-runner queue run", flush=True)
         elif after is not None and not self._queue.is_taken(queued.number):
             self._rest = min(_LONGEST_REST, 2 * self._rest or _REST)
-            how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
             print(f"the process of {named(queued)} {how}; it is begun again in {self._rest:g} s", flush=True)
             self._sleep(self._rest)
         return False

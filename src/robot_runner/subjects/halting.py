@@ -21,6 +21,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from robot_runner.core.errors import Finding, LinkError, PluginError, RobotRunne
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.execution.interruption import STOP_SIGNALS
+from robot_runner.core.execution.processes import FEWER_PROCESSES
 from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND, VELOCITIES, keep_commanding_zero
 from robot_runner.core.links.connect import resolved_robot
 from robot_runner.core.links.robot import Advertiser, RobotLink
@@ -130,13 +132,21 @@ class Halting:
     Args:
         start: of the program.
         name: of the plugin that started it, for messages.
+
+    Raises:
+        PluginError: the system has no process left for it.
     """
 
     def __init__(self, start: Start, name: str) -> None:
         self._start = start
         self._name = name
         self._commanded = CommandedTopics(start)
-        self._begin()
+        try:
+            self._begin()
+        except OSError as error:
+            moving = f"{MAY_BE_MOVING}: " if self._commanded.by_robot() else ""
+            problem = f"{moving}no process can be started that halts the robot of {name}: {error.strerror}"
+            raise PluginError(problem, where=name, fix=FEWER_PROCESSES) from error
 
     def _begin(self) -> None:
         with self._commanded.locked() as inherited:
@@ -156,7 +166,9 @@ class Halting:
             with suppress(OSError):  # the process was killed; `finish` starts another
                 self._process.stdin.write(b"\n")
                 self._process.stdin.flush()
-                select.select([self._process.stdout], [], [], _JOINING)
+                answered = select.poll()  # `select` refuses descriptors beyond 1,023
+                answered.register(self._process.stdout, select.POLLIN)
+                answered.poll(_JOINING * 1000)
 
     def finish(self) -> None:
         """After the end of the program, wait until zero was commanded; if the processes were killed, start others.
@@ -243,7 +255,7 @@ class _CommandedRobots:
         self._links: dict[str, RobotLink] = {}
 
     def _by_graph(self) -> dict[str, list[tuple[str, str]]]:
-        """Return the topics by how their graph is reached: one after the other, many robots would drive on for long."""
+        """Return the topics by how their graph is reached, which is joined once."""
         found: dict[str, list[tuple[str, str]]] = {}
         for robot, topics in self._commanded.by_robot().items():
             if robot not in self._graphs:
@@ -270,14 +282,15 @@ class _CommandedRobots:
                     self._link(robot).publish(topic, message_type, {})
 
     def stop(self) -> None:
-        """Command zero until it has reached every robot; a failure at one does not keep others from being stopped.
+        """Command zero until it has reached every robot, on all graphs at the same time, whatever fails at one.
 
         Raises:
             RobotRunnerError: it does not reach a robot whose graph is there.
         """
-        with ExitStack() as each_of_them:
-            for robot, topics in self._by_graph().items():
-                each_of_them.callback(self._stop, robot, topics)
+        graphs = self._by_graph()
+        with ExitStack() as failures, ThreadPoolExecutor(max_workers=max(1, len(graphs))) as together:
+            for robot, topics in graphs.items():
+                failures.callback(together.submit(self._stop, robot, topics).result)
 
     def _stop(self, robot: str, topics: Sequence[tuple[str, str]]) -> None:
         had_joined = robot in self._links

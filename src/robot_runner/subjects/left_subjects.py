@@ -1,16 +1,23 @@
-"""Tells which robots software for all runs may still drive after a kill, as nobody was left to halt them."""
+"""Tells which robots software may still drive after a kill: nobody was left to halt them, or it is out of reach."""
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
-from robot_runner.core.errors import Finding
-from robot_runner.core.links.commanded_topics import MAY_BE_MOVING
+from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND
+from robot_runner.core.links.ssh_command import execute, ssh_command
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import enumerated
 from robot_runner.subjects.halting import CommandedTopics
-from robot_runner.subjects.supervised_program import last_start
+from robot_runner.subjects.remote_supervision import LEASE
+from robot_runner.subjects.supervised_program import Start, last_start
+from robot_runner.subjects.surroundings import Surroundings
+
+#: How long a program that is being ended on another computer is waited for, and that computer's answer, s.
+_ENDING, _ANSWERING = 5.0, 5.0
 
 
 def tell_left_subjects(root: Path) -> Iterator[Finding]:
@@ -28,3 +35,38 @@ def tell_left_subjects(root: Path) -> Iterator[Finding]:
         problem = f"{MAY_BE_MOVING}: an earlier execution was killed {what}, and nobody was left to stop it"
         fix = "Start the experiment again, which stops it before anything else, or stop it by hand."
         yield Finding.warning(folder.name, problem, fix)
+
+
+def check_within_reach(name: str, start: Start, around: Surroundings) -> None:
+    """Check that the program of a killed run does not go on commanding the robot on a computer that is out of reach.
+
+    Args:
+        name: of the plugin that started it.
+        start: the start of the program.
+        around: where it is executed.
+
+    Raises:
+        PluginError: it may go on, and has commanded the robot.
+    """
+    host = around.host
+    if host is None or start.pid is None or not CommandedTopics(start).by_robot():
+        return
+    start.await_end(_ENDING)
+    ended = start.ended()
+    if ended is not None and ended.code is not None:
+        return
+    is_alive = _is_alive(start.pid, host, around.ssh_config)
+    # Where it goes on under its supervisor, it takes longer to end, and the robot is stopped once more after that.
+    if is_alive is None or (is_alive and not start.is_supervised()):
+        what = f"its computer, {host}, is out of reach" if is_alive is None else f"it goes on on {host}, out of reach"
+        problem = f"{what}, and it commands the robot until it is ended there, {LEASE:g} s after the connection"
+        raise PluginError(problem, where=name, fix=STOP_BY_HAND)
+
+
+def _is_alive(pid: int, host: str, ssh_config: Path | None) -> bool | None:
+    """Return whether a process of another computer is alive; None where that cannot be asked."""
+    try:
+        done = execute(ssh_command(host, f"kill -0 {pid}", config=ssh_config), timeout=_ANSWERING)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return {0: True, 1: False}.get(done.returncode)  # 255 is ssh's own

@@ -29,6 +29,7 @@ from robot_runner.measuring.measured_machine import machine_clock
 from robot_runner.subjects import supervised_program
 from robot_runner.subjects.commanded_robot import CommandedRobot
 from robot_runner.subjects.halting import CommandedTopics, Halting
+from robot_runner.subjects.left_subjects import check_within_reach
 from robot_runner.subjects.read_files import inputs_in, is_own_setup
 from robot_runner.subjects.readiness import Ready, checked_ready
 from robot_runner.subjects.surroundings import Surroundings, is_known, started_once_findings, word
@@ -52,15 +53,12 @@ class Subject(System):
         per: `run` to start it in each run, before anything is measured; `mission` to start it when the mission begins,
             so that all that it does is measured; `experiment` to start it once, before the first run.
         folder: where it is executed; a treatment of `Factor.revisions` stands for its work tree.
-        reads: files and folders that it reads, in addition to those that are known, so that a package has them;
-            relative to its folder.
-        environment: variables in addition to those of Robot Runner (or of the user on another computer); None removes
-            one.
+        reads: files and folders that it reads besides those that are known, for a package; relative to its folder.
+        environment: variables besides those of Robot Runner, or of the user on another computer; None removes one.
         setup: a file to source first, such as the setup file of a ROS workspace.
         host: another computer, in one of ssh's forms (`pi@robot`); None for this machine.
         ssh_config: a file to use instead of your ssh config.
-        ready: when it can be used: a condition, or a text (or a compiled pattern) in a line of its output; None for as
-            soon as it is started.
+        ready: when it can be used: a condition, or a text (or a pattern) in a line of its output; None for at once.
         ready_timeout_s: how long it may take until then, s of real time.
         stop_signal: the signal at which it ends.
         grace_s: how long it may take for that before it is killed with all that it started, s.
@@ -239,6 +237,8 @@ class Subject(System):
             start = self._begin(context, context.raw_data_folder, begun)
         else:
             start = self._attached(context)
+        if self._robot is not None and context.robot is not None:
+            self._robot.tell = partial(CommandedTopics(start).add, context.robot)
         try:
             self._await_ready(context, start)
         except BaseException:
@@ -278,11 +278,12 @@ class Subject(System):
             context.warn(f"{self.name} {remark}", fix="Look at the computer that it was executed on, and at the robot.")
 
     def make_safe(self, context: RobotRunnerContext) -> None:
-        """End it, whatever has failed before."""
-        del context
+        """End it, whatever has failed before; raise a `PluginError` where it may drive the robot from out of reach."""
         self._is_ending.set()
         if self._is_of_run:
             self._end()
+            if self._robot is None:  # not in the process of the run, which was killed
+                check_within_reach(self.name, supervised_program.Start(context.raw_data_folder), self.surroundings)
 
     def after_experiment(self) -> None:
         """End it with everything that it started, if it went on through all runs, and stop the robot.
@@ -346,8 +347,6 @@ class Subject(System):
         start = supervised_program.last_start(self._shared_folder(context))
         if start is None:
             raise PluginError("the subject was not started", where=self.name, fix="Start the experiment again.")
-        if self._robot is not None and context.robot is not None:
-            self._robot.tell = partial(CommandedTopics(start).add, context.robot)
         return start
 
     def _shared_folder(self, context: ExperimentContext) -> Path:

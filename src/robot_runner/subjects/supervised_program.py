@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from robot_runner.core.errors import PluginError, StorageError, did_you_mean
+from robot_runner.core.execution.processes import FEWER_PROCESSES, needed_process
 from robot_runner.core.links.commanded_topics import MAY_BE_MOVING
 from robot_runner.core.links.ssh_command import gist, remedy, ssh_command
 from robot_runner.core.storage.shared_claims import held_against_users
@@ -37,6 +38,7 @@ _SHOWN_BYTES, _SHOWN_LINES = 4096, 3
 _REMEDIES = {
     "Exec format error": "Give a script a first line such as #!/bin/sh; a program has to be built for this computer.",
     "Permission denied": "Make it executable: chmod +x.",
+    "Resource temporarily unavailable": FEWER_PROCESSES,
 }
 
 
@@ -224,7 +226,7 @@ class SupervisedProgram(Start):
         begun: called with the process id of the supervisor, which is always on this machine, before it starts anything.
 
     Raises:
-        PluginError: it cannot be started.
+        RobotRunnerError: it cannot be started.
     """
 
     def __init__(self, folder: Path, task: Task, *, name: str, begun: Callable[[int], object] = lambda _: None) -> None:
@@ -237,7 +239,7 @@ class SupervisedProgram(Start):
         module = "supervisor.py" if task.host is None else "remote_supervision.py"
         # Unbuffered, and isolated from modules in the folder in which it is started.
         words = [sys.executable, "-I", str(Path(__file__).with_name(module))]
-        with self._turn() as turn, self.events.open("wb") as events:
+        with self._turn() as turn, self.events.open("wb") as events, needed_process(name):
             self._supervisor = subprocess.Popen(  # noqa: S603 - our own program
                 words,
                 stdin=subprocess.PIPE,
@@ -377,10 +379,8 @@ def last_lines_of(path: Path, most: int) -> str:
 
 
 def _how(code: int | None) -> str:
-    if code is None:
-        return "nothing could end it"
-    if code >= 0:
-        return f"exit code {code}"
+    if code is None or code >= 0:
+        return f"exit code {code}" if code is not None else "nothing could end it"
     named = {each.value: each.name for each in signal.Signals}  # not all of those for real time have a name
     return f"{named.get(-code, f'signal {-code}')} ended it"
 

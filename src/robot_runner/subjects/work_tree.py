@@ -9,29 +9,33 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
-import signal
 import subprocess
 import time
 from collections.abc import Mapping
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from robot_runner.core.config.treatment_makers import Workshop
 from robot_runner.core.errors import ExecutionError, StorageError
+from robot_runner.core.execution.processes import stop_with_parent
 from robot_runner.core.storage.git_repository import git, repository_state, uncommitted_changes, without_login
 from robot_runner.core.storage.guarded_files import read_bytes, replace
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.layout import user_folder
+from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.core.words import one_line
-from robot_runner.subjects.supervised_program import last_lines_of, locked
+from robot_runner.subjects.orphans import wake_supervisor
+from robot_runner.subjects.supervised_program import Start, SupervisedProgram, Task, last_lines_of, locked
 
 #: How long cloning may take, s.
 _CLONING = 3600.0
+#: How long a build may take to end once it is asked to, and what a killed execution has left of one, s.
+_GRACE, _LEFT_BUILD = 1.0, 60.0
 _LOOK = 0.1
+#: Executes a build, its second argument; all that it prints goes to a file, its first.
+_BUILDING = ("/bin/sh", "-c", 'exec /bin/sh -c "$1" >"$0" 2>&1')
 _SHOWN_LINES = 5
 _SHORT = 12  # digits of a hash that a person reads
 
@@ -61,6 +65,7 @@ class WorkTree:
         self.folder = self._entry / "tree"
         self._stamp = self._entry / "built.json"
         self._log = self._entry / "build.log"
+        self._building = Start(self._entry / "building")
 
     def made(self, name: str, log: Path, workshop: Workshop) -> dict[str, Any]:
         """Make and build it, unless that was done before and nothing was changed since; return facts about the build.
@@ -72,9 +77,12 @@ class WorkTree:
 
         Raises:
             ExecutionError: it cannot be made.
+            StorageError: a file cannot be written.
+            PluginError: the build cannot be started.
             KeyboardInterrupt: the user has interrupted it.
         """
-        with locked(self._entry.with_name(f"{self._entry.name}.lock"), partial(_await_others, workshop)):
+        lock = self._entry.with_name(f"{self._entry.name}.lock")
+        with locked(lock, partial(_await_others, workshop)), storage_errors(self.folder, "written"):
             facts = self._built_before()
             if facts is None:
                 workshop.tell(
@@ -82,11 +90,16 @@ class WorkTree:
                 )
                 facts = self._made_anew(name, workshop)
             if self._build:
-                log.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(self._log, log)
+                with storage_errors(log, "written"):
+                    log.parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copyfile(self._log, log)
             return facts
 
     def _made_anew(self, name: str, workshop: Workshop) -> dict[str, Any]:
+        # A build that an execution has left which was killed would write into the new work tree.
+        wake_supervisor(self._building.events)
+        self._building.await_end(_LEFT_BUILD)
+        self._building.end_orphans()
         if self._entry.exists():
             shutil.rmtree(self._entry)
         self._entry.mkdir(parents=True)
@@ -131,7 +144,7 @@ class WorkTree:
 
     def _git(self, name: str, *words: str, folder: Path | None = None) -> None:
         try:
-            done = git(*words, folder=folder or self.folder, timeout=_CLONING)
+            done = git(*words, folder=folder or self.folder, timeout=_CLONING, preexec_fn=stop_with_parent)
             said = done.stderr.decode(errors="replace").strip()
         except (OSError, subprocess.TimeoutExpired) as error:
             raise ExecutionError(f"git {words[0]} failed: {error}", where=f"revision {name!r}") from error
@@ -141,29 +154,22 @@ class WorkTree:
             raise ExecutionError(f"git {words[0]} failed: {last}", where=f"revision {name!r}", fix=fix)
 
     def _execute_build(self, name: str, workshop: Workshop) -> None:
-        with self._log.open("wb") as log:
-            process = subprocess.Popen(  # noqa: S603 - the user's own command
-                ["/bin/sh", "-c", self._build],
-                cwd=self.folder,
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-            )
+        task = Task(
+            command=(*_BUILDING, str(self._log), self._build), environment={}, folder=str(self.folder), grace_s=_GRACE
+        )
+        program = SupervisedProgram(self._building.folder, task, name=f"revision {name!r}")
         try:
-            while process.poll() is None and not workshop.is_interrupted():
-                with suppress(subprocess.TimeoutExpired):
-                    process.wait(_LOOK)
+            while program.ended() is None and not workshop.is_interrupted():
+                time.sleep(_LOOK)
         finally:
-            with suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)  # also processes that it has left behind
-            code = process.wait()
+            ended = program.stop()  # with processes that it has left behind
         if workshop.is_interrupted():
             raise KeyboardInterrupt
-        if code != 0:
-            said = last_lines_of(self._log, _SHOWN_LINES) or "it printed nothing"
+        if ended.code != 0:
+            said = last_lines_of(self._log, _SHOWN_LINES) or program.last_lines() or "it printed nothing"
+            how = f"ended with exit code {ended.code}" if (ended.code or 0) > 0 else f"was ended: {ended.how}"
             fix = f"Look at {self._log}, and build it by hand in {self.folder}: {self._build}"
-            raise ExecutionError(f"the build ended with exit code {code}: {said}", where=f"revision {name!r}", fix=fix)
+            raise ExecutionError(f"the build {how}: {said}", where=f"revision {name!r}", fix=fix)
 
     def _built_before(self) -> dict[str, Any] | None:
         """Return the facts about an earlier build; None where there was none, or files were changed since."""

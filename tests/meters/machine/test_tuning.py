@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import json
 import os
 import signal
@@ -11,13 +12,16 @@ import sys
 import textwrap
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
+from unittest.mock import Mock
 
 import pytest
 from tests.meters.machine.computer_copy import CPU, ComputerCopy
 
 from robot_runner.cli.main import main
-from robot_runner.core.errors import PluginError
+from robot_runner.core.errors import ExecutionError, PluginError
+from robot_runner.meters.machine import tuned_machine
 from robot_runner.meters.machine.tuned_machine import check_left_behind
 from robot_runner.meters.machine.tuning import Machine, Wishes
 from robot_runner.meters.machine.tuning_state import state_file
@@ -141,6 +145,30 @@ def test_what_cannot_be_put_back_stays_written_down(
     assert not machine.state.exists()
 
 
+def test_a_setting_that_cannot_be_read_is_neither_changed_nor_forgotten(
+    copy: ComputerCopy, machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read, unread = Path.read_text, copy.root / GOVERNORS[1]
+
+    def refuse(path: Path, **options: str) -> str:
+        if path == unread:
+            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE), str(path))
+        return read(path, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "read_text", refuse)
+        with pytest.raises(PluginError, match="cannot be read: Too many open files"):
+            machine.apply(WISHES, owner=NOBODY)
+    assert setting(copy) == AS_BEFORE
+    machine.apply(WISHES, owner=NOBODY)
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "read_text", refuse)
+        (problem,) = machine.restore()
+    assert "cannot be put back to 'powersave': Too many open files" in problem
+    assert machine.restore() == []
+    assert setting(copy) == AS_BEFORE
+
+
 def test_what_a_dead_process_left_is_put_back_before_the_next_setting(copy: ComputerCopy, machine: Machine) -> None:
     machine.apply(WISHES, owner=NOBODY)
     assert "was killed" in machine.left_behind("here")[0].problem
@@ -255,6 +283,17 @@ def test_an_experiment_is_executed_on_the_machine_that_was_asked_for(
     assert setting(copy) == AS_BEFORE
 
 
+def test_where_there_is_no_process_for_a_guardian_nothing_is_set_and_that_is_told_with_what_to_do(
+    copy: ComputerCopy, machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refusal = BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+    monkeypatch.setattr(subprocess, "Popen", Mock(side_effect=refusal))
+    with pytest.raises(ExecutionError, match="no process can be started for who puts the machine back: ") as caught:
+        Tune(governor="performance", root=copy.root, state=machine.state).before_experiment()
+    assert "ulimit -u" in caught.value.fix
+    assert setting(copy) == AS_BEFORE
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("scope", ["experiment", "run"])
 def test_the_guardian_puts_the_machine_back_when_the_experiment_is_killed(
@@ -266,6 +305,21 @@ def test_the_guardian_puts_the_machine_back_when_the_experiment_is_killed(
         process.kill()
         assert until(lambda: not machine.state.exists())
     assert setting(copy) == AS_BEFORE
+
+
+def test_a_late_guardian_leaves_the_machine_to_the_experiment_that_has_set_it_up_since(
+    copy: ComputerCopy, machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tuned_machine, "_PATIENCE", 0.1)
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO()))
+    with subprocess.Popen(["cat"], stdin=subprocess.PIPE) as other:  # which ends with this block, whatever fails
+        machine.apply(WISHES, owner=other.pid)
+        tuned_machine._guard(copy.root, machine.state)
+        assert setting(copy) == AS_ASKED
+        other.kill()
+        os.waitid(os.P_PID, other.pid, os.WEXITED | os.WNOWAIT)  # it is dead, and was not reaped yet
+        tuned_machine._guard(copy.root, machine.state)
+        assert setting(copy) == AS_BEFORE
 
 
 @pytest.mark.long

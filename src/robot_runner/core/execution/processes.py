@@ -11,7 +11,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Collection, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from io import TextIOWrapper
 from typing import NoReturn, TextIO
 
@@ -101,12 +101,29 @@ def _forked() -> int:
         raise no_process(error) from error
 
 
-def no_process(error: OSError) -> ExecutionError:
-    """Return the error for a system that has no process, descriptor or memory left for a run."""
-    fix = (
-        "End other programs, use fewer workers, or raise the limits of processes and open files (ulimit -u, ulimit -n)."
-    )
-    return ExecutionError(f"no process can be started for the run: {error.strerror}", where="this machine", fix=fix)
+#: The fix where the system has no process, descriptor or memory left.
+FEWER_PROCESSES = (
+    "End other programs, use fewer workers, or raise the limits of processes and open files (ulimit -u, ulimit -n)."
+)
+
+
+def no_process(error: OSError, purpose: str = "the run") -> ExecutionError:
+    """Return the error for a system that has no process, descriptor or memory left for some purpose."""
+    problem = f"no process can be started for {purpose}: {error.strerror}"
+    return ExecutionError(problem, where="this machine", fix=FEWER_PROCESSES)
+
+
+@contextmanager
+def needed_process(purpose: str) -> Iterator[None]:
+    """Turn the refusal of another process into the error that says so.
+
+    Raises:
+        ExecutionError: the system has no process, descriptor or memory left for it.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise no_process(error, purpose) from error
 
 
 def leave_after(work: Callable[[], None], report: Report) -> NoReturn:

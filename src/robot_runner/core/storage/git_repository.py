@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import subprocess
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -48,8 +49,13 @@ class RepositoryState:
         return {**{name: value for name, value in facts.items() if value}, "is_dirty": self.is_dirty}
 
 
-def git(*words: str, folder: Path | str = ".", timeout: float = _PATIENCE) -> subprocess.CompletedProcess[bytes]:
-    """Execute one command of git to its end.
+def git(
+    *words: str,
+    folder: Path | str = ".",
+    timeout: float = _PATIENCE,
+    preexec_fn: Callable[[], object] | None = None,
+) -> subprocess.CompletedProcess[bytes]:
+    """Execute one command of git to its end; `preexec_fn` as for `subprocess.run`, where this process has no threads.
 
     Raises:
         OSError: git is not installed, or the folder is not there.
@@ -66,6 +72,7 @@ def git(*words: str, folder: Path | str = ".", timeout: float = _PATIENCE) -> su
         timeout=timeout,
         check=False,
         start_new_session=True,
+        preexec_fn=preexec_fn,
     )
 
 

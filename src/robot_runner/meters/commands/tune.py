@@ -55,7 +55,7 @@ def _set(machine: Machine, wishes: Wishes) -> None:
 
 
 def _restore(machine: Machine) -> None:
-    if machine.is_in_use:
+    if machine.in_use_by is not None:
         fix = "Wait until it has ended: it puts the machine back itself."
         raise ExecutionError("an experiment that goes on has set the machine up", where=str(machine.state), fix=fix)
     problems = machine.restore()

@@ -6,6 +6,7 @@ import logging
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, ClassVar
 from robot_runner.core.design.numeric_range import is_whole
 from robot_runner.core.errors import Finding, PluginError, StorageError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
+from robot_runner.core.execution.processes import needed_process
 from robot_runner.core.plugin import Circumstances, Plugin, System
 from robot_runner.meters.machine.tuning import Machine, Wishes
 from robot_runner.meters.parameter_checks import check_list
@@ -24,8 +26,9 @@ _log = logging.getLogger(__name__)
 
 _SCOPES = ("experiment", "run")
 _MODULE = "robot_runner.meters.machine.tuned_machine"
-#: How long the guardian may take to end when it is no longer needed, s.
+#: How long the guardian may take to end when it is no longer needed, and an experiment that has let go of it, s.
 _PATIENCE = 5.0
+_LOOK = 0.02
 
 
 def check_left_behind(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> list[Finding]:
@@ -99,7 +102,8 @@ class Tune(System):
         """Set the machine up for the experiment, or restore what a killed process left."""
         words = [sys.executable, "-P", "-m", _MODULE, str(self.machine.root), str(self.machine.state.absolute())]
         # Its input ends when this process and all its forks are gone: then nobody measures any more.
-        self._guardian = subprocess.Popen(words, stdin=subprocess.PIPE, start_new_session=True)  # noqa: S603 - ours
+        with needed_process("who puts the machine back"):
+            self._guardian = subprocess.Popen(words, stdin=subprocess.PIPE, start_new_session=True)  # noqa: S603 - ours
         if self.scope == "experiment":
             self.machine.apply(self.wishes, owner=os.getpid())
         else:
@@ -135,8 +139,13 @@ class Tune(System):
 
 def _guard(root: Path, state: Path) -> None:
     """Wait until no other process is left that could restore the machine, and do it; usually it is done already."""
+    nobody = (None, os.getppid())  # our own experiment's process
     sys.stdin.buffer.read()
-    Machine(root, state).restore()
+    machine, deadline = Machine(root, state), time.monotonic() + _PATIENCE
+    while machine.in_use_by not in nobody and time.monotonic() < deadline:  # by a run that is ending
+        time.sleep(_LOOK)
+    if machine.in_use_by in nobody:  # else another experiment has set it up: we are late (SIGSTOP, a busy machine)
+        machine.restore()
 
 
 if __name__ == "__main__":

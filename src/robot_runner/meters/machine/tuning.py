@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
+from robot_runner.core.storage.outliving import process_stat
 from robot_runner.core.words import enumerated
 from robot_runner.meters.machine.machine_state import ProcessTimes, text_in
 from robot_runner.meters.machine.tuning_state import Change, Kept, state_file
@@ -79,10 +80,10 @@ class Machine:
         return [Finding.warning(where, problem, fix)]
 
     @property
-    def is_in_use(self) -> bool:
-        """Whether a running process has set it up, and will restore it."""
+    def in_use_by(self) -> int | None:
+        """The running process that has set it up, and will restore it; None where there is none."""
         kept = self._kept()
-        return kept is not None and kept.owner is not None and self._is_alive(kept.owner)
+        return kept.owner[0] if kept is not None and kept.owner is not None and self._is_alive(kept.owner) else None
 
     def apply(self, wishes: Wishes, *, owner: int | None) -> None:
         """Set the machine up, after writing the previous settings to the file of state.
@@ -128,7 +129,7 @@ class Machine:
         for change in reversed(kept.changes):
             path = self.root / change.path
             try:
-                now = text_in(path)
+                now = _setting_in(path)
                 if now == change.wanted:
                     path.write_text(change.before, encoding="ascii")
                 elif now != change.before:
@@ -234,7 +235,11 @@ class Machine:
         )
 
     def _change(self, path: Path, wanted: str) -> Change:
-        return Change(str(path.relative_to(self.root)), text_in(path), wanted)
+        try:
+            return Change(str(path.relative_to(self.root)), _setting_in(path), wanted)
+        except OSError as error:
+            problem = f"{path} cannot be read: {error.strerror}"
+            raise PluginError(problem, where=str(path), fix="Make it readable, or leave its setting out.") from error
 
     def _set(self, change: Change, *, is_kept: bool = True) -> None:
         path = self.root / change.path
@@ -289,7 +294,20 @@ class Machine:
 
     @staticmethod
     def _is_alive(owner: tuple[int, str]) -> bool:
-        return bool(owner[1]) and _started(Path("/proc") / str(owner[0])) == owner[1]
+        is_there = bool(owner[1]) and _started(Path("/proc") / str(owner[0])) == owner[1]
+        return is_there and process_stat(owner[0])[:1] not in (["Z"], ["X"])  # killed, and not reaped yet
+
+
+def _setting_in(path: Path) -> str:
+    """Return what is set now; empty where the setting is gone, as that of a core that was switched off.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    try:
+        return path.read_text(encoding="ascii", errors="replace").strip()
+    except FileNotFoundError:
+        return ""
 
 
 def _process(folder: Path) -> ProcessTimes | None:
