@@ -28,7 +28,7 @@ _PYTHON = Path(sys.executable)
 #: Has rclpy beside what this Python has: scripts/set_up.sh makes it, where a ROS 2 is published.
 _ROS2_PYTHON = Path(sys.prefix, "ros2", "bin", "python")
 #: What a file has whose tests need rclpy: their mark, or a graph of ROS 2 (tests/ros/real_graph.py).
-_OF_ROS2 = re.compile(r"\bmark\.ros2\b|\bover\(.*\"ros2\"")
+_OF_ROS2 = re.compile(r"\bmark\.ros2\b|\bover(_pairs)?\([^)]*\"ros2\"")
 #: Where the processes keep what is made once for all of them: tests/made_once.py.
 _SHARED = "ROBOT_RUNNER_TESTS_FOLDER"
 #: Fewer files waste a start and imports each, a second of processor time, more leave processors idle at the end.

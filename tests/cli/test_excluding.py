@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.cli.conftest import refuse_as_full
 
 from robot_runner.cli import excluding
 from robot_runner.cli.excluding import exclude_runs, include_runs
@@ -234,17 +235,12 @@ def test_a_kill_between_the_files_leaves_runs_that_can_be_excluded_and_included(
 def test_where_a_disk_is_full_it_is_said_that_the_correction_counts_nevertheless(
     execute: Execute, monkeypatch: pytest.MonkeyPatch, unwritten: str
 ) -> None:
-    def full(path: Path, *_: object) -> None:
-        raise StorageError("cannot be written: the disk is full", where=str(path), fix="Make room.")
-
     executed = execute(COUNTING)
     with monkeypatch.context() as patched:
-        patched.setattr(excluding, unwritten, full)
-        with pytest.raises(
-            StorageError, match=r"the correction is in the journal, and counts.*the disk is full"
-        ) as told:
+        patched.setattr(excluding, unwritten, refuse_as_full)
+        with pytest.raises(StorageError, match="the disk is full; the correction counts all the same") as told:
             exclude_runs(folder_of(executed), ["r_2"], WHY)
-    assert told.value.fix == "Make room. The next execution of the experiment brings them up to date."
+    assert told.value.fix == "Make room. The next execution of the experiment brings the other files up to date."
     resume(executed)
     assert reasons(executed) == ["", WHY, "", ""]
 

@@ -357,7 +357,7 @@ def test_it_works_in_a_notebook(tmp_path: Path) -> None:
         assert "preparing r_1" in said
         assert "r_2 is done after" in said
         assert "True [1.0, 2.0] it stands in no file" in said
-        assert (await kernel.execute("results")).endswith("experiments/notebook: runs 2 done; 1 finding>")
+        assert (await kernel.execute("results")).endswith("experiments/notebook: 2 done; 1 finding>")
 
     in_a_kernel(tmp_path, told)
     folder = tmp_path / "experiments" / "notebook"
@@ -386,10 +386,10 @@ def test_the_button_that_interrupts_a_notebook_closes_the_run_and_the_next_call_
         said = await executing
         assert "the user interrupted the experiment" in said
         assert "True <ExperimentResults of " in said
-        assert "runs 2 to do" in said
+        assert ": 2 to do; " in said
         assert "closed" in (tmp_path / "experiments/notebook/runs/r_1/log.txt").read_text()
         (tmp_path / "again").touch()
-        assert "runs 2 done" in await kernel.execute("run_experiment(Notebook)")
+        assert ": 2 done; " in await kernel.execute("run_experiment(Notebook)")
 
     in_a_kernel(tmp_path, told)
 

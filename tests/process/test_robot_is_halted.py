@@ -118,7 +118,9 @@ def parent_of(pid: int) -> int:
         "the orchestrator, as the first process that halts is stopped",
         "the orchestrator, as the supervisor is stopped",
     ],
-    *("dds", "ros1", "ros2"),
+    "dds",
+    "ros1",
+    "ros2",
     everywhere=["the orchestrator", "the orchestrator and the processes that halt"],
 )
 def test_a_robot_that_a_program_of_all_runs_drives_stands_still_between_two_runs_whoever_is_killed(

@@ -18,7 +18,7 @@ def over(*links: str, soak: Sequence[str] = ()) -> pytest.MarkDecorator:
     """Execute a test that takes `graph` over these links, and over others in `make soak` only.
 
     What holds over one link holds over all: tests/ros executes the contract of links over each. A whole experiment on
-    a real graph takes half a minute, so that only what protects a robot is executed over each of them every time.
+    a real graph takes half a minute, so that only what protects a robot is executed over several of them every time.
     """
     marks = {link: _MARKS[link] for link in links} | {link: [*_MARKS[link], pytest.mark.soak] for link in soak}
     params = [pytest.param(link, marks=each) for link, each in marks.items()]

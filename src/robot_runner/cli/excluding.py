@@ -55,8 +55,8 @@ def told_as_recorded(change: str) -> Iterator[None]:
     try:
         yield
     except StorageError as error:
-        problem = f"{change} is in the journal, and counts, but not in all files: {error.where}: {error.problem}"
-        fix = f"{error.fix} The next execution of the experiment brings them up to date."
+        problem = f"{error.problem}; {change} counts all the same, as the journal has it"
+        fix = f"{error.fix} The next execution of the experiment brings the other files up to date."
         raise StorageError(problem, where=error.where, fix=fix) from error
 
 

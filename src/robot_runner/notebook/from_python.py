@@ -54,10 +54,10 @@ class ExperimentResults:
     seconds: float
 
     def __repr__(self) -> str:
-        """Say what a notebook shows of it: the rows, the failures and the findings may be many, and have names."""
+        """Return what a notebook shows: the counts; rows, failures and findings may be many, and have names."""
         states = {"done": self.done_count, "failed": self.failed_count, "to do": self.todo_count}
-        told = ", ".join(f"{count} {state}" for state, count in states.items() if count)
-        return f"<ExperimentResults of {self.folder}: runs {told or 'none'}; {counted(len(self.findings), 'finding')}>"
+        told = ", ".join(f"{count} {state}" for state, count in states.items() if count) or "no runs"
+        return f"<ExperimentResults of {self.folder}: {told}; {counted(len(self.findings), 'finding')}>"
 
     @property
     def exit_code(self) -> int:

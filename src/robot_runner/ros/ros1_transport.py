@@ -149,14 +149,14 @@ class Ros1Transport:
 
         One of ours is taken away then. Otherwise each run that is killed would leave one more, of which the master
         tells the robot, and which the robot tries to reach, whenever somebody new publishes. The only one of a topic
-        is there until it was taken away, and so is one that `may_be_silent`, unless its machine refuses: a robot that
-        is out of reach has not gone, whoever else subscribes to its commands.
+        is there until it was taken away. With `may_be_silent`, so is one that does not answer, unless its machine
+        refuses the connection: a robot that is out of reach has not gone, even if others subscribe to its commands.
         """
         began, is_taken_away, is_silent = pid_in_name(node), False, False
         if is_alone and began is None:
             return True
         try:
-            # Whoever stops a robot asks again and again, and must not take long: one that answers later is silent.
+            # The stop of a robot asks repeatedly, and must not take long: a later answer counts as none.
             answered = self._master.pid_of(node, timeout=_PROBING_SECONDS if may_be_silent else None)
             is_gone = began is not None and answered not in {None, began}  # its address is somebody else's by now
         except LinkError as error:

@@ -53,7 +53,7 @@ class Subject(System):
         per: `run` to start it in each run, before anything is measured; `mission` to start it when the mission begins,
             so that all that it does is measured; `experiment` to start it once, before the first run.
         folder: where it is executed; a treatment of `Factor.revisions` stands for its work tree.
-        reads: files and folders that it reads besides those that are known, for a package; relative to its folder.
+        reads: further files and folders that it reads, so that a package has them; relative to its folder.
         environment: variables besides those of Robot Runner, or of the user on another computer; None removes one.
         setup: a file to source first, such as the setup file of a ROS workspace.
         host: another computer, in one of ssh's forms (`pi@robot`); None for this machine.

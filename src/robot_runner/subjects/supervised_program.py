@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -379,22 +379,9 @@ def last_lines_of(path: Path, most: int) -> str:
 
 
 def _how(code: int | None) -> str:
-    if code is None or code >= 0:
-        return f"exit code {code}" if code is not None else "nothing could end it"
+    if code is None:
+        return "nothing could end it"
+    if code >= 0:
+        return f"exit code {code}"
     named = {each.value: each.name for each in signal.Signals}  # not all of those for real time have a name
     return f"{named.get(-code, f'signal {-code}')} ended it"
-
-
-def shell_words(command: Sequence[str], setup: str | None) -> tuple[str, ...]:
-    """Return the command that sources a file first, such as the setup file of a ROS workspace.
-
-    Example:
-        >>> shell_words(["ros2", "topic", "list"], "install/setup.bash")[-4:]
-        ('install/setup.bash', 'ros2', 'topic', 'list')
-    """
-    if setup is None:
-        return tuple(command)
-    shell = "bash" if setup.endswith(".bash") else "sh"
-    home, file = ("~/", setup[2:]) if setup.startswith("~/") else ("", setup if "/" in setup else f"./{setup}")
-    # Within a function, as such a file would otherwise take our arguments for its own.
-    return (shell, "-c", f'load() {{ . {home}"$0"; }}; load && exec "$@"', file, *command)

@@ -22,7 +22,7 @@ from robot_runner.core.storage.git_repository import repository_state
 from robot_runner.core.storage.input_files import kept_copy
 from robot_runner.core.storage.layout import user_folder
 from robot_runner.core.words import enumerated
-from robot_runner.subjects.supervised_program import NAME_A_FOLDER, shell_words
+from robot_runner.subjects.supervised_program import NAME_A_FOLDER
 
 #: How long a query of a program may take, s: roslaunch needs one second here and several on a small computer.
 _PATIENCE = 30.0
@@ -157,7 +157,7 @@ class Surroundings:
         """Return a command that sources the setup file first."""
         own = None if self.setup is None else str(Path(self.setup).expanduser())
         copy = None if own is None else self.found(own)
-        return shell_words([self.found(each) for each in words], self.setup if copy == own else copy)
+        return _shell_words([self.found(each) for each in words], self.setup if copy == own else copy)
 
     def findings(self, where: str) -> Iterator[Finding]:
         """Yield what is wrong with the surroundings, whatever is executed there."""
@@ -310,3 +310,18 @@ def started_once_findings(where: str, factors: Collection[str], robots: Sequence
             first, *others = graphs
             problem = f"it is started once for all runs, on one graph ({first}), and robots are on {enumerated(others)}"
             yield Finding.warning(where, problem, "Start it in each run, on the graph of its robot: per='run'.")
+
+
+def _shell_words(command: Sequence[str], setup: str | None) -> tuple[str, ...]:
+    """Return the command that sources a file first, such as the setup file of a ROS workspace.
+
+    Example:
+        >>> _shell_words(["ros2", "topic", "list"], "install/setup.bash")[-4:]
+        ('install/setup.bash', 'ros2', 'topic', 'list')
+    """
+    if setup is None:
+        return tuple(command)
+    shell = "bash" if setup.endswith(".bash") else "sh"
+    home, file = ("~/", setup[2:]) if setup.startswith("~/") else ("", setup if "/" in setup else f"./{setup}")
+    # Within a function, as such a file would otherwise take our arguments for its own.
+    return (shell, "-c", f'load() {{ . {home}"$0"; }}; load && exec "$@"', file, *command)

@@ -288,7 +288,9 @@ def test_where_there_is_no_process_for_a_guardian_nothing_is_set_and_that_is_tol
 ) -> None:
     refusal = BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
     monkeypatch.setattr(subprocess, "Popen", Mock(side_effect=refusal))
-    with pytest.raises(ExecutionError, match="no process can be started for who puts the machine back: ") as caught:
+    with pytest.raises(
+        ExecutionError, match="no process can be started for restoring the machine afterwards: "
+    ) as caught:
         Tune(governor="performance", root=copy.root, state=machine.state).before_experiment()
     assert "ulimit -u" in caught.value.fix
     assert setting(copy) == AS_BEFORE

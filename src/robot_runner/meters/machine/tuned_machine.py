@@ -102,7 +102,7 @@ class Tune(System):
         """Set the machine up for the experiment, or restore what a killed process left."""
         words = [sys.executable, "-P", "-m", _MODULE, str(self.machine.root), str(self.machine.state.absolute())]
         # Its input ends when this process and all its forks are gone: then nobody measures any more.
-        with needed_process("who puts the machine back"):
+        with needed_process("restoring the machine afterwards"):
             self._guardian = subprocess.Popen(words, stdin=subprocess.PIPE, start_new_session=True)  # noqa: S603 - ours
         if self.scope == "experiment":
             self.machine.apply(self.wishes, owner=os.getpid())
