@@ -60,7 +60,7 @@ run_quietly() {
 
 install() {
     run_quietly env PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_USER=0 \
-        .venv/bin/python -m pip install --quiet --no-input --progress-bar off "$@"
+        .venv/bin/python -m pip install --quiet --no-input --progress-bar off $compile "$@"
 }
 
 # Pip before 23.3, as Python 3.11 brings it, refuses a lock once there is a newer release of what another package needs
@@ -122,8 +122,11 @@ END
 }
 
 purpose=${1:-}
+compile=
 case $purpose in
-    demo | test) ;;
+    # Python compiles what the demo imports, a tenth of what is installed; the tests import nearly all, many at once.
+    demo) compile=--no-compile ;;
+    test) ;;
     *) die "set_up.sh was called for '$purpose'." "Call it for demo or for test." ;;
 esac
 stamp=.venv/.installed-$purpose
