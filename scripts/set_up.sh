@@ -60,7 +60,7 @@ run_quietly() {
 
 install() {
     run_quietly env PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_USER=0 \
-        .venv/bin/python -m pip install --quiet --no-input --progress-bar off $compile "$@"
+        .venv/bin/python -m pip install --quiet --no-input $compile --progress-bar off "$@"
 }
 
 # Pip before 23.3, as Python 3.11 brings it, refuses a lock once there is a newer release of what another package needs

@@ -70,6 +70,16 @@ def test_what_is_locked_is_installed_and_nothing_else(clone: Path, purpose: str)
     assert _installed(clone) == [f"--no-deps --require-hashes --requirement requirements/{purpose}.txt", PROJECT]
 
 
+@pytest.mark.parametrize(("purpose", "is_compiled"), [("demo", False), ("test", True)])
+def test_what_is_installed_is_compiled_beforehand_for_the_tests_alone(
+    clone: Path, purpose: str, is_compiled: bool
+) -> None:
+    _python(clone, "python3", WORKING)
+    _set_up(clone, purpose)
+    calls = (clone / "calls").read_text(encoding="utf-8").splitlines()
+    assert {"--no-compile" not in call for call in calls} == {is_compiled}
+
+
 def test_what_is_set_up_is_left_alone(clone: Path) -> None:
     _python(clone, "python3", WORKING)
     _set_up(clone, "test")

@@ -208,8 +208,8 @@ class GraphLinkContract(RobotLinkContract):
                 for found in (link.publishers("chatter"), link.subscribers("/chatter")):
                     types = {endpoint.message_type for endpoint in found}
                     require(types == {_STRING}, f"the types of what is there are {types}")
-                require(any(each.is_own for each in link.subscribers("chatter")), "the own subscription is not told")
-                require(any(each.is_own for each in robot.publishers("chatter")), "the own publisher is not told")
+                self.until(lambda: any(each.is_own for each in link.subscribers("chatter")), "no own subscription")
+                self.until(lambda: any(each.is_own for each in robot.publishers("chatter")), "no own publisher")
                 require(not link.publishers("nothing"), "somebody publishes a topic that is not there")
             self.until(lambda: not link.publishers("chatter"), "a publisher that left is listed for ever")
 
