@@ -295,8 +295,8 @@ def test_of_a_run_that_was_made_safe_after_the_death_of_its_execution_the_next_o
     lamp: Callable[..., Any], start: Start
 ) -> None:
     experiment = lamp(mission=f"(HERE / 'killed').exists() or {LONG}")
-    (experiment.config.parent / "killed").touch()
     kill(experiment.run_process(), experiment.keeper(), experiment.process.pid)
+    (experiment.config.parent / "killed").touch()  # not before: the mission may have begun after that
     experiment.end()
     assert experiment.nobody_is_left()
     again = start(config=experiment.config)

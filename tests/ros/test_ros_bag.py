@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import os
 import shlex
+import shutil
+import signal
+import socket
 import sys
 import threading
 import time
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -14,16 +18,19 @@ import yaml
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from tests.core.links.ssh_server import SshServer
+from tests.waiting import wait_until
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.measure import Origin
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos
+from robot_runner.ros import bag_recorder
 from robot_runner.ros.bag_file import began_late, messages_in, new_bag
 from robot_runner.ros.bag_recorder import BagProgram
 from robot_runner.ros.recorded_bag import RecordedBag
 from robot_runner.ros.ros_bag import RosBag
 from robot_runner.ros.shapes import completed
 from robot_runner.ros.type_catalogue import TypeCatalogue
+from robot_runner.ros.undelivered import drop_undelivered
 from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, ProfilerContract, make_context, rehearse
 
 #: No message is shorter: its encoding, and no field.
@@ -251,9 +258,98 @@ def test_a_bag_that_was_recorded_on_the_robot_is_fetched(tmp_path, programs, enc
     try:
         recorder = BagProgram(encoding, ["/odom"], folder, host="robot", setup=str(setup), ssh_config=server.config)
         assert recorder.close() is None
+        assert not Path(recorder._process.records[0].text).exists()
     finally:
         server.stop()
     assert messages_in(folder) == 1
+
+
+def test_a_bag_that_does_not_arrive_stays_on_the_robot_and_is_told_of(tmp_path, programs, monkeypatch):
+    setup, folder, here = tmp_path / "setup.bash", tmp_path / "raw", tmp_path / "here"
+    setup.write_text(f"export PATH={programs}:$PATH\n")
+    for each in (folder, here, tmp_path / "sshd"):
+        each.mkdir()
+    (here / "tar").write_text("#!/bin/sh\necho 'No space left on device' >&2\nexit 2\n")
+    (here / "tar").chmod(0o755)
+    server = SshServer(tmp_path / "sshd")
+    try:
+        monkeypatch.setenv("PATH", f"{here}:{os.environ['PATH']}")
+        recorder = BagProgram(Encoding.CDR, ["/odom"], folder, host="robot", setup=str(setup), ssh_config=server.config)
+        left = Path(recorder._process.records[0].text)
+        assert recorder.close() == f"the bag could not be fetched: No space left on device; it is in {left} on robot"
+    finally:
+        server.stop()
+    assert messages_in(left) == 1
+    shutil.rmtree(left)
+
+
+def test_a_bag_that_its_recorder_has_not_finished_stays_on_the_robot_and_is_told_of(tmp_path, programs, monkeypatch):
+    (programs / "ros2").write_text("#!/bin/sh\ntrap '' INT\ntouch bag.mcap.active\nexec sleep 5\n")
+    setup, folder = tmp_path / "setup.bash", tmp_path / "raw"
+    setup.write_text(f"export PATH={programs}:$PATH\n")
+    for each in (folder, tmp_path / "sshd"):
+        each.mkdir()
+    server = SshServer(tmp_path / "sshd")
+    try:
+        recorder = BagProgram(Encoding.CDR, ["/odom"], folder, host="robot", setup=str(setup), ssh_config=server.config)
+        left = Path(recorder._process.records[0].text)
+        monkeypatch.setattr(bag_recorder, "_GRACE", 0.2)
+        assert recorder.close() == f"the recorder has not finished the bag within 0.2 s; it is in {left} on robot"
+    finally:
+        server.stop()
+    assert (left / "bag.mcap.active").exists()
+    shutil.rmtree(left)
+
+
+@contextmanager
+def network_that_is_cut(server):
+    """Yield a config for ssh that leads through a proxy, and what cuts the network and ends ssh's side of it.
+
+    As of a machine that is gone, nobody tells the server so, until it sends something: that is answered by a reset.
+    """
+    is_cut = threading.Event()
+
+    def forward(source, target):
+        with suppress(OSError):
+            while (data := source.recv(1 << 16)) and not is_cut.is_set():
+                target.sendall(data)
+
+    with ExitStack() as opened, socket.create_server(("127.0.0.1", 0)) as listening:
+        config = server.folder / "cut_config"
+        port, there = f"Port {listening.getsockname()[1]}", f"HostKeyAlias [127.0.0.1]:{server.port}"
+        config.write_text(server.config.read_text().replace(f"Port {server.port}", f"{port}\n    {there}"))
+
+        def take():
+            near = opened.enter_context(listening.accept()[0])
+            far = opened.enter_context(socket.create_connection(("127.0.0.1", server.port)))
+            threading.Thread(target=forward, args=(near, far), daemon=True).start()
+            forward(far, near)
+            drop_undelivered(far)
+            far.close()
+
+        threading.Thread(target=take, daemon=True).start()
+        yield config, is_cut.set
+
+
+def test_a_recorder_on_the_robot_ends_some_seconds_after_the_network_was_cut(tmp_path, programs, monkeypatch):
+    """It would go on for hours, fill the robot's disk, and disturb later runs."""
+    monkeypatch.setattr(bag_recorder, "_BEAT", 0.2)
+    setup, folder = tmp_path / "setup.bash", tmp_path / "raw"
+    setup.write_text(f"export PATH={programs}:$PATH\n")
+    for each in (folder, tmp_path / "sshd"):
+        each.mkdir()
+    server = SshServer(tmp_path / "sshd")
+    try:
+        with network_that_is_cut(server) as (config, cut):
+            recorder = BagProgram(Encoding.CDR, ["/odom"], folder, host="robot", setup=str(setup), ssh_config=config)
+            left = Path(recorder._process.records[0].text)
+            cut()
+            recorder._process.stop(signal.SIGKILL, grace=60.0)
+            wait_until((left / "done").exists)
+    finally:
+        server.stop()
+    assert messages_in(left) == 1
+    shutil.rmtree(left)
 
 
 @pytest.mark.parametrize("encoding", list(Encoding))
@@ -330,3 +426,22 @@ def test_a_bag_that_its_recorder_left_broken_has_no_number_of_messages_and_fails
     (tmp_path / damaged).write_bytes(b"\xff" * 40 + data[40:])
     assert messages_in(tmp_path) is None
     assert began_late(tmp_path, 0) == 0.0
+
+
+#: Recorders that end as they should, and leave no bag.
+BROKEN, UNFINISHED = "mkdir bag && echo garbage >bag/bag_0.mcap", "touch bag.bag.active"
+
+
+@pytest.mark.parametrize(
+    ("leaves", "problem"),
+    [
+        (BROKEN, "the bag that its recorder left cannot be read"),
+        (UNFINISHED, "the recorder has not finished the bag within 0.1 s"),
+    ],
+)
+def test_why_a_bag_has_no_number_of_messages_is_told(record, programs, monkeypatch, leaves, problem):
+    monkeypatch.setattr(bag_recorder, "_GRACE", 0.1)
+    (programs / "ros2").write_text(f"#!/bin/sh\n{leaves}\nexec sleep 60\n")
+    context = record(RosBag(["odom"]))
+    assert context.measures["BagMessages"] is None
+    assert [each.problem for each in context.broker.findings] == [problem]

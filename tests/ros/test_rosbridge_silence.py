@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import select
 import socket
+import subprocess
+import sys
 import threading
 import time
 from contextlib import ExitStack, closing, contextmanager, suppress
@@ -89,3 +92,84 @@ def test_what_a_process_sent_before_it_was_killed_does_not_reach_the_robot_long_
         monkeypatch.setattr(link._transport._session, "last_words", lambda: told.append(seconds()) or ())
         link._transport._session._give_up()
     assert told == [0.0], "but the stop command of a run that goes on does, however late"
+
+
+#: What a process sends that has not arrived when the process ends.
+TALKATIVE = """
+import os, sys
+from robot_runner.core.events.context import SystemClock
+from robot_runner.ros.rosbridge_link import open_rosbridge_link
+link = open_rosbridge_link(sys.argv[1], SystemClock())
+link.publish("/lamp", "std_msgs/String", {"data": ""})
+print("ready", flush=True)
+sys.stdin.readline()
+for _ in range(5):
+    link.publish("/lamp", "std_msgs/String", {"data": 8000 * "x"})
+print("sent", flush=True)
+sys.stdin.readline()
+"""
+
+
+@contextmanager
+def requests_held(server):
+    """Yield the address of a proxy of the server, what makes it take nothing more, and what then tells all that came.
+
+    What is sent lies in the system of the sender then, as where the network is cut.
+    """
+    is_held, is_over, rest = threading.Event(), threading.Event(), []
+
+    def forward(source, target, *, may_hold):
+        with suppress(OSError):
+            while not (may_hold and is_held.is_set()):
+                if select.select([source], [], [], 0.01)[0]:
+                    if may_hold and is_held.is_set():
+                        break
+                    if not (data := source.recv(1 << 12)):
+                        return
+                    target.sendall(data)
+            is_over.wait()
+            while data := source.recv(1 << 12):
+                rest.append(data)
+
+    def take():
+        near = opened.enter_context(listening.accept()[0])
+        far = opened.enter_context(socket.create_connection(("127.0.0.1", int(server.url.rpartition(":")[2]))))
+        threading.Thread(target=forward, args=(far, near), kwargs={"may_hold": False}, daemon=True).start()
+        forward(near, far, may_hold=True)
+
+    def received():
+        is_over.set()
+        taking.join(60.0)
+        return b"".join(rest)
+
+    with ExitStack() as opened, socket.socket() as listening:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)  # and so has what it accepts
+        listening.bind(("127.0.0.1", 0))
+        listening.listen()
+        taking = threading.Thread(target=take, daemon=True)
+        taking.start()
+        yield f"rosbridge://127.0.0.1:{listening.getsockname()[1]}", is_held.set, received
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("is_killed", [True, False], ids=["killed", "ended"])
+def test_what_a_process_sent_and_the_network_has_not_delivered_dies_with_it_where_it_is_killed_alone(is_killed):
+    """A robot that was told to stand still meanwhile would drive again."""
+    piped = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with closing(RosbridgeServer()) as server, requests_held(server) as (url, hold, received):
+        with subprocess.Popen([sys.executable, "-c", TALKATIVE, url], **piped) as process:
+            try:
+                assert process.stdout.readline() == "ready\n"
+                hold()
+                print(file=process.stdin, flush=True)
+                assert process.stdout.readline() == "sent\n"
+                if is_killed:
+                    process.kill()
+                else:
+                    print(file=process.stdin, flush=True)
+                process.wait(60.0)
+            finally:
+                process.kill()
+        arrived = len(received())
+    everything = 5 * 8000
+    assert arrived < everything / 2 if is_killed else arrived > everything

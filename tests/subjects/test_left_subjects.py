@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 import shutil
 import subprocess
 import sys
@@ -9,10 +11,14 @@ from pathlib import Path
 
 import pytest
 
+from robot_runner.core.errors import PluginError
 from robot_runner.core.execution.left_systems import may_be_moving
 from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.subjects import left_subjects
 from robot_runner.subjects.halting import CommandedTopics
+from robot_runner.subjects.left_subjects import check_within_reach
 from robot_runner.subjects.supervised_program import Start
+from robot_runner.subjects.surroundings import Surroundings
 
 TWIST = "geometry_msgs/Twist"
 
@@ -61,3 +67,20 @@ def test_a_copy_that_was_made_meanwhile_tells_of_nothing(start: Start, tmp_path:
     shutil.copytree(tmp_path / "trial", tmp_path / "backup")
     assert told(tmp_path / "backup") == []
     assert len(told(tmp_path / "trial")) == 1
+
+
+@pytest.mark.skipif(
+    os.geteuid() == 0 and shutil.which("setpriv") is None, reason="root needs setpriv to become another user"
+)
+def test_software_that_became_another_user_over_there_is_not_taken_for_dead(
+    start: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As `sudo` does: its supervisor cannot end it, nor may its user send it any signal."""
+    as_another_user = ["setpriv", "--reuid=65534", "--clear-groups"] if os.geteuid() == 0 else []
+    there = lambda _host, command, **_: [*as_another_user, "/bin/sh", "-c", command]  # noqa: E731
+    monkeypatch.setattr(left_subjects, "ssh_command", there)
+    around = Surroundings.of("Planner", folder=None, environment={}, setup=None, host="robot", ssh_config=None)
+    events = [{"started": 1, "at": 0.0, "steady": 0.0}, {"lost": "the network was cut"}]
+    start.events.write_text("".join(json.dumps(each) + "\n" for each in events))
+    with pytest.raises(PluginError, match="it goes on on robot, out of reach"):
+        check_within_reach("Planner", start, around)

@@ -7,13 +7,14 @@ import signal
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.robot import Encoding, GraphListing
-from robot_runner.core.links.ssh_command import remedy, ssh_command
+from robot_runner.core.links.ssh_command import execute, remedy, ssh_command
 from robot_runner.measuring.meter_process import MeterProcess
 
 #: The program that records and plays messages of each generation of ROS.
@@ -24,12 +25,17 @@ PROGRAMS = {Encoding.ROS1: "rosbag", Encoding.CDR: "ros2"}
 _STARTUP, _GRACE, _FETCH = 15.0, 30.0, 600.0
 #: How long a publisher takes to connect to a subscription that the graph knows, s: tenths, over Wi-Fi.
 _CONNECTING = 0.5
+_NOT_FINISHED = "the recorder has not finished the bag within {:g} s"
 #: How often to look into the folder until the bag is finished, s.
 _LOOK = 0.02
 
 #: The signal at which each finishes its bag and ends. `rosbag` passes SIGTERM on to the program behind it as SIGINT,
 #: but not SIGINT, which a terminal would send to both.
 ENDING = {Encoding.ROS1: signal.SIGTERM, Encoding.CDR: signal.SIGINT}
+
+#: How often the host sends a sign of life, s: where the network is cut, sshd notices only by sending that nobody is
+#: there any more, and a recorder would go on for hours, and disturb later runs.
+_BEAT = 10.0
 
 #: Recording goes on until this script's input ends, which it does when ssh ends for any reason; then the recorder gets
 #: its signal. The first line of output names the folder. Without `set -m` the recorder would ignore SIGINT.
@@ -38,13 +44,16 @@ trap : INT TERM
 folder=$(mktemp -d) && cd "$folder" || exit 1
 {setup}
 {command} >record.txt 2>&1 </dev/null &
-for i in $(seq 150); do ls bag* >/dev/null 2>&1 && break; kill -0 $! 2>/dev/null || break; sleep 0.1; done
-kill -0 $! 2>/dev/null || {{ tail -n 1 record.txt >&2; exit 1; }}
+recorder=$!
+for i in $(seq 150); do ls bag* >/dev/null 2>&1 && break; kill -0 $recorder 2>/dev/null || break; sleep 0.1; done
+kill -0 $recorder 2>/dev/null || {{ tail -n 1 record.txt >&2; exit 1; }}
 echo "$folder"
+while sleep {beat:g}; do echo; done </dev/null 2>/dev/null &
 exec >/dev/null 2>&1
 cat
-kill -{signal} $!
-wait $!
+kill -- -$!
+kill -{signal} $recorder
+wait $recorder
 for i in $(seq 300); do ls ./*.active >/dev/null 2>&1 || break; sleep 0.1; done
 touch done
 """
@@ -85,7 +94,8 @@ class BagProgram:
             command = ["bash", "-c", f"cd {shlex.quote(str(folder))} && {sourced}exec {words}"]
         else:
             sourced = f". {shlex.quote(setup)}" if setup else ""
-            script = _ON_HOST.format(setup=sourced, command=words, signal=ENDING[encoding].name.removeprefix("SIG"))
+            ending_signal = ENDING[encoding].name.removeprefix("SIG")
+            script = _ON_HOST.format(setup=sourced, command=words, signal=ending_signal, beat=_BEAT)
             command = ssh_command(host, f"bash -c {shlex.quote(script)}", config=ssh_config)
         self._process = MeterProcess(command, output=None, folder=folder, clock=SystemClock())
         self._process.wait(self._has_begun, seconds=_STARTUP)
@@ -101,19 +111,22 @@ class BagProgram:
         """End it, fetch the bag from another computer, and return what went wrong, if anything did."""
         if self._host == LOCAL:
             ending = self._process.stop(ENDING[self._encoding], grace=_GRACE)
-            self._wait_until_renamed()
+            problem = self._unfinished()
         else:
             ending = self._process.stop(signal.SIGTERM, grace=_GRACE)
             problem = self._fetched()
-            if problem is not None:
-                return problem
+        if problem is not None:
+            return problem
         return None if ending.was_asked else f"the recorder ended by itself: {ending.complaint}"
 
-    def _wait_until_renamed(self) -> None:
+    def _unfinished(self) -> str | None:
         """Wait for the recorder behind `rosbag`, which outlives it: an unfinished bag is called `.active`."""
         deadline = time.monotonic() + _GRACE
-        while any(self._folder.glob("*.active")) and time.monotonic() < deadline:
+        while is_unfinished := any(self._folder.glob("*.active")):
+            if time.monotonic() >= deadline:
+                break
             time.sleep(_LOOK)
+        return _NOT_FINISHED.format(_GRACE) if is_unfinished else None
 
     def _has_begun(self) -> bool:
         if self._host != LOCAL:
@@ -121,14 +134,22 @@ class BagProgram:
         return any(path.name.startswith("bag") for path in self._folder.iterdir())
 
     def _fetched(self) -> str | None:
-        """Copy the host's folder into ours and remove it there; return why that failed, if it did."""
+        """Copy the host's folder into ours, and remove it there once all of it is here; return what went wrong."""
         if not self._process.records:
             return "the recorder on the robot did not say where its bag is"
         remote = shlex.quote(self._process.records[0].text)
         # The script finishes the bag a moment after its ssh has ended.
         wait = f"for i in $(seq {round(10 * _GRACE)}); do [ -e {remote}/done ] && break; sleep 0.1; done"
-        command = ssh_command(self._host, f"{wait}; tar -C {remote} -cf - . && rm -rf {remote}", config=self._config)
-        return _unpacked(command, self._folder)
+        command = ssh_command(self._host, f"{wait}; tar -C {remote} -cf - .", config=self._config)
+        problem = _unpacked(command, self._folder)
+        if problem is None and not (self._folder / "done").exists():
+            problem = _NOT_FINISHED.format(_GRACE)
+        if problem is not None:
+            return f"{problem}; it is in {remote} on {self._host}"
+        # Only now, as a connection may be cut when the host has sent all of it and we have received some of it.
+        with suppress(OSError, subprocess.TimeoutExpired):
+            execute(ssh_command(self._host, f"rm -rf {remote}", config=self._config), timeout=_GRACE)
+        return None
 
 
 def recording(encoding: Encoding, topics: Sequence[str]) -> list[str]:

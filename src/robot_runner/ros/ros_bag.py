@@ -168,6 +168,8 @@ class RosBag(TopicProfiler):
             self._problems.append(problem)
         folder = context.raw_data_folder
         self._messages = recorder.messages if isinstance(recorder, LinkRecorder) else messages_in(folder)
+        if self._messages is None and problem is None:
+            self._problems.append("the bag that its recorder left cannot be read")
         if isinstance(recorder, BagProgram) and self._measured_from_ns and isinstance(context.clock, SystemClock):
             late = began_late(folder, self._measured_from_ns)
             if late > _LATE:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import base64
 import binascii
 import json
@@ -14,10 +15,12 @@ from contextlib import ExitStack, suppress
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
+from weakref import WeakSet
 
 from robot_runner.core.errors import LinkError
 from robot_runner.ros.rosbridge_security import secure_socket, speaks_tls
 from robot_runner.ros.shapes import BYTE_KINDS, STAMPS, UNBOUNDED, Field, Shape
+from robot_runner.ros.undelivered import drop_undelivered
 
 if TYPE_CHECKING:
     from cbor2 import CBORTag
@@ -211,16 +214,40 @@ _CLOSE_TIMEOUT = 2.0
 #: How long the network may take nothing of what is sent before the connection is given up, s: as a silent one is.
 _SENDING = 5.0
 
-#: For how long the system tries to deliver what was sent, s (Linux): longer than a session takes to give up. Otherwise
-#: it would do so for minutes, even of a killed process, and a robot that was stopped meanwhile would drive again.
+#: For how long the system tries to deliver what was sent, s (Linux): longer than a session takes to give up.
 _DELIVERING = 10.0
 
 
-def deliver_for(connection: ClientConnection, seconds: float) -> ClientConnection:
-    """Set for how long the system tries to deliver what is sent; 0 for as long as it usually does, which is minutes."""
+def deliver_late(connection: ClientConnection) -> None:
+    """Have the system deliver what is sent, however long the network is away, also after this process was killed."""
+    drop_undelivered(connection.socket, is_dropped=False)
+    _deliver_for(connection, 0)  # as long as it usually does, which is minutes
+
+
+def _deliver_for(connection: ClientConnection, seconds: float) -> None:
     if hasattr(socket, "TCP_USER_TIMEOUT"):
         with suppress(OSError):  # it was closed meanwhile
             connection.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(seconds * 1000))
+
+
+#: What is connected now.
+_connected: WeakSet[socket.socket] = WeakSet()
+
+
+@atexit.register
+def _deliver_all() -> None:
+    """Have the system deliver what a program has sent that ends without closing its links."""
+    for each in list(_connected):
+        drop_undelivered(each, is_dropped=False)
+
+
+def _kept(connection: ClientConnection, closing: ExitStack) -> ClientConnection:
+    """Have a connection closed, and have what is not delivered yet dropped where this process is killed alone."""
+    _deliver_for(connection, _DELIVERING)
+    drop_undelivered(connection.socket)
+    _connected.add(connection.socket)
+    closing.enter_context(connection)
+    closing.callback(drop_undelivered, connection.socket, is_dropped=False)
     return connection
 
 
@@ -262,10 +289,10 @@ def connect(address: RosbridgeAddress, timeout: float, closing: ExitStack, *, wh
     )
     try:
         if not security.is_tls:
-            return closing.enter_context(deliver_for(_bounded(opened()), _DELIVERING))
+            return _kept(_bounded(opened()), closing)
         # Our own socket: websockets would send our credentials before a certificate's fingerprint can be seen.
         secure = secure_socket(address.host, address.port, security, timeout, _SENDING, where=where)
-        return closing.enter_context(deliver_for(opened(sock=secure), _DELIVERING))
+        return _kept(opened(sock=secure), closing)
     except (socket.gaierror, UnicodeError) as error:  # a part of the name is empty, or has more than 63 characters
         fix = "Correct the robot's address, or give it as a number."
         raise LinkError(f"the host {address.host!r} is not known", where=where, fix=fix) from error

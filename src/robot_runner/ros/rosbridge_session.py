@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import LinkError
 from robot_runner.ros.graph_transport import link_closed, service_timeout
 from robot_runner.ros.own_thread import OwnThread
-from robot_runner.ros.rosbridge_frames import LARGEST_FRAME, FrameReader, as_json, connect, deliver_for, send_errors
+from robot_runner.ros.rosbridge_frames import LARGEST_FRAME, FrameReader, as_json, connect, deliver_late, send_errors
 
 if TYPE_CHECKING:
     from robot_runner.ros.graph_addresses import RosbridgeAddress
@@ -324,7 +324,7 @@ class Session:
 
     def _give_up(self) -> None:
         """Send the last words to a server that does not answer, and close the connection."""
-        deliver_for(self._connection, 0)  # for the last words, however long the network is away
+        deliver_late(self._connection)  # the last words
         can_send = self._sending.acquire(timeout=_PING_LOOK)  # else the network takes nothing more
         try:
             for operation in self.last_words() if can_send and self.is_usable else ():

@@ -18,6 +18,8 @@ from robot_runner.subjects.surroundings import Surroundings
 
 #: How long a program that is being ended on another computer is waited for, and that computer's answer, s.
 _ENDING, _ANSWERING = 5.0, 5.0
+#: The exit code of ssh itself.
+_OF_SSH = 255
 
 
 def tell_left_subjects(root: Path) -> Iterator[Finding]:
@@ -65,8 +67,9 @@ def check_within_reach(name: str, start: Start, around: Surroundings) -> None:
 
 def _is_alive(pid: int, host: str, ssh_config: Path | None) -> bool | None:
     """Return whether a process of another computer is alive; None where that cannot be asked."""
+    asking = f"kill -0 {pid} || ps -p {pid}"  # `kill` also fails for one that became another user by `sudo`
     try:
-        done = execute(ssh_command(host, f"kill -0 {pid}", config=ssh_config), timeout=_ANSWERING)
+        done = execute(ssh_command(host, asking, config=ssh_config), timeout=_ANSWERING)
     except (OSError, subprocess.TimeoutExpired):
         return None
-    return {0: True, 1: False}.get(done.returncode)  # 255 is ssh's own
+    return None if done.returncode == _OF_SSH else done.returncode == 0

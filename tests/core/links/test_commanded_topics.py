@@ -68,6 +68,11 @@ def test_a_robot_that_comes_to_count_as_gone_while_it_is_looked_for_is_told_to_b
     assert keep_commanding_zero(CutOff(clock, 6.0), [(TOPIC, TWIST)]) == [TOPIC]
 
 
+def test_where_a_robot_is_not_reached_all_subscribers_are_named_as_it_may_be_another_one(clock: FakeClock) -> None:
+    with pytest.raises(LinkError, match=r"subscription is not reached within 1\d s \(subscribers: /base\)"):
+        keep_commanding_zero(CutOff(clock, 3600.0), [(TOPIC, TWIST)])
+
+
 class Halved:
     """Two robots, of which one cannot be told anything."""
 

@@ -321,8 +321,9 @@ class _KeeperProcess:
         """Return how the run ended, as `os.waitpid` does; obey requests, and kill it when the grace is over."""
         poll = select.poll()
         poll.register(self._requests, select.POLLIN)
-        if hasattr(os, "pidfd_open"):
-            poll.register(os.pidfd_open(self._run), select.POLLIN)  # macOS has none: there we look now and then
+        self._end = processes.end_descriptor(self._run)
+        if self._end is not None:
+            poll.register(self._end, select.POLLIN)
         while (status := self._reap()) is None:
             for descriptor, _ in poll.poll(self._milliseconds()):
                 if descriptor == self._requests and not self._obey():
@@ -338,7 +339,7 @@ class _KeeperProcess:
 
     def _milliseconds(self) -> float | None:
         """Return how long to wait at most."""
-        if not hasattr(os, "pidfd_open"):
+        if self._end is None:
             return _LOOK * 1000
         moments = [moment for moment in (self._ask_again_at, self._kill_at) if moment is not None]
         return max(0.0, min(min(moments) - time.monotonic(), _LONGEST)) * 1000 if moments else None

@@ -240,28 +240,47 @@ def await_end(pid: int, seconds: float | None = None) -> bool:
 
 def await_an_end(pids: Collection[int], seconds: float | None = None) -> list[int]:
     """Wait until one of several processes has ended; return those that have, of none within `seconds` nothing."""
-    if hasattr(os, "pidfd_open"):
-        poll, watched = select.poll(), dict[int, int]()
-        with ExitStack() as opened:
-            for pid in pids:
-                try:
-                    descriptor = os.pidfd_open(pid)
-                except ProcessLookupError:
-                    return [pid]
+    poll, watched = select.poll(), dict[int, int]()
+    with ExitStack() as opened:
+        for pid in pids:
+            try:
+                descriptor = end_descriptor(pid)
+            except ProcessLookupError:
+                return [pid]
+            if descriptor is not None:
                 opened.callback(os.close, descriptor)
                 poll.register(descriptor, select.POLLIN)
                 watched[descriptor] = pid
+        if len(watched) == len(pids):
             ready = poll.poll(None if seconds is None else min(seconds, _A_DAY) * 1000)
             return [watched[descriptor] for descriptor, _ in ready]
     deadline = None if seconds is None else time.monotonic() + seconds
-    while not (ended := [pid for pid in pids if not _goes_on(pid)]):  # macOS
+    while not (ended := [pid for pid in pids if not _goes_on(pid)]):
         if deadline is not None and time.monotonic() >= deadline:
             break
         time.sleep(_LOOK)
     return ended
 
 
+def end_descriptor(pid: int) -> int | None:
+    """Return a descriptor that can be read once a process has ended; None where the system has none.
+
+    These are macOS, Linux before 5.3 (such as JetPack 4), containers that refuse it, and no descriptor that is free.
+
+    Raises:
+        ProcessLookupError: there is no such process.
+    """
+    try:
+        return os.pidfd_open(pid)
+    except ProcessLookupError:
+        raise
+    except (AttributeError, OSError):
+        return None
+
+
 def _goes_on(pid: int) -> bool:
-    with suppress(ChildProcessError):
+    if stat := process_stat(pid):
+        return stat[0] not in {"Z", "X"}  # not reaped: whoever does so gets its exit status
+    with suppress(ChildProcessError):  # macOS
         return os.waitpid(pid, os.WNOHANG) == (0, 0)
     return is_alive(pid)

@@ -193,9 +193,8 @@ class Standby:
         for number in (signal.SIGTERM, signal.SIGKILL):  # asked twice, by us and by its keeper, it closes once
             with suppress(ProcessLookupError):
                 os.kill(run, number)
-            with suppress(OSError):  # no descriptor is left to wait with
-                if await_end(run, self._experiment.parameters.grace_in_s + _MARGIN):
-                    return
+            if await_end(run, self._experiment.parameters.grace_in_s + _MARGIN):
+                return
 
     def _act(self, connection: _Connection) -> None:
         with suppress(OSError):  # stopping the robot matters more than saying so

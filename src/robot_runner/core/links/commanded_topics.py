@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Advertiser, Message, RobotLink
+from robot_runner.core.words import enumerated
 
 #: A robot carries out a command of these types until the next one; an empty message, all zero, stops it.
 VELOCITIES = frozenset({"geometry_msgs/Twist", "geometry_msgs/TwistStamped"})
@@ -91,7 +93,7 @@ def keep_commanding_zero(link: RobotLink, commanded: Sequence[tuple[str, str]]) 
         if faults and (is_over or len(faults) == len(commanded)):
             raise next(iter(faults.values()))
         if missed and seconds > _REACHING:
-            raise _not_reached(missed[0], seconds)
+            raise _not_reached(link, missed[0], seconds)
         if is_over:
             return empty
 
@@ -109,14 +111,18 @@ def command_for_certain(link: RobotLink, topic: str, message_type: str, message:
     link.publish(topic, message_type, message)  # those that are reached must not wait for the others
     while not is_reached:
         if (seconds := time.monotonic() - began) > _REACHING:
-            raise _not_reached(topic, seconds)
+            raise _not_reached(link, topic, seconds)
         time.sleep(_PERIOD)  # some links tell at once that it is not
         is_reached = _reaches(link, topic, message_type)
         link.publish(topic, message_type, message)
 
 
-def _not_reached(topic: str, seconds: float) -> LinkError:
-    problem = f"the robot's subscription is not reached within {seconds:.0f} s"
+def _not_reached(link: RobotLink, topic: str, seconds: float) -> LinkError:
+    """Return the error, with all subscribers: it may be another one, as of a laptop that was switched off."""
+    names = ""
+    with suppress(LinkError):
+        names = enumerated(each.node for each in link.subscribers(topic) if not each.is_own)
+    problem = f"the robot's subscription is not reached within {seconds:.0f} s{names and f' (subscribers: {names})'}"
     return LinkError(problem, where=topic, fix="See that it stands still.")
 
 
