@@ -10,6 +10,7 @@ import socket
 import sys
 import threading
 import time
+import tracemalloc
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
@@ -281,6 +282,40 @@ def test_a_bag_that_does_not_arrive_stays_on_the_robot_and_is_told_of(tmp_path, 
         server.stop()
     assert messages_in(left) == 1
     shutil.rmtree(left)
+
+
+@pytest.mark.long
+def test_a_bag_is_fetched_without_being_held_in_memory(tmp_path):
+    there, here = tmp_path / "there", tmp_path / "here"
+    for each in (there, here):
+        each.mkdir()
+    with (there / "bag.mcap").open("wb") as bag:
+        bag.truncate(100_000_000)
+    tracemalloc.start()
+    try:
+        assert bag_recorder._unpacked(["tar", "-C", str(there), "-cf", "-", "."], here) is None
+        assert tracemalloc.get_traced_memory()[1] < 5_000_000
+    finally:
+        tracemalloc.stop()
+    assert (here / "bag.mcap").stat().st_size == 100_000_000
+
+
+@pytest.mark.parametrize(
+    ("sending", "unpacking", "told"),
+    [
+        ("echo 'connection lost' >&2; exit 255", 'exec {tar} "$@"', "could not be fetched: connection lost"),
+        # As much as a pipe does not take, so that the command does not end by itself.
+        ("exec cat /dev/zero", "echo 'disk full' >&2; exit 2", "could not be fetched: disk full"),
+        ("exec sleep 60", 'exec {tar} "$@"', "could not be fetched within 2 s"),
+    ],
+)
+def test_why_a_bag_does_not_arrive_is_told(tmp_path, monkeypatch, sending, unpacking, told):
+    (tmp_path / "tar").write_text(f"#!/bin/sh\n{unpacking.format(tar=shutil.which('tar'))}\n")
+    (tmp_path / "tar").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    monkeypatch.setattr(bag_recorder, "_FETCH", 2.0)
+    monkeypatch.setattr(bag_recorder, "_ENDING", 1.0)
+    assert told in bag_recorder._unpacked(["sh", "-c", sending], tmp_path)
 
 
 def test_a_bag_that_its_recorder_has_not_finished_stays_on_the_robot_and_is_told_of(tmp_path, programs, monkeypatch):

@@ -5,10 +5,12 @@ from __future__ import annotations
 import shlex
 import signal
 import subprocess
+import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import IO
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
@@ -23,6 +25,8 @@ PROGRAMS = {Encoding.ROS1: "rosbag", Encoding.CDR: "ros2"}
 #: How long a recorder may take to begin, to finish its bag, and to send it from the robot, s: a bag of a mission has
 #: some 20 MB, and Wi-Fi may carry less than 1 MB/s.
 _STARTUP, _GRACE, _FETCH = 15.0, 30.0, 600.0
+#: How long ssh may take to end once all is unpacked, s; it does not where what it sends is no longer taken.
+_ENDING = 5.0
 #: How long a publisher takes to connect to a subscription that the graph knows, s: tenths, over Wi-Fi.
 _CONNECTING = 0.5
 _NOT_FINISHED = "the recorder has not finished the bag within {:g} s"
@@ -160,22 +164,29 @@ def recording(encoding: Encoding, topics: Sequence[str]) -> list[str]:
 
 
 def _unpacked(command: Sequence[str], folder: Path) -> str | None:
-    try:
-        packed = subprocess.run(  # noqa: S603  # an argument list; the host's name was checked
-            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=_FETCH, check=True, start_new_session=True
-        )
-        subprocess.run(  # noqa: S603  # an argument list
-            ["tar", "-C", str(folder), "-xf", "-"],  # noqa: S607  # the system's
-            input=packed.stdout,
-            capture_output=True,
-            timeout=_FETCH,
-            check=True,
-        )
-    except subprocess.TimeoutExpired:
-        return f"the bag could not be fetched within {_FETCH:g} s"
-    except subprocess.CalledProcessError as error:
-        return f"the bag could not be fetched: {error.stderr.decode(errors='replace').strip()[-200:]}"
-    return None
+    """Unpack the archive that a command writes, as it comes, since a bag may be large; return what went wrong."""
+    with tempfile.TemporaryFile() as said, _started(command, said) as sent:
+        unpacking = ["tar", "-C", str(folder), "-xf", "-"]
+        try:
+            unpacked = subprocess.run(  # noqa: S603  # an argument list
+                unpacking, stdin=sent.stdout, capture_output=True, timeout=_FETCH, check=False
+            )
+            sent.wait(_ENDING)
+        except subprocess.TimeoutExpired as error:
+            sent.kill()  # before its output is closed, so that it does not complain of that
+            if error.cmd == unpacking:
+                return f"the bag could not be fetched within {_FETCH:g} s"
+        said.seek(0)
+        complaint = said.read() if (sent.wait() or 0) > 0 else unpacked.stderr if unpacked.returncode else None
+    if complaint is None:
+        return None
+    return f"the bag could not be fetched: {complaint.decode(errors='replace').strip()[-200:]}"
+
+
+def _started(command: Sequence[str], said: IO[bytes]) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(  # noqa: S603  # an argument list; the host's name was checked
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said, start_new_session=True
+    )
 
 
 def subscriptions_of(link: GraphListing, topics: Sequence[str]) -> dict[str, int]:
