@@ -5,7 +5,11 @@ from __future__ import annotations
 import os
 import sys
 
-from robot_runner.cli.main import main
+try:
+    from robot_runner.cli.main import main
+except KeyboardInterrupt:  # Ctrl-C in a queue that has just begun an experiment
+    sys.stderr.write("interrupted\n")
+    sys.exit(130)
 
 if __name__ == "__main__":
     # A shell that finds Python by a relative entry of PATH hands such a path on, which is nothing in another folder.

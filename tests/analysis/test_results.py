@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 
@@ -145,15 +144,14 @@ def test_it_is_told_whether_somebody_executes_it(tmp_path):
         holder.communicate(timeout=30)
 
 
-def test_a_folder_without_schema_is_read_by_its_manifest(tmp_path):
+@pytest.mark.parametrize("name", ["run_table.csv", "run_table.schema.json"])
+def test_results_of_which_a_file_is_lost_are_refused_with_how_it_comes_back(tmp_path, name):
+    """Without its schema, a report had no measure of the config's, and called none simulated."""
     folder = make_experiment(tmp_path / "e")
-    manifest = json.loads(folder.manifest.read_text("utf-8"))
-    manifest["plugins"] = [{"name": "Meter", "measures": ["Energy"]}]
-    folder.manifest.write_text(json.dumps(manifest), "utf-8")
-    folder.schema.unlink()
-    results = load_results(folder.root)
-    assert (results.factors, results.measures) == (("Task",), ("Energy",))
-    assert results.done["Energy"].sum() == 6.0
+    (folder.root / name).unlink()
+    with pytest.raises(StorageError, match=f"{name} is missing") as refused:
+        _ = load_results(folder.root).done
+    assert "Execute the experiment once more" in refused.value.fix
 
 
 def test_a_table_from_a_spreadsheet_is_read(tmp_path):

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import runpy
 import shutil
 import subprocess
 import sys
@@ -17,6 +18,24 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+
+
+def test_ctrl_c_while_the_program_is_imported_shows_no_traceback(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """As in a queue that has just begun an experiment."""
+
+    class Interrupting:
+        def find_spec(self, name: str, *_: object) -> None:
+            if name == "robot_runner.cli.main":
+                raise KeyboardInterrupt
+
+    monkeypatch.delitem(sys.modules, "robot_runner.cli.main")
+    monkeypatch.setattr(sys, "meta_path", [Interrupting(), *sys.meta_path])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_module("robot_runner", run_name="__main__")
+    assert ended.value.code == 130
+    assert capfd.readouterr().err == "interrupted\n"
 
 
 @pytest.mark.parametrize("words", [[], ["-h"], ["--help"], ["help"]])

@@ -12,19 +12,24 @@ from typing import Any
 import pytest
 import rocrate
 from frictionless import Resource, system
+from tests.replication.small_experiment import own_modules, write_config
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
     from rocrate_validator import models, services
     from rocrate_validator.utils.http import HttpRequester
 
+from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.errors import ExecutionError
+from robot_runner.core.execution.notices import SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 from robot_runner.replication.about import About
 from robot_runner.replication.contents import media_type_of
 from robot_runner.replication.crate import crate_text
 from robot_runner.replication.crate_actions import ExecutedRun
 from robot_runner.replication.packing import pack
-from robot_runner.replication.sealing import crate_faults
+from robot_runner.replication.sealing import Packing, crate_faults
 
 CONTEXT = json.loads((Path(rocrate.__file__).parent / "data" / "ro-crate.jsonld").read_text(encoding="utf-8"))
 # The library brings the context of RO-Crate 1.3; that of 1.1 has these terms of workflows elsewhere.
@@ -112,6 +117,23 @@ def test_each_run_is_an_action_that_executed_the_config_with_its_treatments(unpa
         assert {"@id": f"runs/{row['run_id']}/"} in action["result"]
         assert action["startTime"] < action["endTime"]
     assert {"@id": "#run-r_1"} in entities["./"]["mentions"]
+
+
+@pytest.mark.long
+def test_an_experiment_that_ended_before_its_first_run_is_packed_without_an_action_of_a_workflow(tmp_path, issues):
+    config = write_config(tmp_path / "study")
+    raises = "    def before_experiment(self):\n        raise OSError('no power')\n\n    def create_run_table(self):"
+    config.write_text(config.read_text("utf-8").replace("    def create_run_table(self):", raises), "utf-8")
+    with own_modules(), pytest.raises(ExecutionError, match="no power"):
+        execute_experiment(prepare_or_refuse(config, {}), SilentObserver())
+    package = pack(tmp_path / "study" / "results" / "small", tmp_path / "begun.zip", Packing(with_wheels=False)).path
+    # Nobody knows when it ended.
+    assert {each.partition(":")[0] for each in issues(package, "process-run-crate-0.5")} <= {
+        "process-run-crate-0.5_8.4"
+    }
+    graph = json.loads(zipfile.ZipFile(package).read("ro-crate-metadata.json"))["@graph"]
+    assert not [each["@id"] for each in graph if each["@id"].startswith("#run-")]
+    assert "config/small.py" in {each["@id"] for each in graph}
 
 
 @pytest.mark.parametrize(

@@ -39,6 +39,21 @@ def test_a_value_of_a_plugin(experiment):
     assert facts["Published"] == "in attempt 1 (journal.jsonl)"
 
 
+@pytest.mark.parametrize("status", ["failed", "interrupted"])
+def test_how_an_earlier_attempt_ended_is_told(tmp_path, status):
+    folder = two_tasks(tmp_path / "e", [1.0], [2.0]).root
+    reason = "start_run of Meter: the cable is out"
+    journal, records = folder / "journal.jsonl", (folder / "journal.jsonl").read_text("utf-8")
+    journal.unlink()
+    ended = {"seconds": 0.1, "is_last": True, "stamps": {}, "measures": {}, "failure": reason, "status": status}
+    with Journal(journal) as begun:
+        begun.append("attempt_started", run="r_1", attempt=1)
+        begun.append("attempt_finished", run="r_1", attempt=1, **ended)
+    with journal.open("a", encoding="utf-8") as file:
+        file.write(records)
+    assert ("Attempt 1", f"{status}: {reason}") in explain_run(folder, "r_1", []).facts
+
+
 def test_a_value_of_a_callback(experiment):
     _, facts = _facts(experiment, "r_2", "Phases")
     assert facts["From"] == "the config"

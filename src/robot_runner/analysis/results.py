@@ -17,7 +17,6 @@ from robot_runner.analysis.raw_data import RawData
 from robot_runner.analysis.run_frame import (
     ExperimentFacts,
     RunFrame,
-    column_descriptions,
     excluded_frame,
     quality_frame,
     read_run_frame,
@@ -33,6 +32,7 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.table_columns import ColumnRole
+from robot_runner.core.storage.table_schema import read_schema
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -367,7 +367,7 @@ def load_results(folder: Path | str, *, with_excluded: bool = False, with_warm_u
     """Read the results of an experiment.
 
     Args:
-        folder: the experiment's folder, with `run_table.csv` and `manifest.json`.
+        folder: the experiment's folder, with `run_table.csv`, its schema and `manifest.json`.
         with_excluded: whether to include runs that were excluded (`robot-runner exclude`). By default they are only in
             `excluded` and `all_runs`, and in no statistics.
         with_warm_ups: whether to include warm-up runs; `Results.warm_ups` names them in any case.
@@ -381,7 +381,7 @@ def load_results(folder: Path | str, *, with_excluded: bool = False, with_warm_u
         fix = f"Adopt it: robot-runner import {shlex.quote(str(folder))}"
         raise StorageError("there is a run table here, but no manifest.json", where=str(folder), fix=fix)
     manifest = read_manifest(files.manifest)
-    columns = {column.name: column for column in column_descriptions(files, manifest)}
+    columns = {column.name: column for column in read_schema(files.schema)}
     return Results(root, MappingProxyType(manifest), MappingProxyType(columns), with_excluded, with_warm_ups)
 
 

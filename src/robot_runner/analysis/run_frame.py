@@ -14,7 +14,7 @@ from robot_runner.analysis.wording import labelled
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.batch import CONFIRMATION
 from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STATUS
-from robot_runner.core.errors import AnalysisError, Finding, StorageError
+from robot_runner.core.errors import AnalysisError, Finding
 from robot_runner.core.events.measure import QUALITY_SUFFIX, Quality, quality_of_value
 from robot_runner.core.storage.cells import ENDS, RunStatus, typed_value, typed_values
 from robot_runner.core.storage.executed_runs import ExcludedRuns, edited_findings, unrecorded_findings
@@ -22,7 +22,7 @@ from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, ColumnRole, TableLayout
-from robot_runner.core.storage.table_schema import read_schema, type_of_values
+from robot_runner.core.storage.table_schema import type_of_values
 
 if TYPE_CHECKING:
     from enum import Enum
@@ -167,27 +167,6 @@ class RunFrame:
         return replace(self, frame=kept)
 
 
-def column_descriptions(folder: ExperimentFolder, manifest: Mapping[str, Any]) -> tuple[ColumnDescription, ...]:
-    """Return the descriptions of the run table's columns; from the manifest where there is no schema.
-
-    Raises:
-        StorageError: the schema cannot be read.
-    """
-    if folder.schema.exists():
-        return read_schema(folder.schema)
-    design = manifest.get("design", {})
-    factors = [ColumnDescription(name=name, role=ColumnRole.FACTOR) for name in design.get("factors", {})]
-    if int(design.get("repetitions", 1)) > 1:
-        factors.append(ColumnDescription(name=REPETITION, role=ColumnRole.REPETITION, type="integer"))
-    measures = {
-        name: ColumnDescription(name=name, role=ColumnRole.MEASURE, owner=plugin.get("name", ""))
-        for plugin in manifest.get("plugins", ())
-        for name in plugin.get("measures", ())
-    }
-    progress = [ColumnDescription(name=name, role=ColumnRole.PROGRESS, type="string") for name in (RUN_ID, STATUS)]
-    return (*progress, *factors, *measures.values())
-
-
 def read_run_frame(
     folder: ExperimentFolder, columns: Sequence[ColumnDescription], manifest: Mapping[str, Any]
 ) -> RunFrame:
@@ -199,9 +178,6 @@ def read_run_frame(
     # Read the journal first: a table that is written meanwhile is newer than its records, never older.
     ended: set[str] = set()
     newer = _ended_since_table(read_journal(folder.journal, kinds={"attempt_finished", "table_written"}), ended)
-    if not folder.run_table.exists():
-        fix = "Restore run_table.csv from a backup."
-        raise StorageError("there is no run table in the folder", where=str(folder.root), fix=fix)
     excluded = ExcludedRuns.read(folder.journal) if folder.journal.exists() else None
     layout = TableLayout.of_schema(columns)
     if excluded is not None and excluded.were_any:

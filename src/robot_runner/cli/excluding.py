@@ -137,10 +137,6 @@ def _correcting(folder: ExperimentFolder) -> Iterator[_Table]:
     read_manifest(folder.manifest)  # raises where there is no experiment
     with ExperimentLock(folder.lock):
         refuse_without_journal(folder)
-        for path in (folder.run_table, folder.schema):
-            if not path.exists():
-                fix = "Execute the experiment once more with its config (robot-runner run): it is rebuilt."
-                raise StorageError(f"{path.name} is missing", where=str(folder.root), fix=fix)
         schema = read_schema(folder.schema)
         rows = _read_rows(folder, schema)
         history = TableHistory.of(folder.journal)

@@ -28,6 +28,7 @@ from robot_runner.core.execution.deciding import asking_of, what_follows
 from robot_runner.core.execution.durations import Durations, Estimate, durations_of
 from robot_runner.core.execution.experiment_history import ExperimentHistory
 from robot_runner.core.execution.probe import probe_window_of, probed_plugins
+from robot_runner.core.execution.recovery import table_differences
 from robot_runner.core.execution.table_recovery import is_reordered
 from robot_runner.core.plugin import Plugin
 from robot_runner.core.storage.executed_runs import moved_in_words, moved_runs
@@ -201,10 +202,14 @@ def _with_begun_runs(
             return replace(planned, findings=(*warnings, missing)), history.settled
         rows = read_run_table(folder.run_table, layout, table)
         history.take_rows(rows)
-        if not is_reordered(table, rows):
+        if is_reordered(table, rows):
+            problem = "the rows were put into another order by hand: runs are executed in that order"
+            odd = Finding.warning(str(folder.run_table), problem)
+        elif differing := next(table_differences(folder.run_table, table, rows), None):
+            odd = Finding.warning(differing.where, f"{differing.problem}: shown are the runs of the table")
+        else:
             return planned, history.settled
-        problem = "the rows were put into another order by hand: runs are executed in that order"
-        warnings = (*warnings, Finding.warning(str(folder.run_table), problem))
+        warnings = (*warnings, odd)
     rows = read_run_table(folder.run_table, layout)
     history.take_rows(rows)
     findings = (*warnings, *rows.warnings)

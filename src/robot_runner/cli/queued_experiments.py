@@ -154,10 +154,9 @@ class ExperimentQueue:
             ExecutionError: there is none of this number, or it is being executed.
         """
         if number not in self._numbers():
-            known = ", ".join(map(str, sorted(self._numbers()))) or "it is empty"
-            raise ExecutionError(
-                f"there is no experiment {number} in the queue", where="robot-runner queue", fix=f"There are: {known}."
-            )
+            known = ", ".join(map(str, sorted(self._numbers())))
+            fix = f"There are: {known}." if known else "There is nothing to drop: the queue is empty."
+            raise ExecutionError(f"there is no experiment {number} in the queue", where="robot-runner queue", fix=fix)
         with self.taken(number):
             guarded_files.remove(self._file(number), self.folder)
             guarded_files.remove(self._lock(number), self.folder)

@@ -13,6 +13,7 @@ from robot_runner.cli.parser import UsageError
 from robot_runner.core.errors import StorageError, did_you_mean
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.words import listed
@@ -100,6 +101,9 @@ def _is_begun(folder: ExperimentFolder, *, takes_older: bool) -> bool:
         return True
     where = shown_path(folder.root)
     if folder.journal.exists():
+        if (holder := holder_of(folder.lock)) is not None:  # it writes its manifest in a moment
+            problem = f"the experiment is being begun by process {holder.pid} on {holder.host}"
+            raise StorageError(problem, where=where, fix="Wait a moment, and repeat the command.")
         fix = "Execute the experiment once more with its config (robot-runner run): it is rebuilt."
         raise StorageError("manifest.json is missing, and the journal is there", where=where, fix=fix)
     rows = read_run_table(folder.run_table, TableLayout((), stamps=())) if folder.run_table.exists() else None

@@ -96,7 +96,8 @@ class _Crate:
         self._crate.metadata.extra_terms["sha256"] = _SHA256
         self._about, self._manifest = about, manifest
         self._executed, self._run_folders = runs, run_folders
-        self._workflow = config_of(manifest)
+        # Where no run has ended there is no action, which a Workflow Run Crate must have: the config is a file then.
+        self._workflow = config_of(manifest) if runs else ""
         self._pages: dict[str, Any] = {}
 
     def text(self, files: Sequence[StoredFile], measures: Sequence[ColumnDescription]) -> str:

@@ -176,7 +176,7 @@ class _Explaining:
         if history.attempt:
             yield "Attempt", f"{history.attempt}, {history.started_at} to {history.finished_at or 'no end'}"
         for number, failure in history.failures.items():
-            yield f"Attempt {number}", f"failed: {failure}"
+            yield f"Attempt {number}", failure
 
     def _order(self) -> str:
         design = self._manifest.get("design") or {}

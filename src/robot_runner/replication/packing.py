@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from robot_runner.core.errors import Finding, PackageError, StorageError
+from robot_runner.core.errors import Finding, PackageError
 from robot_runner.core.secret_names import forms_of, is_secret_name, secrets_of_environment
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import edited_findings, ended_runs, unrecorded_findings
@@ -192,9 +192,6 @@ def _is_package(path: Path) -> bool:
 
 
 def _run_table(files: ExperimentFolder) -> tuple[RunTableRows, Sequence[ColumnDescription]]:
-    if not files.schema.exists():
-        fix = "Execute the experiment, or resume it: the schema is written then."
-        raise StorageError("the run table has no schema", where=str(files.schema), fix=fix)
     columns = read_schema(files.schema)
     return read_run_table(files.run_table, TableLayout.of_schema(columns)), columns
 

@@ -28,7 +28,7 @@ class RunHistory:
         clocks: the times of its events, s on the run's clock.
         doubts: findings of the owners of measures about their samples, by owner.
         hosts: other computers that were measured, with the offsets of their clocks.
-        failures: why attempts failed, by number.
+        failures: how and why attempts ended that failed or were interrupted, by number.
         bound: plugin, parameter, factor and value of each parameter that was bound to a factor.
         readers: the readers of each factor's treatment.
         stopped: who stopped the mission, and why; empty if it was not stopped.
@@ -96,7 +96,7 @@ class RunHistory:
         self.measures = record["measures"]
         self.readers = record.get("readers")
         if record.get("failure"):
-            self.failures[self.attempt] = str(record["failure"])
+            self.failures[self.attempt] = f"{record['status']}: {record['failure']}"
 
     def _take_event(self, record: dict[str, Any]) -> None:
         if isinstance(record.get("clock"), int | float):

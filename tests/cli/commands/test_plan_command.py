@@ -118,6 +118,22 @@ def test_an_order_that_was_changed_by_hand_is_not_called_randomised(
     assert planned == [row.split(",")[place] for row in reversed(rows)]
 
 
+def test_where_the_table_has_other_treatments_than_the_config_plans_it_is_the_plan(
+    robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_config("def populate_run_data(self, context): return {'Energy': 1}")
+    robot_runner("run", "config.py", "--only", "r_1")
+    table = tmp_path / "results" / "trial" / "run_table.csv"
+    table.write_text(table.read_text("utf-8").replace("Network,2", "Video,2"), "utf-8")
+    for options in (["--accept-changes"], []):  # before it is accepted, and after
+        shown = robot_runner("plan", "config.py")
+        assert "r_4" in shown.out
+        assert "as in results/trial/run_table.csv" in shown.out
+        assert "run r_4, column 'Task': the table has 'Video', the plan 'Network'" in shown.err
+        assert robot_runner("plan", "config.py", "--json").json["runs"][3]["combination"] == {"Task": "Video"}
+        assert robot_runner("run", "config.py", *options).code == 0
+
+
 def test_a_table_made_by_hand_is_the_plan(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:

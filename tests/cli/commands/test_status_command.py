@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import time
 from dataclasses import replace
@@ -15,6 +16,7 @@ from robot_runner.cli.main import main
 from robot_runner.core.errors import Finding
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.places import InFlight
+from robot_runner.core.storage.lock import ExperimentLock
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -209,6 +211,34 @@ def test_an_experiment_whose_manifest_is_lost_is_not_taken_for_that_of_another_t
     assert "robot-runner run" in answer.err
     robot_runner("run", "config.py")
     assert robot_runner("status", target).code == 0
+
+
+def test_of_an_experiment_that_just_begins_it_is_said_who_begins_it(robot_runner: Callable, half_done: Path) -> None:
+    (half_done / "manifest.json").unlink()  # it is written once the journal is there
+    with ExperimentLock(half_done / ".lock"):
+        answer = robot_runner("status", "config.py")
+    assert answer.code == 2
+    assert f"the experiment is being begun by process {os.getpid()}" in answer.err
+    assert "Wait a moment" in answer.err
+
+
+def test_a_session_that_has_ended_is_not_broken_off_while_its_process_ends(
+    robot_runner: Callable, half_done: Path
+) -> None:
+    robot_runner("run", "config.py", "--only", "r_3")
+    with ExperimentLock(half_done / ".lock"):
+        told = robot_runner("status", "config.py").out
+    assert "Sessions" in told
+    assert "broken off" not in told
+
+
+def test_an_order_of_rows_that_was_changed_by_hand_is_told_as_that(robot_runner: Callable, half_done: Path) -> None:
+    table = half_done / "run_table.csv"
+    heading, *rows = table.read_text("utf-8").splitlines()
+    table.write_text("\n".join([heading, *reversed(rows)]) + "\n", "utf-8")
+    robot_runner("run", "config.py")
+    told = " ".join(robot_runner("status", "config.py").out.split())
+    assert "run_table.csv: the rows were put into another order by hand" in told
 
 
 def test_the_command_that_is_offered_can_be_pasted(

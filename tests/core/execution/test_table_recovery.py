@@ -224,6 +224,46 @@ def test_the_treatment_of_a_finished_run_is_changed_on_record_alone(execute: Exe
     assert executed.table[0]["Task"] == "Network"
 
 
+def test_the_treatment_of_a_run_still_to_do_is_changed_on_record_and_accepted_once(
+    execute: Execute, write_config: Any
+) -> None:
+    executed = execute(COUNTING.replace("context.attempt", "context.attempt / (context.run_number < 4)"))
+    write_config(COUNTING)
+    assert executed.table[3]["status"] == "Failed"
+    edited(executed, "Network,2,", "Video,2,")
+    resume(executed, accept_changes=True)
+    changed = {"run": "r_4", "column": "Task", "was": "Network", "is": "Video"}
+    (record,) = executed.journal("deviation")
+    assert {name: record[name] for name in changed} == changed
+    for _ in range(2):
+        resume(executed)
+    assert (executed.table[3]["Task"], executed.table[3]["Energy"]) == ("Video", "42")
+    assert len(executed.journal("deviation")) == 1
+
+
+def test_a_row_that_was_removed_and_accepted_is_on_record_once(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    edited(executed, text_of(executed.folder / "run_table.csv").splitlines()[-1] + "\n", "")
+    resume(executed, accept_changes=True)
+    edited(executed, "Network,1,21", "Network,1,22")
+    resume(executed, accept_changes=True)
+    changes = [(each["run"], each["column"]) for each in executed.journal("deviation")]
+    assert changes == [("r_4", "row"), ("r_2", "Energy")]
+
+
+def test_a_plan_that_was_changed_is_accepted_once_and_is_no_change_of_the_table(
+    execute: Execute, write_config: Any
+) -> None:
+    executed = execute(COUNTING)
+    write_config(COUNTING, table=TABLE.replace('["Video", "Network"]', '["Network", "Video"]'))
+    resume(executed, accept_changes=True)
+    resume(executed)
+    assert executed.journal("deviation") == []
+    write_config(COUNTING, table=TABLE.replace("repetitions=2", "repetitions=1"))
+    with pytest.raises(ExecutionError):
+        resume(executed)
+
+
 def test_where_the_journal_counts_a_run_has_the_treatment_with_which_it_was_executed(execute: Execute) -> None:
     executed = execute(COUNTING)
     before = text_of(executed.folder / "run_table.csv")

@@ -54,7 +54,7 @@ def problems(folder: Path, old: str = "", new: str = "", *, is_known: bool = Tru
         ("r_1,Done,0.1", "r_1,Done,10", "Speed of r_1 is '10', and was '0.1'"),
         ("0.1,1,11.0", "0.1,2,11.0", "Repetition of r_1 is '2', and was '1'"),
         ("21.5", "21.6", "Energy of r_2 is '21.6', and was '21.5'"),
-        ("21.5", "", "Energy of r_2 is 'None', and was '21.5'"),
+        ("21.5", "", "Energy of r_2 is empty, and was '21.5'"),
     ],
 )
 def test_a_label_and_a_value_that_were_changed_are_named(tmp_path: Path, old: str, new: str, told: str) -> None:
@@ -69,4 +69,4 @@ def test_other_digits_and_runs_that_are_to_do_are_not(tmp_path: Path, old: str, 
 def test_a_file_that_is_as_it_was_written_is_not_compared(tmp_path: Path) -> None:
     assert problems(tmp_path / "now") == [], "though r_3 has no value any more: so it was written"
     older = problems(tmp_path / "older", is_known=False)
-    assert older == ["Energy of r_3 is 'None', and was '12'"], "of an older version, nothing tells how it was written"
+    assert older == ["Energy of r_3 is empty, and was '12'"], "of an older version, nothing tells how it was written"

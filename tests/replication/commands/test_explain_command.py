@@ -20,6 +20,18 @@ def test_a_measure_of_a_plugin_is_traced_to_its_raw_file(robot_runner, experimen
     assert "CPU" not in answer.out.split("Energy")[0]
 
 
+def test_a_treatment_is_shown_as_the_run_table_has_it(robot_runner, write_config):
+    write_config(
+        table="""
+    def create_run_table(self):
+        return RunTableModel([Factor("Speed", [0.1, 12345.678])], data_columns=["Energy"])
+"""
+    )
+    assert robot_runner("run", "config.py").code == 0
+    shown = [robot_runner("explain", "config.py", run, "Speed").out.split("\n\n")[1] for run in ("r_1", "r_2")]
+    assert [each.splitlines()[0] for each in shown] == ["Speed  0.1  factor", "Speed  12345.678  factor"]
+
+
 def test_everything_is_explained_as_json(robot_runner, experiment):
     facts = robot_runner("explain", experiment, "r_1", "--json").json
     names = [each["name"] for each in facts["values"]]

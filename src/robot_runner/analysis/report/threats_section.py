@@ -315,8 +315,8 @@ def _circumstances(material: Material) -> Threats:
     changed: list[dict[str, str]] = [each for each in material.manifest("table_deviations", default=[]) if each["run"]]
     if changed:
         cells = (f"{each['column']} of {each['run']} from {each['was']!r} to {each['is']!r}" for each in changed)
-        text = f"Cells of runs that were executed were changed in run_table.csv: {listed(cells, shown=20)}."
-        yield "Results were changed by hand", text, Tone.BAD
+        text = f"Cells were changed in run_table.csv: {listed(cells, shown=20)}."
+        yield "The run table was changed by hand", text, Tone.BAD
     if deviations:
         shown = listed((f"{name} = {value}" for name, value in shown_settings(deviations).items()), shown=20)
         text = f"Set on the command line, against what the config says: {shown}."

@@ -17,11 +17,12 @@ import sys
 from argparse import Namespace
 from collections.abc import Iterator
 from dataclasses import asdict
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from robot_runner.cli.commands import run
-from robot_runner.cli.console import output, print_json, quiet_loading, shown_path
+from robot_runner.cli.console import command_line, output, print_json, quiet_loading, shown_path
 from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.parser import Parser, UsageError, add_json
@@ -130,7 +131,9 @@ def _refused_options(arguments: Namespace) -> Iterator[Finding]:
             yield Finding.error(_WHERE, f"--set {shown} is a secret, which is not kept in the queue", fix)
     if arguments.redo:
         problem = "--redo would execute these runs once more each time that the experiment is begun again after a kill"
-        yield Finding.error(_WHERE, problem, "Execute it by hand: robot-runner run --wait")
+        redo = chain.from_iterable(("--redo", runs) for runs in arguments.redo)
+        by_hand = command_line("run", arguments.config, *redo, "--wait")
+        yield Finding.error(_WHERE, problem, f"Execute it by hand: {by_hand}")
 
 
 def _options(arguments: Namespace, parser: Parser) -> list[str]:

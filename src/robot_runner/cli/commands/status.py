@@ -140,7 +140,8 @@ def _sessions(status: ExperimentStatus) -> str:
     if len(status.sessions) < 2:  # noqa: PLR2004 - one is told by its start and end
         return ""
     executed = shown_duration(sum(session.seconds for session in status.sessions))
-    broken = sum(not session.is_whole for session in status.sessions) - (status.holder is not None)
+    ended = status.sessions if status.holder is None else status.sessions[:-1]
+    broken = sum(not session.is_whole for session in ended)
     killed = f", {broken} of them broken off" if broken else ""
     return f"{len(status.sessions)}{killed}; {executed} in all"
 

@@ -293,8 +293,11 @@ class ExperimentHistory:
         self._since_table.clear()
 
     def _take_deviation(self, record: Mapping[str, Any]) -> None:
-        problem = f"{record['column']} was changed by hand from {record['was']!r} to {record['is']!r}"
-        self.findings.append(Finding.warning(record["run"] or "run_table.csv", problem))
+        if record["run"]:
+            problem = f"{record['column']} was changed by hand from {record['was']!r} to {record['is']!r}"
+            self.findings.append(Finding.warning(record["run"], problem))
+        else:
+            self.findings.append(Finding.warning("run_table.csv", "the rows were put into another order by hand"))
 
     def _take_set_aside(self, record: Mapping[str, Any]) -> None:
         self._set_aside.append(Finding.warning(f"robot {record['place']}", record["problem"]))

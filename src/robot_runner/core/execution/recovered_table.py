@@ -18,7 +18,7 @@ from robot_runner.core.design.run_table_model import RunTable
 from robot_runner.core.errors import Finding, StorageError
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome
 from robot_runner.core.storage.cells import ENDS
-from robot_runner.core.storage.executed_runs import DONE_BEFORE, EXCLUSION_KINDS, ExcludedRuns
+from robot_runner.core.storage.executed_runs import ACCEPTED_PLAN, DONE_BEFORE, EXCLUSION_KINDS, ExcludedRuns
 from robot_runner.core.storage.journal import Journal, journal_lines, parsed_record, utc_now
 from robot_runner.core.storage.layout import put_attempt_back, runs_put_away
 from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
@@ -180,6 +180,7 @@ class RecoveredTable:
         findings: what looked odd in the file.
         is_on_disk: whether the file holds all this, and has a schema, so that neither need be written.
         deviations: what was changed by hand since the last execution.
+        accepted_plan: the digest of a plan from which the table differs, as the user has accepted now; else empty.
         done_before: the runs that were done before the first execution; None where this is not the first one.
         former: the columns of the file that hold a measure of earlier executions, for which there is none any more.
     """
@@ -192,6 +193,7 @@ class RecoveredTable:
     findings: tuple[Finding, ...] = ()
     is_on_disk: bool = False
     deviations: tuple[Deviation, ...] = ()
+    accepted_plan: str = ""
     done_before: list[str] | None = None
     former: tuple[ColumnDescription, ...] = ()
     origins: defaultdict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
@@ -244,6 +246,8 @@ class RecoveredTable:
         """Record what was changed by hand: in the journal, and for readers of the manifest."""
         if self.done_before:
             manifest["design"][DONE_BEFORE] = self.done_before
+        if self.accepted_plan:
+            manifest["design"][ACCEPTED_PLAN] = self.accepted_plan
         for each in self.deviations:
             fields = {"run": each.run, "column": each.column, "was": each.was, "is": each.is_now}
             journal.append("deviation", flush=True, **fields)

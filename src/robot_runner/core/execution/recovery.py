@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import difflib
+import hashlib
 from collections.abc import Collection, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -16,6 +17,7 @@ from typing import Any
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.source import parsed
 from robot_runner.core.design.columns import BATCH, EXCLUDED, REPETITION, STATUS, WARM_UP
+from robot_runner.core.design.factor import texts_of
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.design.run_table_model import RunTable
 from robot_runner.core.design.selection import Chosen, RunChooser
@@ -150,8 +152,8 @@ _TABLE_FIX = (
     "experiment_name."
 )
 _PLAN_FIX = (
-    "Nobody changed the table: create_run_table may plan otherwise in each process, as from random numbers, or from "
-    f"the order of a set, which sorted() settles. Correct it, or let the table count ({ACCEPT})."
+    "Nobody changed the table: create_run_table was changed, or it may plan otherwise in each process, as from random "
+    f"numbers, or from the order of a set, which sorted() settles. Correct it, or let the table count ({ACCEPT})."
 )
 
 
@@ -230,6 +232,14 @@ def table_differences(
             yield from _different_cells(path, run, found, accepted, fix, has_repetition=rows.layout.has_repetition)
     for run_id in planned:
         yield Finding.error(f"{path}, run {run_id}", "the table lacks this run of the plan", fix)
+
+
+def plan_digest(plan: RunTable) -> str:
+    """Return the SHA-256, in hexadecimal digits, of what a plan says of each run: by it an accepted plan is known."""
+    digest = hashlib.sha256()
+    for run in plan:
+        digest.update(repr((run.run_id, texts_of(run.combination), run.repetition, run.batch, run.is_warm_up)).encode())
+    return digest.hexdigest()
 
 
 def _different_cells(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -90,6 +90,31 @@ def treatment_deviations(
         was = changed.get((run_id, name), expected.get(name, is_now))
         if was != is_now:
             yield Deviation(run_id, name, was, is_now)
+
+
+def planned_otherwise(
+    plan: Sequence[PlannedRun],
+    rows: RunTableRows,
+    executed: Container[str],
+    changed: Mapping[tuple[str, str], str],
+) -> Iterator[Deviation]:
+    """Yield each treatment of a run that is not done which differs from the plan, and each run that the table lacks.
+
+    Args:
+        plan: by the config.
+        rows: the table as it is on disk.
+        executed: the runs whose rows are compared with the journal, and not here where they are missing.
+        changed: the changes that were recorded before: the text by run and column.
+    """
+    planned = {run.run_id: run for run in plan}
+    found: list[Deviation] = []
+    for place, row in enumerate(rows.planned):
+        run = planned.pop(row.run_id, None)
+        if run is not None and run is not row and rows.status(place) is not RunStatus.DONE:
+            was, now = texts_of(run.combination), texts_of(row.combination)
+            found += (Deviation(run.run_id, name, was[name], now[name]) for name in was if was[name] != now[name])
+    found += (Deviation(run_id, ROW, RunStatus.TODO.value, "") for run_id in planned if run_id not in executed)
+    yield from (each for each in found if changed.get((each.run, each.column)) != each.is_now)
 
 
 def with_changes(

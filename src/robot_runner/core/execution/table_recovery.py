@@ -32,6 +32,7 @@ from robot_runner.core.execution.recovery import (
     Resumption,
     TableChoice,
     TableDisagreementError,
+    plan_digest,
     refuse_differences,
     table_differences,
 )
@@ -41,11 +42,12 @@ from robot_runner.core.execution.table_deviations import (
     cell_deviations,
     changed_exclusions,
     deviation_findings,
+    planned_otherwise,
     treatment_deviations,
     with_changes,
 )
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.executed_runs import unrecorded_in_words, unrecorded_runs
+from robot_runner.core.storage.executed_runs import ACCEPTED_PLAN, unrecorded_in_words, unrecorded_runs
 from robot_runner.core.storage.guarded_files import (
     MissingFileError,
     open_to_read,
@@ -145,24 +147,36 @@ class _Recovery:
         unrecorded = self._unrecorded(rows)  # first: an older journal lacks later batches, and so does the plan
         if not self._is_by_hand and self._choice is TableChoice.JOURNAL and lacks_runs(self._plan, rows):
             return self._rebuilt("the run table lacked runs that are planned")
-        if not self._is_by_hand and not self._accepts_changes and self._choice is not TableChoice.JOURNAL:
-            self._refuse_unaccepted(rows)
         is_on_disk = rows.has_file and bool(self._schema) and not added
         table = RecoveredTable(self._experiment, rows, findings=(*rows.warnings, *added), is_on_disk=is_on_disk)
+        by_hand: tuple[Deviation, ...] = ()
+        if not self._is_by_hand and self._choice is not TableChoice.JOURNAL:
+            table.accepted_plan, by_hand = self._accepted(rows)
         if self._history.has_ends and digest_of(self._path) != self._history.written:
             self._reconcile(table)
         else:
             self._leave_out(table)
+        table.deviations += by_hand
         table.done_before = rows.done_runs if self._is_first else None
         if unrecorded:
             self._settle_unrecorded(table, unrecorded)
         return self._with_order(table)
 
-    def _refuse_unaccepted(self, rows: RunTableRows) -> None:
-        if next(table_differences(self._path, self._plan, rows), None) is not None:  # as nearly never
+    def _accepted(self, rows: RunTableRows) -> tuple[str, tuple[Deviation, ...]]:
+        """Return what the user accepts now: the digest of a plan from which the table differs, and what was edited.
+
+        Raises:
+            ExecutionError: the table differs from the plan, and that is not accepted.
+        """
+        if next(table_differences(self._path, self._plan, rows), None) is None:  # as nearly always
+            return "", ()
+        plan, is_ours = plan_digest(self._plan), self._history.written == digest_of(self._path)
+        if self._accepts_changes:
+            return plan, () if is_ours else tuple(planned_otherwise(self._plan, rows, *self._last_ends()))
+        if not is_ours or plan != self._manifest["design"].get(ACCEPTED_PLAN):
             accepted = {(*cell, is_now) for cell, is_now in self._last_ends()[1].items()}
-            is_ours = self._history.written == digest_of(self._path)
             refuse_differences(table_differences(self._path, self._plan, rows, accepted, is_as_written=is_ours))
+        return "", ()
 
     def _unrecorded(self, rows: RunTableRows) -> list[str]:
         """Return the runs that are done by the table and have no end in the journal, which is older, or missing.

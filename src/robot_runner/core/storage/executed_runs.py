@@ -41,6 +41,8 @@ def _last_ends(journal: Path) -> dict[str, str]:
 
 #: In the manifest's design: the runs that were done before the first execution, in a table of the user's own.
 DONE_BEFORE = "done_before"
+#: The digest of a plan from which the run table differs, as the user has accepted.
+ACCEPTED_PLAN = "accepted_plan"
 #: The fix for a reader of results, who does not execute the experiment.
 _RESTORE_JOURNAL = "Restore journal.jsonl from a backup, or have it synchronised; the rows stay as they are."
 _MOST_NAMED = 8
@@ -250,7 +252,9 @@ def _edited(rows: RunTableRows, place: int, known: dict[str, dict[str, str]]) ->
     row = rows.row(place)
     for name in (*rows.combination(place), REPETITION, *rows.layout.measures):
         if name in known[run_id] and name in row and not _is_alike(known[run_id][name], row[name]):
-            yield f"{name} of {run_id} is {str(row[name])!r}, and was {known[run_id][name]!r}"
+            is_empty = row[name] is None and name in rows.layout.measures  # a treatment may be None
+            is_now = "empty" if is_empty else repr(str(row[name]))
+            yield f"{name} of {run_id} is {is_now}, and was {known[run_id][name]!r}"
 
 
 def _is_alike(text: str, cell: Any) -> bool:

@@ -32,6 +32,7 @@ class _Design(TypedDict):
     blocks: NotRequired[str | None]
     batches: NotRequired[list[_Batch]]
     is_reordered: NotRequired[bool]
+    accepted_plan: NotRequired[str]
 
 
 class Repository(TypedDict):

@@ -20,7 +20,7 @@ from robot_runner.core.design.factor import Combination, factor_places
 from robot_runner.core.design.planned_runs import PlannedRun, garbage_collection_paused
 from robot_runner.core.errors import StorageError, nearest
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.guarded_files import open_to_read
+from robot_runner.core.storage.guarded_files import MissingFileError, open_to_read
 from robot_runner.core.storage.run_table_rows import RunRow, RunTableRows
 from robot_runner.core.storage.system_refusals import storage_error, storage_errors
 from robot_runner.core.storage.table_columns import MARKS, TableLayout
@@ -36,7 +36,7 @@ from robot_runner.core.storage.table_decoders import (
     TableFindings,
     TextDecoder,
 )
-from robot_runner.core.storage.table_schema import read_schema
+from robot_runner.core.storage.table_schema import lost, read_schema
 
 if TYPE_CHECKING:
     from _csv import Reader as CsvReader
@@ -377,6 +377,8 @@ def _opened(path: Path) -> Iterator[TextIO]:
     try:
         with io.TextIOWrapper(open_to_read(path, limit=LARGEST), encoding="utf-8-sig", newline="") as file:
             yield file
+    except MissingFileError as error:
+        raise lost(path) from error
     except UnicodeDecodeError as error:
         fix = "Save it as CSV with the character set UTF-8."
         raise StorageError(f"the file is not UTF-8: {error}", where=str(path), fix=fix) from error

@@ -21,7 +21,7 @@ from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.cells import RunStatus, are_stamps
 from robot_runner.core.storage.declared_shapes import shape_findings, with_short_texts
 from robot_runner.core.storage.file_shapes import Schema
-from robot_runner.core.storage.guarded_files import JSON_LIMIT, DamagedFileError, read_json
+from robot_runner.core.storage.guarded_files import JSON_LIMIT, DamagedFileError, MissingFileError, read_json
 from robot_runner.core.storage.guarded_files import replace as replace_file
 from robot_runner.core.storage.run_table_rows import RunTableRows
 from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, ColumnRole, FactorColumn
@@ -64,6 +64,8 @@ def read_schema(path: Path) -> tuple[ColumnDescription, ...]:
     """
     try:
         schema = read_json(path)
+    except MissingFileError as error:
+        raise lost(path) from error
     except DamagedFileError as error:
         raise _no_schema(path, error.problem) from error
     StorageError.refuse(shape_findings(str(path), "a schema of a run table", schema, Schema, _SCHEMA_FIX))
@@ -72,6 +74,12 @@ def read_schema(path: Path) -> tuple[ColumnDescription, ...]:
     if twice:
         raise _no_schema(path, f"two fields are for {twice[0]!r}")
     return columns
+
+
+def lost(path: Path) -> MissingFileError:
+    """Return the error for a run table or its schema that is not there, and comes back from the journal."""
+    fix = "Execute the experiment once more with its config (robot-runner run): it is rebuilt. Or restore a backup."
+    return MissingFileError(f"{path.name} is missing", where=str(path.parent), fix=fix)
 
 
 def _field(column: ColumnDescription, room: int) -> dict[str, Any]:

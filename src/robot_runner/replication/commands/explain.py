@@ -15,6 +15,7 @@ from rich.text import Text
 from robot_runner.cli.console import UserConsole, output, print_facts, print_folded, print_json
 from robot_runner.cli.parser import Parser, add_json, add_set, add_target
 from robot_runner.cli.target import folder_of_target
+from robot_runner.core.storage.table_columns import ColumnRole
 from robot_runner.core.words import one_line, shown_value
 
 if TYPE_CHECKING:
@@ -82,7 +83,9 @@ def _print(console: UserConsole, explanation: RunExplanation) -> None:
     print_facts(console, [(what, one_line(text)) for what, text in explanation.facts])
     for each in explanation.values:
         unit = f" {each.unit}" if each.unit not in {"", "1"} and each.value is not None else ""
-        head = Text(each.name, style="bold").append(f"  {shown_value(each.value)}{unit}", "not bold cyan")
+        is_treatment = each.role == ColumnRole.FACTOR.value  # told digit by digit, as the table has it
+        value = one_line(str(each.value)) if is_treatment else shown_value(each.value)
+        head = Text(each.name, style="bold").append(f"  {value}{unit}", "not bold cyan")
         console.print()
         console.print(head.append(f"  {each.role}", "not bold dim"), soft_wrap=True)
         print_facts(console, [(what, one_line(text)) for what, text in each.facts])
