@@ -247,6 +247,25 @@ def test_a_surface_has_coefficients_lack_of_fit_and_a_stationary_point():
     assert [effect.label for effect in found.test.effects] == ["Time", "Temperature", "Time x Temperature"]
 
 
+def test_what_blocks_explain_is_no_part_of_what_a_surface_could_explain():
+    # Dummy columns of the blocks and the constant are linearly dependent: an arbitrary direction was taken out as well.
+    random, days = np.random.default_rng(3), ("Mon", "Tue", "Wed")
+    rows = [
+        (day, time, temperature, strength + 5 * days.index(day) + float(random.normal()))
+        for day in days
+        for time, temperature, strength in (*data.PROCESS[:5], *data.PROCESS[9:])  # with one run at the centre
+    ]
+    facts = {"kind": "central_composite", "model": "quadratic", "block": ["Day"]}
+    results = designed(rows, ["Day", "Time", "Temperature"], facts)
+    surface = model_of(design_of(results).data("y"), Estimand.MEAN).surface(0.05)
+    frame = pd.DataFrame(rows, columns=["Day", "Time", "Temperature", "y"])
+    within = frame["y"] - frame.groupby("Day")["y"].transform("mean")
+    fitted = surface.at({name: frame[name].to_numpy(dtype=float) for name in ("Time", "Temperature")})
+    left = frame["y"] - fitted
+    left -= left.groupby(frame["Day"]).transform("mean")
+    assert surface.r_squared == pytest.approx(1 - (left**2).sum() / (within**2).sum())
+
+
 def left_of(results, **changed):
     return residuals_of(replace(design_of(results).data("y"), **changed))[0]
 

@@ -227,8 +227,9 @@ class SurfaceModel:
             p_value = 2 * float(stats.t.sf(abs(statistic), self.fit.freedom))
             found.append(Coefficient(term, estimate, interval, statistic, p_value))
         left = float(np.sum(self.fit.residuals**2))
-        basis = np.linalg.qr(self.blocks)[0]
-        total = float(np.sum((self.values - basis @ (basis.T @ self.values)) ** 2))
+        # Dummy columns of blocks are linearly dependent with the constant, so that `qr` would take out too much.
+        beside = self.blocks @ np.linalg.lstsq(self.blocks, self.values)[0]
+        total = float(np.sum((self.values - beside) ** 2))
         return Surface(
             self.coding,
             tuple(found),
