@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from scipy import stats
 from tests.analysis.statistics.reference_data import one_factor, two_factors
 
 from robot_runner.analysis.statistics.cell_layout import layout_of
 from robot_runner.analysis.statistics.cell_means import CellMeans
+from robot_runner.analysis.statistics.linear_model import FittedModel
 from robot_runner.analysis.statistics.post_hoc import compare_pairs
 from robot_runner.analysis.statistics.tested import NotComputed, TestMethod
 from robot_runner.analysis.statistics.tests import Choices, carry_out, model_of
@@ -41,6 +43,40 @@ def test_ranks_of_too_few_runs_are_not_tested(sizes: tuple[int, ...]) -> None:
     found = model_of(sized(*sizes), Estimand.RANK)
     assert isinstance(found, NotComputed)
     assert "few runs" in found.why
+
+
+def false_positives_of_least_squares(levels: tuple[int, int]) -> float:
+    """Return how often the ranks of single runs of each combination differ at 5 % by either factor, for all orders."""
+    a, b = (each.ravel() for each in np.indices(levels))
+    dummies = [np.eye(count)[places][:, 1:] for count, places in zip(levels, (a, b), strict=True)]
+    size, ones = len(a), np.ones((len(a), 1))
+    few = size <= 6
+    orders = np.array(list(permutations(range(size))) if few else [RANDOM.permutation(size) for _ in range(5000)]).T
+
+    def left(*columns: np.ndarray) -> np.ndarray:
+        design = np.hstack([ones, *columns])
+        return np.sum((orders - design @ np.linalg.lstsq(design, orders)[0]) ** 2, axis=0)
+
+    beyond = size - sum(levels) + 1
+    error = np.maximum(left(*dummies), 1e-9) / beyond
+    shares = []
+    for tested, other in (dummies, dummies[::-1]):
+        count = tested.shape[1]
+        f_values = (left(other) - left(*dummies)) / count / error
+        shares.append(float(np.mean(stats.f.sf(f_values, count, beyond) < 0.05)))
+    return max(shares)
+
+
+@pytest.mark.parametrize(("levels", "is_tested"), [((2, 2), False), ((2, 3), False), ((2, 4), True), ((3, 3), True)])
+def test_ranks_in_a_linear_model_are_tested_where_least_squares_hold_their_level(
+    levels: tuple[int, int], is_tested: bool
+) -> None:
+    data = two_factors({(f"a{a}", f"b{b}"): [float(RANDOM.normal())] for a, b in np.ndindex(levels)})
+    found = model_of(data, Estimand.RANK)
+    assert isinstance(found, FittedModel) is is_tested
+    assert is_tested or "it takes 7 runs, and 2 more than the model has coefficients" in getattr(found, "why", "")
+    assert isinstance(model_of(data, Estimand.MEAN), FittedModel)
+    assert (false_positives_of_least_squares(levels) <= 0.08) is is_tested
 
 
 def test_beside_means_of_too_few_runs_stands_no_check() -> None:

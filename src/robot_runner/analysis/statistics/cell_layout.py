@@ -50,6 +50,11 @@ COMPLETE = 0.75
 
 _PAIR = 2
 
+#: The fewest runs per treatment for tests of ranks, for two treatments and for more. By simulation, false positives at
+#: 5 % are then up to 8 %, and with fewer runs up to 21 %: with two and three runs, all of one treatment are above those
+#: of the other in a fifth of experiments.
+_FEWEST_RANKED = (4, 3)
+
 #: One weighted sum of each group's cells.
 ALONE = np.ones((1, 1))
 
@@ -112,6 +117,13 @@ class Layout:
     def cells(self) -> int:
         """The number of combinations."""
         return len(self.sizes) * self.factors.only(self.within).count
+
+    @property
+    def lacks_to_be_ranked(self) -> str:
+        """What is missing for comparing the ranks of a single factor; empty if nothing is."""
+        fewest = _FEWEST_RANKED[self.cells > _PAIR]
+        has_enough = self.is_blocked or len(self.factors) > 1 or self.sizes.min() >= fewest
+        return "" if has_enough else f"{fewest} runs of each treatment"
 
     def moments(self, values: Floats, estimand: Estimand = Estimand.MEAN) -> Moments:
         """Return the means of all cells with their squared standard errors.

@@ -14,7 +14,6 @@ from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans, fit_adjusted
 from robot_runner.analysis.statistics.cell_layout import (
     MOST_FACTORS,
-    Layout,
     incomplete_layout,
     layout_of,
     relative_ranks,
@@ -49,7 +48,8 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.contrasts import Contrast
 
 #: The models that may be fitted to a measure.
-AnyModel = CellMeans | FittedModel | AdjustedMeans | StrataModel | LenthModel | SurfaceModel
+_UnadjustedModel = CellMeans | FittedModel | StrataModel | LenthModel | SurfaceModel
+AnyModel = _UnadjustedModel | AdjustedMeans
 
 _PAIR = 2
 
@@ -93,7 +93,7 @@ def check_estimand(estimand: Estimand) -> Estimand:
 
 def model_of(
     data: MeasureData, estimand: Estimand, statistic: Statistic = Statistic.COMBINED
-) -> CellMeans | FittedModel | StrataModel | LenthModel | SurfaceModel | NotComputed:
+) -> _UnadjustedModel | NotComputed:
     """Return the model of a measure without adjustment for covariates, or why there is none.
 
     Args:
@@ -101,6 +101,12 @@ def model_of(
         estimand: of the plan.
         statistic: which tests several contrasts at once.
     """
+    found = _model_of(data, estimand, statistic)
+    why = _why_not_ranked(data, found) if estimand is Estimand.RANK else ""
+    return NotComputed("the test", why) if why else found
+
+
+def _model_of(data: MeasureData, estimand: Estimand, statistic: Statistic) -> _UnadjustedModel | NotComputed:
     problem = _problem(data)
     designed = NotComputed("the test", problem) if problem else designed_model_of(data, estimand, statistic)
     if designed is not None:
@@ -119,8 +125,7 @@ def model_of(
         same = "all blocks respond to the treatments in the same way"
         same = same if layout.is_blocked else "within each combination all values are equal"
         return NoVariation("the test", f"{same}, so that there is no variation to test against.")
-    why = _why_not_ranked(layout) if estimand is Estimand.RANK else ""
-    return NotComputed("the test", why) if why else found
+    return found
 
 
 def planned_model_of(
@@ -132,18 +137,19 @@ def planned_model_of(
     return fit_adjusted(data, estimand, statistic)
 
 
-#: The fewest runs per treatment for tests of ranks, for two treatments and for more. By simulation, false positives at
-#: 5 % are then up to 8 %, and with fewer runs up to 21 %: with two and three runs, all of one treatment are above those
-#: of the other in a fifth of experiments.
-_FEWEST_RANKED = (4, 3)
+#: The fewest runs, and runs beyond the coefficients, for tests of ranks in a linear model. By all orders of 7 runs, and
+#: 6,000 of more, false positives at 5 % are then up to 8 %; with one run beyond up to 20 %, and of 6 runs 10 %.
+_FEWEST_IN_MODEL, _FEWEST_BEYOND = 7, 2
 
 
-def _why_not_ranked(layout: Layout) -> str:
-    """Return why the ranks of a single factor are not compared; empty if they can be."""
-    fewest = _FEWEST_RANKED[layout.cells > _PAIR]
-    if layout.is_blocked or len(layout.factors) > 1 or layout.sizes.min() >= fewest:
-        return ""
-    return f"ranks of so few runs differ by chance too often: it takes {fewest} runs of each treatment."
+def _why_not_ranked(data: MeasureData, found: _UnadjustedModel | NotComputed) -> str:
+    """Return why the ranks of a single factor, or in a model with one variance, are not compared; else nothing."""
+    lacking = found.layout.lacks_to_be_ranked if isinstance(found, CellMeans) else ""
+    if isinstance(found, SurfaceModel) or (isinstance(found, FittedModel) and found.blocks is None):
+        beyond = min(effect.freedom[1] for effect in found.effects())
+        if beyond < _FEWEST_BEYOND or len(data.frame) < _FEWEST_IN_MODEL:
+            lacking = f"{_FEWEST_IN_MODEL} runs, and {_FEWEST_BEYOND} more than the model has coefficients"
+    return f"ranks of so few runs differ by chance too often: it takes {lacking}." if lacking else ""
 
 
 def _ranks(data: MeasureData) -> Floats:
