@@ -469,6 +469,25 @@ def test_the_notebook_of_values_that_are_all_equal_is_executed(tmp_path: Path, m
 
 
 @pytest.mark.long
+@needs_r
+@pytest.mark.parametrize("blocks", [None, "Repetition"])
+def test_where_one_run_differs_and_all_others_are_alike_both_agree(
+    blocks: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Two treatments do not differ in any run: there is a difference of theirs, and neither a test nor an effect size.
+    def values(treatments: dict[str, Any], repetition: int) -> dict[str, Any]:
+        return {"Energy": 50.0 + (treatments["Task"] == "Network" and repetition == 2)}
+
+    folder = make_experiment(
+        tmp_path / "made", [TASKS], values, repetitions=3, **({"blocks": blocks} if blocks else {})
+    )
+    notebook, script = write_recomputations(folder.root)
+    assert "numbers agree" in executed(notebook, monkeypatch)
+    finished = rscript(script)
+    assert finished.returncode == 0, finished.stdout[-3000:] + finished.stderr
+
+
+@pytest.mark.long
 def test_the_notebook_of_a_study_in_which_nothing_is_compared_is_executed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

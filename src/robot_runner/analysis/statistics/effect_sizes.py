@@ -24,6 +24,8 @@ from robot_runner.analysis.statistics.tested import EffectSize, Interval, Magnit
 
 _LEVEL = 0.95
 _MOST_STEPS = 1000  # each twice as long as the one before: beyond the largest floating-point number
+#: By how much degrees of freedom that are equal may differ, relative to them.
+_ROUNDING = 1e-9
 #: For a larger F, or square of t, scipy's noncentral distributions return NaN, and take long: half a minute for 1e18.
 _MOST_NONCENTRAL = 1e11
 _LEAST_FOR_SPREAD = 2
@@ -166,7 +168,8 @@ def f_of_p_value(p_value: float, freedom: tuple[float, float]) -> float:
 def _is_known_apart(parts: Sequence[SpreadPart], freedom: float) -> bool:
     """Return whether a standard deviation has another precision than the difference that is divided by it."""
     telling = [part for part in parts if part.variance > 0]
-    return len(telling) > 1 or any(part.freedom > freedom for part in telling)
+    # Degrees of freedom that are equal, as where runs of one treatment alone vary, may differ by rounding.
+    return len(telling) > 1 or any(part.freedom > freedom * (1 + _ROUNDING) for part in telling)
 
 
 def _ratio_ends(limits: tuple[float, float, float], parts: Sequence[SpreadPart], level: float) -> tuple[float, float]:
