@@ -326,7 +326,7 @@ def test_lines_are_counted_across_chunks(tmp_path: Path) -> None:
 
 
 def test_a_file_that_cannot_be_opened_is_named_with_a_fix(tmp_path: Path) -> None:
-    with pytest.raises(StorageError, match="the file cannot be read: No such file or directory → Correct the path"):
+    with pytest.raises(StorageError, match=r"run_table\.csv is missing → Execute the experiment once more"):
         read_run_table(tmp_path / "run_table.csv", LAYOUT)
     with pytest.raises(StorageError, match="the folder cannot be read: Is a directory → Move the folder"):
         read_run_table(tmp_path, LAYOUT)
