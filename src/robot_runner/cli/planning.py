@@ -28,6 +28,7 @@ from robot_runner.core.execution.deciding import asking_of, what_follows
 from robot_runner.core.execution.durations import Durations, Estimate, durations_of
 from robot_runner.core.execution.experiment_history import ExperimentHistory
 from robot_runner.core.execution.probe import probe_window_of, probed_plugins
+from robot_runner.core.execution.recovered_table import lacks_runs
 from robot_runner.core.execution.recovery import table_differences
 from robot_runner.core.execution.table_recovery import is_reordered
 from robot_runner.core.plugin import Plugin
@@ -205,6 +206,8 @@ def _with_begun_runs(
         if is_reordered(table, rows):
             problem = "the rows were put into another order by hand: runs are executed in that order"
             odd = Finding.warning(str(folder.run_table), problem)
+        elif lacks_runs(table, rows):  # as where an extension was killed before it wrote the table
+            return planned, history.settled
         elif differing := next(table_differences(folder.run_table, table, rows), None):
             odd = Finding.warning(differing.where, f"{differing.problem}: shown are the runs of the table")
         else:
