@@ -249,39 +249,47 @@ def test_a_recorder_that_cannot_start_fails_the_run_with_what_it_said(tmp_path, 
         BagProgram(Encoding.CDR, ["/odom"], tmp_path)
 
 
-@pytest.mark.parametrize("encoding", list(Encoding))
-def test_a_bag_that_was_recorded_on_the_robot_is_fetched(tmp_path, programs, encoding):
+@pytest.fixture
+def server(tmp_path):
+    """Start a real SSH server, which ssh knows as `robot`."""
+    (tmp_path / "sshd").mkdir()
+    server = SshServer(tmp_path / "sshd")
+    yield server
+    server.stop()
+
+
+@pytest.fixture
+def record_there(tmp_path, programs, server):
+    """Return what begins to record on the robot; it returns the recorder, and its folder over there."""
     setup, folder = tmp_path / "setup.bash", tmp_path / "raw"
     setup.write_text(f"export PATH={programs}:$PATH\n")
     folder.mkdir()
-    (tmp_path / "sshd").mkdir()
-    server = SshServer(tmp_path / "sshd")
-    try:
-        recorder = BagProgram(encoding, ["/odom"], folder, host="robot", setup=str(setup), ssh_config=server.config)
-        assert recorder.close() is None
-        assert not Path(recorder._process.records[0].text).exists()
-    finally:
-        server.stop()
-    assert messages_in(folder) == 1
+
+    def begin(encoding=Encoding.CDR, config=server.config):
+        recorder = BagProgram(encoding, ["/odom"], folder, host="robot", setup=str(setup), ssh_config=config)
+        return recorder, Path(recorder._process.records[0].text)
+
+    return begin
 
 
-def test_a_bag_that_does_not_arrive_stays_on_the_robot_and_is_told_of(tmp_path, programs, monkeypatch):
-    setup, folder, here = tmp_path / "setup.bash", tmp_path / "raw", tmp_path / "here"
-    setup.write_text(f"export PATH={programs}:$PATH\n")
-    for each in (folder, here, tmp_path / "sshd"):
-        each.mkdir()
+@pytest.mark.parametrize("encoding", list(Encoding))
+def test_a_bag_that_was_recorded_on_the_robot_is_fetched_and_removed_there(tmp_path, record_there, encoding):
+    recorder, there = record_there(encoding)
+    assert recorder.close() is None
+    assert messages_in(tmp_path / "raw") == 1
+    assert not there.exists()
+
+
+def test_a_bag_that_does_not_arrive_stays_on_the_robot_and_is_told_of(tmp_path, record_there, monkeypatch):
+    here = tmp_path / "here"
+    here.mkdir()
     (here / "tar").write_text("#!/bin/sh\necho 'No space left on device' >&2\nexit 2\n")
     (here / "tar").chmod(0o755)
-    server = SshServer(tmp_path / "sshd")
-    try:
-        monkeypatch.setenv("PATH", f"{here}:{os.environ['PATH']}")
-        recorder = BagProgram(Encoding.CDR, ["/odom"], folder, host="robot", setup=str(setup), ssh_config=server.config)
-        left = Path(recorder._process.records[0].text)
-        assert recorder.close() == f"the bag could not be fetched: No space left on device; it is in {left} on robot"
-    finally:
-        server.stop()
-    assert messages_in(left) == 1
-    shutil.rmtree(left)
+    monkeypatch.setenv("PATH", f"{here}:{os.environ['PATH']}")
+    recorder, there = record_there()
+    assert recorder.close() == f"the bag could not be fetched: No space left on device; it is in {there} on robot"
+    assert messages_in(there) == 1
+    shutil.rmtree(there)
 
 
 @pytest.mark.long
@@ -318,22 +326,15 @@ def test_why_a_bag_does_not_arrive_is_told(tmp_path, monkeypatch, sending, unpac
     assert told in bag_recorder._unpacked(["sh", "-c", sending], tmp_path)
 
 
-def test_a_bag_that_its_recorder_has_not_finished_stays_on_the_robot_and_is_told_of(tmp_path, programs, monkeypatch):
+def test_a_bag_that_its_recorder_has_not_finished_stays_on_the_robot_and_is_told_of(
+    programs, record_there, monkeypatch
+):
     (programs / "ros2").write_text("#!/bin/sh\ntrap '' INT\ntouch bag.mcap.active\nexec sleep 5\n")
-    setup, folder = tmp_path / "setup.bash", tmp_path / "raw"
-    setup.write_text(f"export PATH={programs}:$PATH\n")
-    for each in (folder, tmp_path / "sshd"):
-        each.mkdir()
-    server = SshServer(tmp_path / "sshd")
-    try:
-        recorder = BagProgram(Encoding.CDR, ["/odom"], folder, host="robot", setup=str(setup), ssh_config=server.config)
-        left = Path(recorder._process.records[0].text)
-        monkeypatch.setattr(bag_recorder, "_GRACE", 0.2)
-        assert recorder.close() == f"the recorder has not finished the bag within 0.2 s; it is in {left} on robot"
-    finally:
-        server.stop()
-    assert (left / "bag.mcap.active").exists()
-    shutil.rmtree(left)
+    recorder, there = record_there()
+    monkeypatch.setattr(bag_recorder, "_GRACE", 0.2)
+    assert recorder.close() == f"the recorder has not finished the bag within 0.2 s; it is in {there} on robot"
+    assert (there / "bag.mcap.active").exists()
+    shutil.rmtree(there)
 
 
 @contextmanager
@@ -366,25 +367,16 @@ def network_that_is_cut(server):
         yield config, is_cut.set
 
 
-def test_a_recorder_on_the_robot_ends_some_seconds_after_the_network_was_cut(tmp_path, programs, monkeypatch):
+def test_a_recorder_on_the_robot_ends_some_seconds_after_the_network_was_cut(server, record_there, monkeypatch):
     """It would go on for hours, fill the robot's disk, and disturb later runs."""
     monkeypatch.setattr(bag_recorder, "_BEAT", 0.2)
-    setup, folder = tmp_path / "setup.bash", tmp_path / "raw"
-    setup.write_text(f"export PATH={programs}:$PATH\n")
-    for each in (folder, tmp_path / "sshd"):
-        each.mkdir()
-    server = SshServer(tmp_path / "sshd")
-    try:
-        with network_that_is_cut(server) as (config, cut):
-            recorder = BagProgram(Encoding.CDR, ["/odom"], folder, host="robot", setup=str(setup), ssh_config=config)
-            left = Path(recorder._process.records[0].text)
-            cut()
-            recorder._process.stop(signal.SIGKILL, grace=60.0)
-            wait_until((left / "done").exists)
-    finally:
-        server.stop()
-    assert messages_in(left) == 1
-    shutil.rmtree(left)
+    with network_that_is_cut(server) as (config, cut):
+        recorder, there = record_there(config=config)
+        cut()
+        recorder._process.stop(signal.SIGKILL, grace=60.0)
+        wait_until((there / "done").exists)
+    assert messages_in(there) == 1
+    shutil.rmtree(there)
 
 
 @pytest.mark.parametrize("encoding", list(Encoding))

@@ -241,8 +241,8 @@ def _deliver_all() -> None:
         drop_undelivered(each, is_dropped=False)
 
 
-def _kept(connection: ClientConnection, closing: ExitStack) -> ClientConnection:
-    """Have a connection closed, and have what is not delivered yet dropped where this process is killed alone."""
+def _prepared(connection: ClientConnection, closing: ExitStack) -> ClientConnection:
+    """Have `closing` close a connection; only where this process is killed, the system drops what is undelivered."""
     _deliver_for(connection, _DELIVERING)
     drop_undelivered(connection.socket)
     _connected.add(connection.socket)
@@ -289,10 +289,10 @@ def connect(address: RosbridgeAddress, timeout: float, closing: ExitStack, *, wh
     )
     try:
         if not security.is_tls:
-            return _kept(_bounded(opened()), closing)
+            return _prepared(_bounded(opened()), closing)
         # Our own socket: websockets would send our credentials before a certificate's fingerprint can be seen.
         secure = secure_socket(address.host, address.port, security, timeout, _SENDING, where=where)
-        return _kept(opened(sock=secure), closing)
+        return _prepared(opened(sock=secure), closing)
     except (socket.gaierror, UnicodeError) as error:  # a part of the name is empty, or has more than 63 characters
         fix = "Correct the robot's address, or give it as a number."
         raise LinkError(f"the host {address.host!r} is not known", where=where, fix=fix) from error

@@ -119,7 +119,7 @@ class Layout:
         return len(self.sizes) * self.factors.only(self.within).count
 
     @property
-    def lacks_to_be_ranked(self) -> str:
+    def missing_for_ranks(self) -> str:
         """What is missing for comparing the ranks of a single factor; empty if nothing is."""
         fewest = _FEWEST_RANKED[self.cells > _PAIR]
         has_enough = self.is_blocked or len(self.factors) > 1 or self.sizes.min() >= fewest

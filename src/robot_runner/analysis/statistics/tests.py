@@ -137,14 +137,15 @@ def planned_model_of(
     return fit_adjusted(data, estimand, statistic)
 
 
-#: The fewest runs, and runs beyond the coefficients, for tests of ranks in a linear model. By all orders of 7 runs, and
-#: 6,000 of more, false positives at 5 % are then up to 8 %; with one run beyond up to 20 %, and of 6 runs 10 %.
+#: The fewest runs, and runs beyond the coefficients, for tests of ranks in a linear model. In random designs of factors
+#: with two to six treatments, by all orders of 7 runs and 6,000 of 8 to 14, false positives at 5 % are then up to 8 %;
+#: with one run beyond the coefficients up to 20 %, and of 6 runs 10 %.
 _FEWEST_IN_MODEL, _FEWEST_BEYOND = 7, 2
 
 
 def _why_not_ranked(data: MeasureData, found: _UnadjustedModel | NotComputed) -> str:
     """Return why the ranks of a single factor, or in a model with one variance, are not compared; else nothing."""
-    lacking = found.layout.lacks_to_be_ranked if isinstance(found, CellMeans) else ""
+    lacking = found.layout.missing_for_ranks if isinstance(found, CellMeans) else ""
     if isinstance(found, SurfaceModel) or (isinstance(found, FittedModel) and found.blocks is None):
         beyond = min(effect.freedom[1] for effect in found.effects())
         if beyond < _FEWEST_BEYOND or len(data.frame) < _FEWEST_IN_MODEL:

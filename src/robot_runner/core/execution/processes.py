@@ -280,7 +280,7 @@ def end_descriptor(pid: int) -> int | None:
 
 def _goes_on(pid: int) -> bool:
     if stat := process_stat(pid):
-        return stat[0] not in {"Z", "X"}  # not reaped: whoever does so gets its exit status
+        return stat[0] not in {"Z", "X"}  # a zombie is not reaped here: its exit status is for its parent
     with suppress(ChildProcessError):  # macOS
         return os.waitpid(pid, os.WNOHANG) == (0, 0)
     return is_alive(pid)
