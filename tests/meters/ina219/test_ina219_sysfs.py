@@ -238,7 +238,6 @@ def test_a_sensor_that_the_robot_does_not_have_fails_the_run_before_its_mission(
 class TestIna219BehindADriver(InRealTime, ProfilerContract):
     robot = None
     is_repeatable = False
-    measuring_seconds = 0.2
 
     @pytest.fixture(autouse=True)
     def _sensor(self, tmp_path_factory, monkeypatch):
