@@ -164,7 +164,8 @@ def start(write_config: Callable[..., Path], request: pytest.FixtureRequest) -> 
     for experiment in started:
         for pid in experiment.processes():
             os.kill(pid, signal.SIGKILL)
-        experiment.process.communicate(timeout=PATIENCE)
+        said, _ = experiment.process.communicate(timeout=PATIENCE)
+        sys.stdout.write(experiment.output or said)  # pytest shows it where a test fails
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -13,6 +13,7 @@ from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import Clock
+from robot_runner.core.events.early_end import undivided
 from robot_runner.core.events.resources import Closable
 from robot_runner.core.events.window import Window
 from robot_runner.measuring.host import (
@@ -245,8 +246,9 @@ class PeriodicSampler(Generic[R]):
         except Exception as error:  # noqa: BLE001 - whatever a meter raises, the mission goes on and the quality tells
             self._note_failure(f"{type(error).__name__}: {error}", begun)
         else:
-            self._times.append((begun + self._clock.now()) / 2)
-            self._readings.append(reading)
+            with undivided:  # both or neither, where the mission ends now
+                self._times.append((begun + self._clock.now()) / 2)
+                self._readings.append(reading)
             self.on_reading(self._times[-1], reading)
         self._cpu_seconds += time.thread_time() - cpu_begun
 

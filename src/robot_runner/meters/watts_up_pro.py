@@ -8,6 +8,7 @@ from typing import ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.context import Clock, RobotRunnerContext
+from robot_runner.core.events.early_end import undivided
 from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import is_simulated
@@ -78,6 +79,7 @@ class Recording:
         self.corrupt_at: list[float] = []
         self._rest = ""
 
+    @undivided
     def take(self) -> None:
         """Read the bytes that have arrived.
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from robot_runner.core.events.early_end import undivided
 from robot_runner.simulator.model import holding_torque, rolling_torque, slope_angle
 from robot_runner.simulator.physics import CORRECTION_STEPS, Physics
 from robot_runner.simulator.rooms import Pose
@@ -108,6 +109,7 @@ class DifferentialDrive:
         """Compute the inertial sensors from now on."""
         self._physics.sense()
 
+    @undivided
     def command(self, linear: float, angular: float) -> None:
         """Drive at these velocities (m/s, rad/s), each within the robot's limits, until the next command."""
         limits = self._parameters
@@ -203,6 +205,7 @@ class WheelOdometry:
         self._number = 1
         self._next = self._due()  # the step at which the encoders are read next
 
+    @undivided
     def latest(self) -> OdometryState:
         """Return the odometry at its last tick that the robot's body has reached."""
         while self._next <= self._drive.steps:

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.core.events.early_end import undivided
 from robot_runner.simulator.camera import Camera, camera_topics
 from robot_runner.simulator.drive import OdometryState
 from robot_runner.simulator.mjcf_interface import ActuatorKind, Joint, WheelPair, read_interface, read_model
@@ -119,6 +120,7 @@ class ModelledRobot:
         self._reach()
         return self._model, self._data
 
+    @undivided
     def _start(self) -> None:
         keyed = self._model.nkey > 0
         if keyed:
@@ -141,17 +143,21 @@ class ModelledRobot:
     def _reach(self) -> None:
         try:
             for _ in range(self._steps, self._clock.step):
-                mujoco.mj_step(self._model, self._data, nstep=self._substeps)
-                if self._interface.wheels is not None:
-                    self._count_wheels(self._interface.wheels)
+                self._step()
         except mujoco.FatalError as error:
             problem = f"MuJoCo gave up on the model: {' '.join(str(error).split())}"
             raise LinkError(problem, where=str(self.path), fix=MORE_MEMORY) from error
-        self._steps = max(self._steps, self._clock.step)
         fix = (
             "Give the model a shorter time step, softer actuators or more damping; `python -m mujoco.viewer` shows it."
         )
         check_physics(self._warnings, "model", where=str(self.path), fix=fix)
+
+    @undivided
+    def _step(self) -> None:
+        mujoco.mj_step(self._model, self._data, nstep=self._substeps)
+        if self._interface.wheels is not None:
+            self._count_wheels(self._interface.wheels)
+        self._steps += 1
 
     def _drive(self, linear: float, angular: float) -> None:
         wheels = self._interface.wheels

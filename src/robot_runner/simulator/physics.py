@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.early_end import undivided
 from robot_runner.simulator.model import Body, holding_torque, world_model
 from robot_runner.simulator.rooms import ARENA, Obstacle
 from robot_runner.simulator.turtlebot3_parameters import Floats, Turtlebot3Parameters
@@ -116,6 +117,7 @@ class Physics:
         """Return the state of a body as views, which change with each step."""
         return BodyState(self._data, number)
 
+    @undivided
     def sense(self) -> None:
         """Compute the inertial sensors from now on: they take a fifteenth of the time, and are rarely used."""
         if self._has_sensors:
@@ -126,6 +128,7 @@ class Physics:
         mujoco.mj_forward(self._model, now)
         self._data.sensordata[:] = now.sensordata
 
+    @undivided
     def advance(self, steps: int) -> None:
         """Advance to this number of steps since the beginning; earlier ones are not repeated.
 
@@ -161,6 +164,7 @@ class Physics:
             forces.reshape(len(forces), -1, 2),
         ]
 
+    @undivided
     def put_back(self, number: int) -> None:
         """Put a body back to where it settled at the beginning, and stop it; its wheels keep their angles."""
         place, speed = number * _POSITIONS, number * _VELOCITIES

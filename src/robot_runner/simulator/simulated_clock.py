@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.early_end import undivided
 from robot_runner.core.links.goals import ActionCanceled
 from robot_runner.ros.missions.joint_missions import sleep_by, sleep_with_others
 
@@ -51,14 +52,18 @@ class Ticker:
         """End the calls; closing twice does nothing."""
         self._is_closed = True
 
+    def repeat(self) -> None:
+        """Schedule the next call, as the clock asks for when it is about to make one."""
+        if not self._is_closed:
+            self._schedule()
+
     def _schedule(self) -> None:
         while (due_ns := self._due(self._number)) <= self._clock.now_ns:
             self._number += 1
-        self._clock.schedule(due_ns, self._tick)
+        self._clock.schedule(due_ns, self._tick, self.repeat)
 
     def _tick(self) -> None:
         if not self._is_closed:
-            self._schedule()
             self._callback()
 
 
@@ -139,7 +144,7 @@ class SimulatedClock:
     def __init__(self, real_time_factor: float | None = None) -> None:
         self._real_time_factor = real_time_factor
         self._now_ns = 0
-        self._due: list[tuple[int, int, Callable[[], None]]] = []
+        self._due: list[tuple[int, int, Callable[[], None], Callable[[], None]]] = []
         self._scheduled = 0
         self._is_moving_on = False
 
@@ -194,10 +199,13 @@ class SimulatedClock:
         """Call `callback` once, in `seconds`; if zero, at the beginning of the next sleep."""
         self.schedule(self._now_ns + max(0, round(seconds * _SECOND_NS)), callback)
 
-    def schedule(self, due_ns: int, callback: Callable[[], None]) -> None:
-        """Call `callback` once, at this time; those of the same time in the order of these calls."""
+    def schedule(self, due_ns: int, callback: Callable[[], None], repeat: Callable[[], None] = lambda: None) -> None:
+        """Call `callback` once, at this time, and `repeat` before; those of the same time in the order of these calls.
+
+        Where a request to end the run keeps `callback` from being called, `repeat` has been.
+        """
         self._scheduled += 1
-        heapq.heappush(self._due, (due_ns, self._scheduled, callback))
+        heapq.heappush(self._due, (due_ns, self._scheduled, callback, repeat))
 
     def work(self, work: Callable[[], None]) -> ClockWorker:
         """Start work in a thread that may sleep on this clock, at the beginning of the next sleep."""
@@ -213,6 +221,8 @@ class SimulatedClock:
 
     def _move_to(self, target_ns: int) -> None:
         while self._due and self._due[0][0] <= target_ns:
-            self._now_ns, _, callback = heapq.heappop(self._due)
+            with undivided:
+                self._now_ns, _, callback, repeat = heapq.heappop(self._due)
+                repeat()
             callback()
         self._now_ns = target_ns

@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.core.events.early_end import undivided
 from robot_runner.simulator.camera import Camera, camera_topics
 from robot_runner.simulator.drive import DifferentialDrive, WheelOdometry
 from robot_runner.simulator.model import Body
@@ -167,12 +168,14 @@ class SimulatedTurtlebot3:
         del topic  # there is only one
         self.drive(float(message["linear"]["x"]), float(message["angular"]["z"]))
 
+    @undivided
     def put_back(self) -> None:
         """Put the robot back to its start, with its odometry at zero; its battery and its task go on."""
         self._powered.reach(self._clock.step)
         self._drive.put_back()
         self._wheels.restart()
 
+    @undivided
     def call(self, service: str) -> dict[str, bool | str]:
         """Call one of `SERVICES` and return its response: `success` and `message`."""
         _, *name, verb = service.split("/")

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from robot_runner.core.events.early_end import undivided
 from robot_runner.simulator.drive import MOVING_WHEEL_SPEED, DifferentialDrive
 from robot_runner.simulator.model import rolling_torque
 from robot_runner.simulator.onboard import TaskRunner
@@ -241,6 +242,7 @@ class PowerSupply:
         """Return the battery's state of charge (0..1) at this step."""
         return float(self._battery.charge(self.energy[step]))
 
+    @undivided
     def extend(self, step: int) -> None:
         """Compute up to this step, which the robot's body must have reached."""
         first = self._known
@@ -319,6 +321,7 @@ class ProtectedDrive:
         self.reach(step)
         self._supply.extend(step)
 
+    @undivided
     def look(self, second: int) -> None:
         """Check the voltage at this second, and switch the motors off if it is too low."""
         if self.cut_off is not None:

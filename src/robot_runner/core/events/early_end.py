@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import Protocol
+from contextlib import ContextDecorator, contextmanager
+from typing import Protocol, Self
 
 
 class RunInterrupted(BaseException):
@@ -65,6 +66,54 @@ class EndingInPlace:
         """
         del owner
         raise MissionStopped(reason)
+
+
+class Undivided(ContextDecorator):
+    """Lets a request to end the run, or its mission, wait for the end of a block of the main thread.
+
+    Such a request is raised wherever the main thread is, by the handler of a signal. What would be wrong half done
+    belongs in such a block, which must be short and hang nowhere: it calls no user's code.
+
+    Example:
+        >>> with undivided:
+        ...     undivided.hold(lambda: print("the end is asked for"))
+        ...     print("the last step")
+        True
+        the last step
+        the end is asked for
+    """
+
+    def __init__(self) -> None:
+        self._depth = 0
+        self._held: Callable[[], None] | None = None
+
+    def __enter__(self) -> Self:
+        if _is_main_thread():
+            self._depth += 1
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        if not _is_main_thread():
+            return
+        self._depth -= 1
+        if not self._depth and self._held is not None:
+            held, self._held = self._held, None
+            held()
+
+    def hold(self, request: Callable[[], None]) -> bool:
+        """Return whether the main thread is in such a block; `request` is called at its end then."""
+        if self._depth and _is_main_thread():
+            self._held = request
+            return True
+        return False
+
+
+#: The one for all blocks: `with undivided:`, or `@undivided` above a function.
+undivided = Undivided()
+
+
+def _is_main_thread() -> bool:
+    return threading.get_ident() == threading.main_thread().ident
 
 
 #: Takes an exception, and where it was raised, such as `the callback of /scan`.

@@ -13,7 +13,7 @@ from functools import partial
 from types import FrameType
 from typing import Self
 
-from robot_runner.core.events.early_end import RunInterrupted
+from robot_runner.core.events.early_end import RunInterrupted, undivided
 from robot_runner.core.execution.processes import begin_run_of_its_own, is_part
 
 #: The signals that ask the orchestrator, or a run, to stop.
@@ -199,7 +199,7 @@ class InterruptGate:
 
     def _raise_request(self) -> None:
         error = self._run_ends or (self._mission_ends if self._is_mission else None)
-        if self._armed and error is not None:
+        if self._armed and error is not None and not undivided.hold(self._raise_request):
             self._armed = False  # once: what comes now is the closing
             raise error
 

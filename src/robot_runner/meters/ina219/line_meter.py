@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import Clock
+from robot_runner.core.events.early_end import undivided
 from robot_runner.core.events.window import Window
 from robot_runner.meters.ina219.doubts import silence
 from robot_runner.meters.ina219.frames import FIRST_SENSOR, FrameDecoder, SampleFrame
@@ -102,7 +103,8 @@ class SharedLine:
         """
         with self._lock:
             try:
-                self._chunks += self._line.drain()
+                with undivided:  # what was taken from the line is kept, also where the mission ends now
+                    self._chunks += self._line.drain()
             except LinkError:
                 if count == len(self._chunks):
                     raise
