@@ -73,7 +73,9 @@ def test_the_run_of_a_worker_that_is_killed_is_lost_with_its_reason_and_executed
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("is_real", [True, False], ids=["a real robot", "no robot"])
+@pytest.mark.parametrize(
+    "is_real", [pytest.param(True, id="a real robot"), pytest.param(False, id="no robot", marks=pytest.mark.soak)]
+)
 def test_of_the_robot_of_a_worker_whose_machine_failed_it_is_told_that_nobody_knows_whether_it_stands_still(
     cluster: Cluster, watched: Watched, is_real: bool
 ) -> None:

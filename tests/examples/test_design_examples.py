@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.long_cases import soak_but
 
 from robot_runner.cli.main import main
 
@@ -51,7 +52,7 @@ def planned_in(folder: Path) -> list[tuple[str, ...]]:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", RUNS)
+@pytest.mark.parametrize("name", soak_but({"central_composite", "covering_array", "one_factor_at_a_time"}, RUNS))
 def test_the_example_of_a_design_is_executed_and_resumed_with_the_same_runs(
     name: str, executed: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

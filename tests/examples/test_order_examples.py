@@ -8,6 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from tests.long_cases import soak_but
 
 from robot_runner.analysis.report.writing import ReportFormat, write_report
 from robot_runner.cli.main import main
@@ -26,7 +27,7 @@ EXPECTED = {
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", EXPECTED)
+@pytest.mark.parametrize("name", soak_but({"crossover", "split_plot"}, EXPECTED))
 def test_an_example_shows_its_layout_is_executed_and_is_analysed(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

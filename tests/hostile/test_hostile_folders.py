@@ -8,6 +8,7 @@ import pytest
 from tests.hostile.hostile_calls import Tally, escapes
 from tests.hostile.hostile_folders import Hostile, hostile_folders
 from tests.hostile.hostile_visits import COMMANDS_OF_FOLDERS, visit_folder
+from tests.long_cases import long_but, soak_but
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -16,8 +17,8 @@ if TYPE_CHECKING:
     from tests.hostile.hostile_original import Original
 
 BOUNDED = 60
-#: In as many parts, of which the first is executed always.
-PARTS = 12
+#: In as many parts: the first is executed always, four of them by CI, all in `make soak`.
+PARTS, IN_CI = 12, 4
 
 #: As many go through every command before a release.
 PROMISED = 250
@@ -41,7 +42,7 @@ def test_the_original_is_read_by_every_command_that_is_called(
     assert tally.faults == {}
 
 
-@pytest.mark.parametrize("part", [0, *(pytest.param(part, marks=pytest.mark.long) for part in range(1, PARTS))])
+@pytest.mark.parametrize("part", [*long_but([0], range(IN_CI)), *soak_but([], range(IN_CI, PARTS))])
 def test_hostile_folders(
     part: int, original: Original, server: CallServer, tmp_path: Path, record_property: object
 ) -> None:
@@ -56,12 +57,15 @@ def test_hostile_folders(
 
 
 @pytest.mark.long
-def test_escapes_in_every_file_come_to_no_terminal(original: Original, server: CallServer, tmp_path: Path) -> None:
+@pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.soak)])
+def test_escapes_in_every_file_come_to_no_terminal(
+    every: int, original: Original, server: CallServer, tmp_path: Path
+) -> None:
     """Names, units, treatments, reasons and cells are shown all the same, so that a person sees what is there."""
     hostile = next(each for each in hostile_folders(original.study / original.folder) if "every file" in each.name)
     tally = Tally()
     shown: list[bytes] = []
-    visit_folder(hostile, original, server, tmp_path / "box", tally, said=shown)
+    visit_folder(hostile, original, server, tmp_path / "box", tally, every=every, said=shown)
     assert tally.faults == {}
     assert b"\\x1b]0;owned" in b"".join(shown)
     assert not any(escapes(each) for each in shown)

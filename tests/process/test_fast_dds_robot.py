@@ -64,7 +64,7 @@ def robot(domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tas
         yield made
 
 
-@pytest.mark.long
+@pytest.mark.soak
 def test_the_mission_of_the_paper_is_driven_and_measured_over_fast_dds(
     robot: TaskRobot, domain: int, start: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -413,7 +413,7 @@ def robots_left_driving(
         yield experiment, both
 
 
-@over("dds", "ros1", "ros2", "rosbridge")
+@over("dds", "ros1", soak=["ros2", "rosbridge"])
 @pytest.mark.long
 def test_robots_that_nobody_was_left_to_stop_are_stopped_by_the_next_execution_before_anything_else(
     graph: str, start: Callable[..., Experiment], tmp_path: Path

@@ -49,6 +49,7 @@ def test_a_program_of_a_killed_execution_whose_supervisor_is_stopped_is_ended_by
     supervisor, pid = program._supervisor, program.pid
     assert pid is not None
     os.kill(supervisor.pid, signal.SIGSTOP)
+    os.waitid(os.P_PID, supervisor.pid, os.WSTOPPED)  # it needs a processor for that
     assert supervisor.stdin is not None
     supervisor.stdin.close()  # as its starter is dead
     try:

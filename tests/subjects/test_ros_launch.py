@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.conftest import HEAD, written_config
 from tests.core.execution.conftest import Executed, execute_in
+from tests.long_cases import soak_but
 from tests.loopback_port import claim_port
 from tests.ros.ros1_master import ros1_environment
 from tests.subjects.conftest import gone
@@ -134,7 +135,7 @@ sys.exit(3)
 
 @pytest.mark.long
 @needs_roslaunch
-@pytest.mark.parametrize("per", ["run", "experiment"])
+@pytest.mark.parametrize("per", soak_but({"run"}, ["run", "experiment"]))
 def test_values_are_doubtful_where_a_launched_node_died_and_the_others_went_on(
     execute: Callable[..., Executed], environment: dict[str, str], tmp_path: Path, per: str
 ) -> None:
@@ -169,7 +170,7 @@ while True:
 
 @pytest.mark.long
 @needs_roslaunch
-@pytest.mark.parametrize("code", [3, 0])
+@pytest.mark.parametrize("code", soak_but({0}, [3, 0]))
 def test_values_are_doubtful_where_a_required_node_died_and_the_mission_ended_before_roslaunch_did(
     execute: Callable[..., Executed], environment: dict[str, str], tmp_path: Path, code: int
 ) -> None:

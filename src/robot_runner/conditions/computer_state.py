@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from robot_runner.conditions.bounds import Bound, Quantity, Reading
 from robot_runner.conditions.computers import ComputerName
@@ -17,8 +18,10 @@ from robot_runner.core.errors import ConditionError, Finding
 from robot_runner.core.events.condition import Condition
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.declared_host import LOCAL
-from robot_runner.measuring.local_host import LocalHost
-from robot_runner.measuring.ssh_host import SshHost
+
+if TYPE_CHECKING:
+    from robot_runner.measuring.local_host import LocalHost
+    from robot_runner.measuring.ssh_host import SshHost
 
 _PERCENT = 100.0
 #: Linux has temperatures in thousandths of a degree.
@@ -216,6 +219,8 @@ class _ClockOffset(_OfComputer):
     low = 0.0
 
     def reader(self, link: LocalHost | SshHost) -> Callable[[], Reading]:
+        from robot_runner.measuring.ssh_host import SshHost  # noqa: PLC0415  # as its module is loaded late
+
         def read() -> Reading:
             if not isinstance(link, SshHost):
                 return "the clock of this machine is the one that is compared with"

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import ConditionError, Finding, LinkError, Severity
 from robot_runner.core.events.condition import Condition, Look, LookAgain
@@ -20,8 +20,10 @@ from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.ssh_command import checked_destination, ssh_findings
 from robot_runner.measuring.host import process_selector
-from robot_runner.measuring.local_host import LocalHost, LocalProcesses, matches
-from robot_runner.measuring.ssh_host import SshHost
+
+if TYPE_CHECKING:  # imported where a computer is looked at: whoever names a condition needs none of it
+    from robot_runner.measuring.local_host import LocalHost
+    from robot_runner.measuring.ssh_host import SshHost
 
 _PSUTIL = "Install it: pip install 'robot-runner[psutil]'."
 
@@ -58,6 +60,9 @@ class ComputerName:
 
     def open(self, opened: ExitStack) -> LocalHost | SshHost:
         """Return a link that no profiler shares; it connects at first use."""
+        from robot_runner.measuring.local_host import LocalHost  # noqa: PLC0415  # see above
+        from robot_runner.measuring.ssh_host import SshHost  # noqa: PLC0415  # see above
+
         link = (
             LocalHost(SystemClock())
             if self.host == LOCAL
@@ -192,6 +197,8 @@ class _ProcessRunning(_OfComputer):
         return look
 
     def _found(self, link: LocalHost | SshHost) -> list[int]:
+        from robot_runner.measuring.local_host import LocalProcesses, matches  # noqa: PLC0415  # see above
+
         kind, _, value = self.selector.partition(":")
         listed = link.list_files(f"/proc/{value if kind == 'pid' else '[0-9]*'}/stat")
         if self.computer.host == LOCAL and not listed and not Path("/proc/self/stat").exists():
@@ -201,14 +208,18 @@ class _ProcessRunning(_OfComputer):
         states, lines = texts[: len(folders)], texts[len(folders) :]
         pids = [int(folder.rpartition("/")[2]) for folder in folders]
         known = zip(pids, states, lines, strict=True)
-        return sorted(pid for pid, state, line in known if _matches(self.selector, pid, state or "", line or ""))
+        return sorted(
+            pid
+            for pid, state, line in known
+            if (name := _name_of_alive(state or "")) is not None
+            and matches(self.selector, pid, name, [word for word in (line or "").split("\0") if word])
+        )
 
 
-def _matches(selector: str, pid: int, state: str, command_line: str) -> bool:
-    """Return whether a process matches and is alive; `state` is its stat: pid, (name), state (proc_pid_stat(5))."""
+def _name_of_alive(state: str) -> str | None:
+    """Return the name of a process from its stat: pid, (name), state (proc_pid_stat(5)); None if it has ended."""
     name, _, rest = state.partition("(")[2].rpartition(")")
-    is_alive = rest.strip()[:1] not in {"", "Z", "X"}
-    return is_alive and matches(selector, pid, name, [word for word in command_line.split("\0") if word])
+    return None if rest.strip()[:1] in {"", "Z", "X"} else name
 
 
 @dataclass(frozen=True)

@@ -5,19 +5,20 @@ from __future__ import annotations
 import re
 import socket
 import time
-import urllib.error
 import urllib.parse
-import urllib.request
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
-from http.client import HTTPException
+from typing import TYPE_CHECKING
 
 from robot_runner.core.design.numeric_range import is_whole
 from robot_runner.core.errors import ConditionError, Finding
 from robot_runner.core.events.condition import Condition, Look, LookAgain
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.declared_host import LOCAL
+
+if TYPE_CHECKING:
+    from urllib.request import OpenerDirector
 
 #: How long a connection, or each step of a request, may take, s: enough within a lab.
 _PATIENCE = 2.0
@@ -144,10 +145,14 @@ class _HttpAnswers(Condition):
 
     def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
         del context, opened
+        import urllib.request  # noqa: PLC0415  # imports half of what a start does, and few conditions ask servers
+
         opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         return lambda: self._look(opener)
 
-    def _look(self, opener: urllib.request.OpenerDirector) -> Look:
+    def _look(self, opener: OpenerDirector) -> Look:
+        from http.client import HTTPException  # noqa: PLC0415  # as above
+
         try:
             status, has_text = _asked(opener, self.url, self.text.encode())
         except (OSError, HTTPException, ValueError) as error:  # a redirect may lead to an invalid address
@@ -159,12 +164,14 @@ class _HttpAnswers(Condition):
         return Look(is_expected and has_text, seen, status)
 
 
-def _asked(opener: urllib.request.OpenerDirector, url: str, text: bytes) -> tuple[int, bool]:
+def _asked(opener: OpenerDirector, url: str, text: bytes) -> tuple[int, bool]:
     """Return the status of an answer, whatever it is, and whether a text is in the beginning of its body."""
+    from urllib.error import HTTPError  # noqa: PLC0415  # as above
+
     try:
         with closing(opener.open(url, timeout=_PATIENCE)) as answer:
             return answer.status, _has_text(answer.read1, text)
-    except urllib.error.HTTPError as error:
+    except HTTPError as error:
         with error:
             return error.code, _has_text(error.read1, text)
 

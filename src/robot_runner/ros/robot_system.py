@@ -129,10 +129,10 @@ class RobotSystem(OfTheRobot, System):
     def publish_values(
         self, context: RobotRunnerContext, values: Sequence[MeasureValue] | None, *, is_simulated: bool
     ) -> None:
-        """Publish a value for each measure; nothing where `values` is None, as the mission did not take place."""
+        """Publish a value for each measure; nothing where `values` is None: it did not come to its end."""
         origin = Origin.SIMULATED if is_simulated else Origin.MEASURED
         if values is None:
-            context.doubt("the mission did not take place", fix="Look at the run's log.")
+            context.doubt("the mission was not executed to its end", fix="Look at the run's log.")
         for measure, value in zip(self.measures, values or [None] * len(self.measures), strict=True):
             context.publish(measure.name, value, origin=None if values is None else origin)
 

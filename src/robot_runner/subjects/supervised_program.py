@@ -30,6 +30,8 @@ _PATIENCE, _FAR_PATIENCE = 20.0, 40.0
 #: one ends it once its lease is over.
 _LAST_PATIENCE = 15.0
 _LOOK = 0.01
+#: How often a supervisor that has been asked to end its program is woken, in case somebody has stopped it, s.
+_WAKE = 1.0
 #: The fix where the folder of caches cannot be written.
 NAME_A_FOLDER = "Set XDG_CACHE_HOME to a folder of your own."
 #: How much of the end of an output is shown.
@@ -258,12 +260,14 @@ class SupervisedProgram(Start):
             self._say(b"stop\n")
             with suppress(OSError):
                 self._supervisor.stdin.close()
-        wake_supervisor(self.events)
-        try:
-            self._supervisor.wait(self._task.ending_s)
-        except subprocess.TimeoutExpired:
-            self._supervisor.kill()
-            self._supervisor.wait()
+        deadline = time.monotonic() + self._task.ending_s
+        while self._supervisor.poll() is None:
+            wake_supervisor(self.events)  # it may be stopped at any time
+            with suppress(subprocess.TimeoutExpired):
+                self._supervisor.wait(_WAKE)
+            if time.monotonic() > deadline:
+                self._supervisor.kill()
+                self._supervisor.wait()
         self.end_orphans()
         return self.ended() or Ended(None, "nobody knows how")
 

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.designed_nulls import DesignedNull, data_of
 from benchmarks.null_designs import NullDesign
 from tests.analysis.made_experiment import make_experiment
-from tests.long_cases import long_but
+from tests.long_cases import long_but, soak_but
 
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.statistics.analysed_design import VALUE
@@ -190,10 +190,11 @@ KNOWN_OTHERWISE: dict[str, tuple[NullDesign | DesignedNull, str, float]] = {
 }
 
 
-#: Those that are looked at for omega squared every time, whose intervals are dear; all are in `make soak`.
-EVERY_TIME = {"blocks of several treatments", "blocks of several runs that respond differently"}
-EACH_D = [pytest.param(each, marks=[pytest.mark.soak] * (each == "incomplete blocks")) for each in KNOWN_OTHERWISE]
-EACH_OMEGA = [pytest.param(each, marks=[pytest.mark.soak] * (each not in EVERY_TIME)) for each in KNOWN_OTHERWISE]
+#: Those that are looked at every time, for d and for omega squared, whose intervals are dear; all are in `make soak`.
+EACH_D = soak_but(
+    {"many treatments", "treatments with a spread of their own", "blocks of several treatments"}, KNOWN_OTHERWISE
+)
+EACH_OMEGA = soak_but({"blocks of several treatments"}, KNOWN_OTHERWISE)
 
 
 def simulated(name: str, size: float) -> Iterator[AnyModel]:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from tests.analysis.made_experiment import make_experiment
 from tests.analysis.statistics.designed_data import designed
+from tests.long_cases import soak_but
 
 from robot_runner.analysis import analyse, load_results
 
@@ -70,7 +71,7 @@ def test_a_conclusion_that_stands_or_falls_has_the_p_value_that_decides(tmp_path
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("factors", [20, 64])
+@pytest.mark.parametrize("factors", soak_but({20}, [20, 64]))
 def test_factors_whose_combinations_are_too_many_to_be_looked_at_are_compared_one_by_one(factors: int) -> None:
     random = np.random.default_rng(factors)
     rows = [(*map(str, random.integers(0, 2, factors)), float(random.normal())) for _ in range(factors + 20)]

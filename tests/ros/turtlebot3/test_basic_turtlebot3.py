@@ -379,7 +379,7 @@ def test_a_mission_that_did_not_take_place_has_no_measures(stage):
     played = stage()
     played.plugin.populate_run_data(played.context)
     assert set(played.context.measures.values()) == {None}
-    assert played.context.broker.findings[0].problem == "the mission did not take place"
+    assert played.context.broker.findings[0].problem == "the mission was not executed to its end"
 
 
 def test_a_mission_cannot_be_launched_before_the_run_starts(stage):
