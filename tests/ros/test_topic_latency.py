@@ -13,6 +13,7 @@ import time
 from contextlib import contextmanager
 
 import pytest
+from tests.processor_wait import ProcessorWait
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.recordings import scans_of_ros2
 from tests.ros.ros1_master import quiet_about_rospy
@@ -169,7 +170,7 @@ def _node(robot, folder):
     node = subprocess.Popen(words, stdout=subprocess.PIPE, env=dict(os.environ))
     try:
         assert node.stdout.readline() == b"ready\n"
-        yield node.stdout
+        yield node
     finally:
         node.send_signal(signal.SIGTERM)
         try:
@@ -193,23 +194,26 @@ def _least(samples):
 def _check_delays(robot, folder):
     """Play 40 scans at 20 Hz to a node that is another process, and compare with what it is known to take."""
     plugins = PlayBag(scans_of_ros2(folder / "hall", count=40), rate=0.8), TopicLatency("/scan", "/fast", "/late")
-    with _node(robot, folder) as told:
+    with _node(robot, folder) as node:
         context = make_context(folder, *plugins, robot=robot, clock=SystemClock())
+        wait = ProcessorWait([os.getpid(), node.pid])
         try:
             measures = rehearse(context, *plugins)
         finally:
             context.resources.close()
-        fast, late = (list(each) for each in zip(*_times(told), strict=True))
+        wait.look()
+        fast, late = (list(each) for each in zip(*_times(node.stdout), strict=True))
     assert measures["ScanMessages"] == 40
     assert measures["FastUnanswered"] == measures["LateUnanswered"] == 8
     # A busy machine lets the node sleep longer than it asked for, and messages wait: both take long, and none is early.
     assert 0.029 < measures["FastMedianLatency"] < statistics.median(fast) + 0.25
     assert 0.049 < measures["LateMedianLatency"] < statistics.median(late) + 0.25
     assert measures["FastMedianLatency"] < measures["LateMedianLatency"]
-    # The quickest answers waited for no machine; a scan may come here later than to the node, so they may seem quicker.
+    # The quickest answers wait for no machine, unless all do; a scan may come here later than to the node, so they may
+    # seem quicker.
     least = [_least(context.run_path / "TopicLatency" / name) for name in ("Fast.csv", "Late.csv")]
-    assert least[0] < min(fast) + 0.02
-    assert least[1] < min(late) + 0.02
+    assert least[0] < min(fast) + 0.02 + wait.seconds
+    assert least[1] < min(late) + 0.02 + wait.seconds
     assert measures["FastMedianLatency"] <= measures["FastP95Latency"] <= measures["FastP99Latency"]
     assert (
         json.loads((context.run_path / "TopicLatency" / "quality.json").read_text())["topics"]["/fast"]["messages"]
