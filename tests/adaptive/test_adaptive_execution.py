@@ -217,6 +217,46 @@ def test_failed_and_excluded_runs_are_told_so_and_the_search_goes_on(tmp_path: P
     assert records(config, "judged")[-1]["known"]["best"][0]["combination"]["Speed"] != best
 
 
+@pytest.mark.long
+@pytest.mark.usefixtures("optuna_here")
+def test_nothing_is_said_to_be_confirmed_of_which_no_confirming_run_has_a_value(tmp_path: Path) -> None:
+    stuck = BODY.replace(
+        "    speed =",
+        "    if context.repetition > 2 and context.combination['Speed'] > 0.05: raise OSError('stuck')\n    speed =",
+    )
+    config = with_design(tmp_path, 'Optimise("Energy", runs=12, at_a_time=3, confirm=2)', stuck)
+    _, decided = execute(config)
+    assert decided[-1].told.endswith("The runs that were to confirm it have no value")
+    results = load_results(folder_of(config).root)
+    written = write_report(results, kind=ReportFormat.MARKDOWN, output=tmp_path / "report", figures=[])
+    report = written.document.read_text(encoding="utf-8")
+    assert "What was found by searching is not confirmed" in report
+    assert "None of the 2 runs that were to confirm it is done." in report
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("design", ["search", "race"])
+def test_what_was_confirmed_is_named_where_it_is_not_the_best_any_more(
+    tmp_path: Path, searched: tuple[Path, list[NextDecided]], design: str
+) -> None:
+    if design == "search":
+        config = tmp_path / "copy" / "config.py"
+        shutil.copytree(searched[0].parent, config.parent)
+    else:
+        table = TABLE.replace("0.02 * step for step in range(1, 12)", "0.1, 0.17").replace("=2", "=3")
+        config = written_config(tmp_path, BODY, table=table.replace("{design}", RACE), head=WITH_DESIGNS)
+        execute(config)
+    rows = rows_of(config)
+    (best,) = {row["Speed"] for row in rows if row["batch"] == "2"} - {"0.04"}
+    exclude_runs(
+        folder_of(config), [row["run_id"] for row in rows if row["Speed"] == best and row["batch"] == "1"], "carried"
+    )
+    execute(config)
+    said = read_status(folder_of(config).root).decided
+    assert "The confirming runs were of Speed" in said
+    assert f"Speed {best}" in said.partition("The confirming runs were of")[2]
+
+
 def test_a_race_drops_what_is_clearly_worse_and_keeps_its_blocks_balanced(tmp_path: Path) -> None:
     table = TABLE.replace("0.02 * step for step in range(1, 12)", "0.1, 0.16, 0.17, 0.18").replace("=2", "=3")
     config = written_config(tmp_path, BODY, table=table.replace("{design}", RACE), head=WITH_DESIGNS)
@@ -325,7 +365,7 @@ def test_the_analysis_is_of_the_runs_that_confirm_and_refuses_to_test_those_of_a
     assert (energy.test.effects[0].p_value or 1) < 0.001
     written = write_report(results, kind=ReportFormat.MARKDOWN, output=tmp_path / "report", figures=[FigureFormat.SVG])
     report = written.document.read_text(encoding="utf-8")
-    assert "What was found by searching was confirmed" in report
+    assert "What was found by searching was measured again" in report
     assert "Confirmation: 6 runs (r\\_17 to r\\_22)" in report
     config = with_design(tmp_path / "searching", 'Optimise("Energy", runs=12)')
     execute(config)

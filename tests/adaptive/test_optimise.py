@@ -21,6 +21,7 @@ from robot_runner.adaptive.optuna_program import candidates
 from robot_runner.core.design.asking import Decision, Told
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import DesignError, ExecutionError
+from robot_runner.core.words import INACTIVE
 
 if TYPE_CHECKING:
     from robot_runner.core.design.factor import Combination
@@ -130,6 +131,35 @@ def test_start_points_reach_the_ends_and_are_spread() -> None:
     found = strict.spread(3, "0")
     assert len(set(found)) == 3
     assert {strict.levels[0][each[0]] for each in found} == {1.0}
+
+
+def test_treatments_without_a_conditional_factor_are_as_likely_as_those_with_it() -> None:
+    sensors = Factor("Sensor", ["camera", "lidar", "sonar"])
+    exposure = Factor("Exposure", Range(0.0, 1.0), when={"Sensor": "camera"})
+    gain = Factor("Gain", [1, 2, 4], when={"Exposure": 0})  # an end, and equal to it rather than the same text
+    for seed in range(6):
+        first = RunTableModel([gain, exposure, sensors], design=Optimise("Energy", runs=30, seed=seed)).plan()
+        assert {run.combination["Sensor"] for run in first} == {"camera", "lidar", "sonar"}
+        cameras = [run.combination for run in first if run.combination["Sensor"] == "camera"]
+        assert len(cameras) > 2
+        assert all((each["Gain"] is INACTIVE) is (each["Exposure"] != 0.0) for each in cameras)
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("optuna_here")
+def test_what_optuna_offers_has_a_treatment_of_each_factor_that_applies_and_of_no_other() -> None:
+    question = {
+        "levels": [50, 2, 2],
+        "are_numbers": [True, False, False],
+        "conditions": [(2, [(1, [0])]), (0, [(2, [1])])],
+    }
+    points = [([7, 0, 1], [3.0]), ([9, 0, 1], [2.0]), ([50, 1, 2], [4.0]), ([50, 0, 0], None)]
+    tried = [places for places, _ in points]
+    more = {"directions": ["minimize"], "points": points, "tried": tried, "start": 4, "count": 2, "seed": 1}
+    offered = [places for each in candidates({**question, **more}) for places in each]
+    assert offered
+    assert all((turn < 2) is (sensor == 0) for _, sensor, turn in offered)
+    assert all((exposure < 50) is (turn == 1) for exposure, _, turn in offered)
 
 
 @pytest.mark.parametrize(

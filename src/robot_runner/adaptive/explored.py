@@ -135,6 +135,18 @@ def confirmation(points: Sequence[Explored], often: int, known: str, facts: Mapp
     return decided("confirmation", words, facts, runs=runs, confirms=True)
 
 
+def confirmed(told: Sequence[Told], found: Sequence[Explored], known: str) -> str:
+    """Return what is known, with what the confirming runs are worth; they may be of what was the best before."""
+    runs = [each for each in told if each.run.batch > 1]
+    executed = {each.run.combination.texts: each.run.combination for each in runs}
+    own = {each.combination.texts for each in found}
+    if not own or not own <= executed.keys():
+        return f"{known}. The confirming runs were of {listed(map(shown, executed.values()))}"
+    if own <= {each.run.combination.texts for each in runs if each.values}:
+        return f"{known}. The runs that confirm it are done"
+    return f"{known}. The runs that were to confirm it have no value"
+
+
 # Checks of arguments.
 
 
@@ -173,7 +185,8 @@ _FEW = 20_000
 class SearchedSpace:
     """The combinations from which a search chooses.
 
-    Numbers have indices in ascending order, other treatments in their listed order; a range has all its steps.
+    Numbers have indices in ascending order, other treatments in their listed order; a range has all its steps. Of a
+    conditional factor `INACTIVE` comes last.
 
     Args:
         factors: what is varied.
@@ -181,7 +194,10 @@ class SearchedSpace:
 
     Attributes:
         levels: the treatments of each factor, by index.
+        active: how many of them each factor has besides `INACTIVE`.
         are_numbers: whether those of each factor are numbers.
+        conditions: the index of each conditional factor, behind those that it depends on; with the indices of these
+            factors, and of their treatments under which it applies.
 
     Example:
         >>> from robot_runner.core.design.factor import Factor
@@ -191,20 +207,17 @@ class SearchedSpace:
     """
 
     def __init__(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> None:
-        self.are_numbers = [all(map(is_number, factor.treatments)) for factor in factors]
+        own = [[each for each in settings(factor) if not (factor.when and each is INACTIVE)] for factor in factors]
+        self.are_numbers = [all(map(is_number, treatments)) for treatments in own]
+        self.active = list(map(len, own))
         self.levels: list[list[Any]] = [
-            sorted(settings(factor)) if is_numeric else settings(factor)
-            for factor, is_numeric in zip(factors, self.are_numbers, strict=True)
+            [*(sorted(treatments) if is_numeric else treatments), *([INACTIVE] if factor.when else [])]
+            for factor, treatments, is_numeric in zip(factors, own, self.are_numbers, strict=True)
         ]
         self._is_allowed = is_allowed
-        # Exclusions know only the ends of a range, not its steps, so that its conditions are checked here.
-        self._conditions = [
-            (factor.name, [(other, set(map(str, wanted))) for other, wanted in factor.when.items()])
-            for factor in factors
-            if factor.when
-        ]
         self._names = factor_places(factor.name for factor in factors)
         self._place_of = [{str(level): place for place, level in enumerate(levels)} for levels in self.levels]
+        self.conditions = self._conditions({factor.name: factor for factor in factors})
 
     @property
     def size(self) -> int:
@@ -225,12 +238,39 @@ class SearchedSpace:
 
     def is_allowed(self, places: Places) -> bool:
         """Return whether a combination is not excluded, and each factor applies where it has a treatment."""
-        combination = self.combination(places)
-        for name, conditions in self._conditions:
-            holds = all(str(combination[other]) in wanted for other, wanted in conditions)
-            if holds is (combination[name] is INACTIVE):
+        # Exclusions know only the ends of a range, not its steps, so that its conditions are checked here.
+        for place, wanted in self.conditions:
+            if _applies(places, wanted) is (places[place] == self.active[place]):
                 return False
-        return self._is_allowed(combination)
+        return self._is_allowed(self.combination(places))
+
+    def _conditions(self, by_name: Mapping[str, Factor]) -> list[tuple[int, list[tuple[int, list[int]]]]]:
+        ordered: list[str] = []
+        left = [name for name, factor in by_name.items() if factor.when]
+        while left:  # no condition depends on itself
+            ordered += [each for each in left if not set(left) & set(by_name[each].when)]
+            left = [each for each in left if each not in ordered]
+        return [
+            (
+                self._names[name],
+                [
+                    (
+                        self._names[other],
+                        [self._place_of[self._names[other]][text] for text in _named(by_name[other], wanted)],
+                    )
+                    for other, wanted in by_name[name].when.items()
+                ],
+            )
+            for name in ordered
+        ]
+
+    def _fitted(self, places: Sequence[int]) -> Places:
+        """Return a combination in which factors that do not apply have no treatment."""
+        fitted = list(places)
+        for place, wanted in self.conditions:
+            if not _applies(fitted, wanted):
+                fitted[place] = self.active[place]
+        return tuple(fitted)
 
     def spread(self, count: int, seed: str) -> list[Places]:
         """Return `count` combinations, spread over the space, or all that are allowed if these are fewer.
@@ -242,9 +282,11 @@ class SearchedSpace:
         seeds = [Random(f"{seed} {own}").getrandbits(32) for own in self._names]  # noqa: S311 - reproducible, not secret
         orders = [arranged(count, None, RunOrder(shuffle=True, seed=each)) for each in seeds]
         spread = [
-            tuple(
-                round(order[number] * (len(levels) - 1) / (count - 1))
-                for order, levels in zip(orders, self.levels, strict=True)
+            self._fitted(
+                [
+                    round(order[number] * (levels - 1) / (count - 1))
+                    for order, levels in zip(orders, self.active, strict=True)
+                ]
             )
             for number in range(count)
         ]
@@ -258,11 +300,21 @@ class SearchedSpace:
     def another(self, tried: Collection[Places], seed: str) -> Places | None:
         """Return any combination that is allowed and not among these; None where none is found."""
         draw = Random(seed).random  # noqa: S311 - reproducible, not secret
-        drawn = (tuple(int(draw() * len(levels)) for levels in self.levels) for _ in range(_DRAWS))
+        drawn = ([int(draw() * levels) for levels in self.active] for _ in range(_DRAWS))
         # The first factor changes fastest: another order would give other runs for the same seed.
-        listed = (each[::-1] for each in product(*(range(len(levels)) for levels in reversed(self.levels))))
-        candidates = chain(drawn, listed) if self.size <= _FEW else drawn
+        listed = (each[::-1] for each in product(*map(range, reversed(self.active))))
+        candidates = map(self._fitted, chain(drawn, listed) if self.size <= _FEW else drawn)
         return next((each for each in candidates if each not in tried and self.is_allowed(each)), None)
+
+
+def _applies(places: Sequence[int], conditions: Sequence[tuple[int, Sequence[int]]]) -> bool:
+    return all(places[other] in wanted for other, wanted in conditions)
+
+
+def _named(factor: Factor, wanted: Any) -> list[str]:
+    """Return the texts of the treatments that a condition names."""
+    named = map(factor.position_of, factor.named(wanted))
+    return [factor.texts[place] for place in named if place is not None]
 
 
 def settings(factor: Factor) -> list[Any]:

@@ -21,6 +21,7 @@ from robot_runner.adaptive.explored import (
     baseline_of,
     best_of,
     confirmation,
+    confirmed,
     count_findings,
     decided,
     direction_findings,
@@ -212,8 +213,7 @@ class _Search:
         facts = {"known": self._known(points, best)}
         words = self._in_words(points, best)
         if any(each.run.batch > 1 for each in told):
-            words = f"{words}. The runs that confirm it are done"
-            return decided("end", words, facts, findings=odd)
+            return decided("end", confirmed(told, best, words), facts, findings=odd)
         # Where nothing has a value, the treatments are not the cause: the remaining runs are not wasted.
         left = design.runs // self._repetitions - len(points) if best else 0
         wanted = self._next(points, min(design.at_a_time, left)) if left > 0 else []
@@ -250,8 +250,9 @@ class _Search:
         design, space = self._design, self._space
         seed = Random(f"{design.seed} {len(tried)}").getrandbits(32)  # noqa: S311 - reproducible, not secret
         question = {
-            "levels": list(map(len, space.levels)),
+            "levels": space.active,
             "are_numbers": space.are_numbers,
+            "conditions": space.conditions,
             "directions": [each.value.replace("se", "ze") for each in design.directions.values()],
             "points": [
                 (places, means) for places, each in tried if (means := each.means(self.measures)) or each.has_failed

@@ -20,9 +20,10 @@ def candidates(question: dict[str, Any]) -> list[list[list[int]]]:
     """Return the combinations to try next: several candidates for each, the preferred one first.
 
     Args:
-        question: `levels` (how many treatments each factor has), `are_numbers`, `directions` (of Optuna), `points`
-            (pairs of indices and values; no values where the runs failed), `tried` (indices that must not come again),
-            `start` (how many combinations come before Optuna has a model), `count` and `seed`.
+        question: `levels` (how many treatments each factor has; the index behind them says that it does not apply),
+            `are_numbers`, `conditions` (as `SearchedSpace.conditions`; may be left out), `directions` (of Optuna),
+            `points` (pairs of indices and values; no values where the runs failed), `tried` (indices that must not come
+            again), `start` (how many combinations come before Optuna has a model), `count` and `seed`.
     """
     import optuna  # noqa: PLC0415 - a second
     from optuna.distributions import BaseDistribution, CategoricalDistribution, IntDistribution  # noqa: PLC0415
@@ -30,27 +31,33 @@ def candidates(question: dict[str, Any]) -> list[list[list[int]]]:
 
     warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
     optuna.logging.set_verbosity(optuna.logging.ERROR)
+    levels = question["levels"]
     sampler = optuna.samplers.TPESampler(
-        seed=question["seed"], multivariate=True, constant_liar=True, n_startup_trials=question["start"]
+        seed=question["seed"],
+        multivariate=True,
+        group=bool(question.get("conditions")),  # a model for each set of factors that apply together
+        constant_liar=True,
+        n_startup_trials=question["start"],
     )
     study = optuna.create_study(directions=question["directions"], sampler=sampler)
-    space: dict[str, BaseDistribution] = {
-        str(number): IntDistribution(0, levels - 1) if is_numeric else CategoricalDistribution(list(range(levels)))
-        for number, (levels, is_numeric) in enumerate(zip(question["levels"], question["are_numbers"], strict=True))
-        if levels > 1
+    space: dict[int, BaseDistribution] = {
+        number: IntDistribution(0, count - 1) if is_numeric else CategoricalDistribution(list(range(count)))
+        for number, (count, is_numeric) in enumerate(zip(levels, question["are_numbers"], strict=True))
+        if count > 1
     }
     tried = set(map(tuple, question["tried"]))
     for places, values in question["points"]:
-        params = {name: places[int(name)] for name in space}
+        own = {str(number): each for number, each in space.items() if places[number] < levels[number]}
+        params = {name: places[int(name)] for name in own}
         # The model ignores failed trials; pruned ones without a value count as the worst.
         state = TrialState.COMPLETE if values is not None else TrialState.PRUNED
-        study.add_trial(create_trial(params=params, distributions=space, values=values, state=state))
+        study.add_trial(create_trial(params=params, distributions=own, values=values, state=state))
     answer = []
     for _ in range(question["count"]):
         found: list[list[int]] = []
         for _ in range(_ASKED):
-            trial = study.ask(space)
-            places = [int(trial.params.get(str(number), 0)) for number in range(len(question["levels"]))]
+            trial = study.ask()
+            places = _suggested(trial, question)
             is_new = tuple(places) not in tried
             tried.add(tuple(places))
             if is_new:
@@ -61,6 +68,20 @@ def candidates(question: dict[str, Any]) -> list[list[list[int]]]:
                 break
         answer.append(found)
     return answer
+
+
+def _suggested(trial: Any, question: dict[str, Any]) -> list[int]:
+    """Return the index of each factor's treatment; Optuna suggests those of factors that apply."""
+    levels, conditions = question["levels"], dict(question.get("conditions", []))
+    places = [0] * len(levels)
+    for number in (*(each for each in range(len(levels)) if each not in conditions), *conditions):
+        if not all(places[other] in wanted for other, wanted in conditions.get(number, ())):
+            places[number] = levels[number]
+        elif levels[number] > 1 and question["are_numbers"][number]:
+            places[number] = trial.suggest_int(str(number), 0, levels[number] - 1)
+        elif levels[number] > 1:
+            places[number] = trial.suggest_categorical(str(number), list(range(levels[number])))
+    return places
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from robot_runner.adaptive.explored import (
     Explored,
     best_of,
     confirmation,
+    confirmed,
     count_findings,
     decided,
     direction_findings,
@@ -178,7 +179,7 @@ class _Racing:
         kept = [texts_of(each.combination) for each in left]
         facts = {"known": {"repetitions": now, "left": kept, "dropped": dropped}}
         if any(each.run.batch > 1 for each in told):
-            words = f"{words}. The runs that confirm it are done"
+            words = confirmed(told, left, words)
         elif not any(each.values for each in runners):
             # The combinations are not the cause: the remaining repetitions are not wasted.
             odd = [*odd, without_values(self.measures)]

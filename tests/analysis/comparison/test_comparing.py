@@ -209,11 +209,13 @@ def test_a_search_that_nothing_confirms_is_not_tested(make_folder, tmp_path):
 
 
 @pytest.mark.parametrize(("unit", "told"), [("V", "J and V"), ("", "J and not known")])
-def test_units_that_cannot_be_converted_are_told(make_folder, unit, told):
+def test_units_that_cannot_be_converted_are_told_and_other_quantities_have_no_verdict(make_folder, unit, told):
     one = make_folder(factors={}, rows=[(1.0,), (1.1,)], measures={"E": "J"})
     other = make_folder(factors={}, rows=[(1.0,), (1.2,)], measures={"E": unit})
-    [missed] = compare(one.root, other.root).measure("E").not_computed
+    found = compare(one.root, other.root, bound=1.0).measure("E")
+    [missed] = found.not_computed
     assert told in missed.why
+    assert (found.verdict is Verdict.UNDECIDED) is (unit == "V")
 
 
 def test_origins_and_circumstances_that_differ_are_told(two_tasks):

@@ -184,10 +184,61 @@ def test_an_id_that_cannot_name_a_folder_is_mended(tmp_path):
     assert (found.runs[0].run_id, found.runs[0].source_id) == ("run_1_a", "run 1/a")
 
 
+def test_a_word_among_decimal_commas_takes_neither_the_numbers_nor_their_unit(tmp_path):
+    rows = "video;97,79\nvideo;fehlt\nnetwork;95,23\nnetwork;103,76\n"
+    found = table_only(tmp_path, f"task;energy_J\n{rows}")
+    assert [run.measures["energy_J"] for run in found.runs] == [97.79, "fehlt", 95.23, 103.76]
+    assert found.units["energy_J"].symbol == "J"
+    assert any("energy_J is text in 1 run" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("word", ["Summe", "Mean:", "TOTAL"])
+def test_whether_a_row_sums_up_the_others_is_asked(tmp_path, word):
+    text = f"task,energy\na,1.5\na,2.5\nb,2.25\nb,3.5\n{word},9.75\n"
+    (question,) = table_only(tmp_path, text).questions
+    assert question.problem == f"line 6 has {word!r} for task, as if it summed up the runs above it"
+    assert question.fix == "Remove the line; if it is a run, say --factor task."
+    assert not table_only(tmp_path, text, factors=("task",)).questions
+    assert not table_only(tmp_path, "gain,energy\nmin,1.5\nmax,2.5\nmin,2.25\nmax,3.5\n").questions
+
+
+@pytest.mark.parametrize("yes_and_no", ["ja nein", "Oui Non", "WAHR FALSCH"])
+def test_yes_and_no_are_known_in_other_languages(tmp_path, yes_and_no):
+    yes, no = yes_and_no.split()
+    said = [yes, yes, no, yes, no, yes, yes, no]
+    rows = "".join(f"{'ab'[place % 2]},{place}.5,{word}\n" for place, word in enumerate(said))
+    found = table_only(tmp_path, f"task,energy,success\n{rows}", measures=("success",))
+    assert [run.measures["success"] for run in found.runs] == [word == yes for word in said]
+
+
+def test_a_title_in_the_first_cell_of_the_first_row_is_no_heading(tmp_path):
+    with pytest.raises(AnalysisError, match="only the first has a heading, 'Study of May'") as raised:
+        table_only(tmp_path, "Study of May;;\ntask;energy;time\na;1,5;3\n")
+    assert raised.value.fix == "Remove the lines above the heading, or name each column."
+
+
+def test_a_negative_number_of_nines_among_positive_ones_is_noted(tmp_path):
+    rows = "".join(f"{'ab'[place % 2]},{cell}\n" for place, cell in enumerate(("930.5", "-999", "951.25", "944.5")))
+    told = "energy is -999 in 1 run, far from all others: a missing value? Then leave these cells empty"
+    assert told in table_only(tmp_path, f"task,energy\n{rows}").notes
+
+
+def test_units_in_a_row_of_their_own_are_asked_about(tmp_path):
+    (question,) = table_only(tmp_path, "task,energy,time\n,J,[ms]\na,1.5,3\na,2.5,4\nb,2.25,5\nb,3.5,6\n").questions
+    assert question.problem == "line 2 has units rather than values (J and [ms])"
+
+
+def test_a_title_above_the_heading_is_refused_whatever_stands_between_the_cells(tmp_path):
+    with pytest.raises(AnalysisError, match="the row has 2 cells, the heading has 1") as raised:
+        table_only(tmp_path, "Study of May\ntask;energy\na;1,5\na;2,5\n")
+    assert raised.value.fix == "Give it a cell under each heading, or remove the lines above the heading."
+
+
 def test_text_among_numbers_is_noted(tmp_path):
     rows = "run_0,DONE,a,1.5\nrun_1,DONE,a,overflow\nrun_2,DONE,b,2.5\nrun_3,DONE,b,3.5\n"
     found = table_only(tmp_path, f"__run_id,__done,task,energy\n{rows}")
-    assert "energy is text in 1 run, such as run_1: no statistics of it" in found.notes
+    told = "energy is text in 1 run, such as run_1: no statistics of it"
+    assert f"{told}. Where a value is missing, leave the cell empty" in found.notes
 
 
 @pytest.mark.parametrize(("cells", "told"), [("0.31 -999999 -999999 0.29", True), ("-99 0.5 0.25 0.75", True)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -52,7 +53,7 @@ def pilot_of(root: Path, study: Study, assumed: AssumedMeasure, repetitions: int
         return {"Energy": float(values[(repetition - 1) * len(study.cells) + study.cells.index(cell)])}
 
     factors = [Factor(name, list(texts)) for name, texts in study.factors.items()]
-    made = make_experiment(root, factors, value, repetitions=repetitions, blocks=study.blocks)
+    made = make_experiment(root, factors, value, repetitions=repetitions, units={"Energy": "J"}, blocks=study.blocks)
     return load_results(made.root)
 
 
@@ -68,6 +69,24 @@ def test_means_and_spreads_of_combinations_are_those_that_were_drawn(tmp_path: P
     assert found.means[("Network",)] - found.means[("Video",)] == pytest.approx(20, abs=4)
     assert [found.spreads[cell] for cell in study.cells] == pytest.approx([10, 20], rel=0.12)
     assert (found.block_sd, found.response_sd) == (0, 0)
+
+
+def test_a_pilot_in_another_unit_is_converted_and_one_of_another_quantity_refused(tmp_path: Path) -> None:
+    study = study_of(TASK)
+    pilot = pilot_of(tmp_path / "pilot", study, assumed(), 10)
+    joules = pilot_values(study, pilot, ["Energy"]).measures["Energy"]
+    in_kilojoules = pilot_values(replace(study, units={"Energy": "kJ"}), pilot, ["Energy"])
+    for ours, theirs in zip(
+        (joules.means, joules.spreads),
+        (in_kilojoules.measures["Energy"].means, in_kilojoules.measures["Energy"].spreads),
+        strict=True,
+    ):
+        assert [1000 * theirs[cell] for cell in study.cells] == pytest.approx([ours[cell] for cell in study.cells])
+    told = "Energy is in J in the pilot, and in kJ in the config: its values are converted to kJ."
+    assert told in in_kilojoules.notes
+    with pytest.raises(AnalysisError, match="The units are W and J, which measure different quantities"):
+        pilot_values(replace(study, units={"Energy": "W"}), pilot, ["Energy"])
+    assert pilot_values(replace(study, units={"Energy": ""}), pilot, ["Energy"]).measures["Energy"] == joules
 
 
 def test_spreads_of_few_runs_are_pooled(tmp_path: Path) -> None:

@@ -74,6 +74,37 @@ def test_a_changed_config_is_refused_with_the_lines_that_changed(execute: Execut
 
 
 @pytest.mark.long
+def test_values_do_not_come_under_another_unit_than_they_were_taken_in(execute: Execute, write_config: Write) -> None:
+    def table(energy: str, speed: str = "m/s") -> str:
+        factor = f'Factor("Speed", [1, 2], unit="{speed}")'
+        return (
+            "    def create_run_table(self):\n"
+            f'        return RunTableModel([{factor}], data_columns=[Measure("Energy", "{energy}")], seed=1)\n'
+        )
+
+    executed = execute(COUNTING, table=table("J"))
+    schema = executed.folder / "run_table.schema.json"
+    for other, said in ((table("kJ"), "Energy is in J"), (table("J", "km/h"), "Speed is in m/s")):
+        with pytest.raises(ExecutionError, match=said) as refused:
+            resume(write_config(COUNTING, table=other), accept_changes=True)
+        assert "choose another experiment_name" in refused.value.findings[0].fix
+    assert json.loads(schema.read_text(encoding="utf-8"))["fields"][-1]["unit"] == "J"
+    write(schema, schema.read_text(encoding="utf-8").replace('"J"', '"kJ"'))  # it was the wrong word
+    assert len(resume(write_config(COUNTING, table=table("kJ")), accept_changes=True)) == 2
+
+
+def test_a_measure_without_a_unit_may_get_one(execute: Execute, write_config: Write) -> None:
+    executed = execute(COUNTING)
+    table = (
+        "    def create_run_table(self):\n        return RunTableModel([Factor('Task', ['Video', 'Network'])], "
+        "repetitions=2, data_columns=[Measure('Energy', 'J')], seed=1)\n"
+    )
+    resume(write_config(COUNTING, table=table), accept_changes=True)
+    schema = json.loads((executed.folder / "run_table.schema.json").read_text(encoding="utf-8"))
+    assert schema["fields"][-1]["unit"] == "J"
+
+
+@pytest.mark.long
 def test_a_change_of_a_module_from_elsewhere_is_refused_like_one_of_the_config(
     write_config: Write, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -44,6 +44,7 @@ from robot_runner.analysis.comparison.matching import (
     match_runs,
     names_of,
     of_one_quantity,
+    why_incomparable,
 )
 from robot_runner.analysis.comparison.shared_units import Units, estimate_of
 from robot_runner.analysis.results import Results, results_of
@@ -256,7 +257,7 @@ class _Asked(NamedTuple):
 def _compare_measure(matching: Matching, names: tuple[str, str], asked: _Asked) -> MeasureComparison:
     """Compare a measure in all combinations; p-values are adjusted by Holm for their number."""
     units = matching.first.unit(names[0]), matching.second.unit(names[1])
-    obstacle = ""
+    obstacle = why_incomparable(units[1], units[0])
     if matching.first.is_exploratory or matching.second.is_exploratory:
         obstacle = sentence(SEARCHED)
     elif any(map(are_texts, (matching.first, matching.second), names)):
@@ -292,8 +293,7 @@ def _compare_measure(matching: Matching, names: tuple[str, str], asked: _Asked) 
 
 def _tested(treatments: Mapping[str, str], values: MatchedValues, asked: _Asked) -> Difference:
     """Compare the values of one combination; p-values are not adjusted yet."""
-    first, second, units = values
-    alpha, is_paired = asked.alpha, asked.is_paired
+    (first, second, units), alpha, is_paired = values, asked.alpha, asked.is_paired
     bound, region = asked.telling(asked.bound), asked.telling(asked.region)
     one, other = (float(each.mean()) if len(each) else None for each in (first, second))
     size = None if one is None or other is None else other - one
@@ -395,6 +395,6 @@ def _missed(differences: Sequence[Difference], asked: _Asked, one: str, other: s
             why = "The runs of one experiment are all equal, so that there is no posterior distribution."
             why = "They are computed of means, and not of proportions." if asked.are_proportions else why
             yield NotComputed(f"probabilities of {each.label}", why)
-    if one != other and not of_one_quantity(other, one):
+    if one != other and not (of_one_quantity(other, one) or why_incomparable(other, one)):
         why = f"The units are {one or 'not known'} and {other or 'not known'}: numbers are compared as they are."
         yield NotComputed("conversion of units", why)

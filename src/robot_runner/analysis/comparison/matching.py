@@ -276,6 +276,13 @@ def of_one_quantity(own: str, wanted: str) -> tuple[Unit, Unit] | None:
 _SHARE = Unit("1", "%", 100.0)
 
 
+def why_incomparable(own: str, wanted: str) -> str:
+    """Return why values in two known units cannot be compared; empty where they can, or a unit is not known."""
+    are_known = unit_of(own) is not None and unit_of(wanted) is not None
+    is_one = not are_known or of_one_quantity(own, wanted) is not None
+    return "" if is_one else f"The units are {wanted} and {own}, which measure different quantities."
+
+
 def in_unit(values: Any, own: str, wanted: str) -> Any:
     """Return a number, or several, in the wanted unit; unchanged where the units do not convert."""
     units = of_one_quantity(own, wanted)

@@ -59,8 +59,8 @@ def adopt(understanding: Understanding, target: Path) -> Adoption:
         problem = "the new folder would be inside of the results, which are not to be changed"
         raise StorageError(problem, where=str(target), fix="Choose a folder outside of them: --to FOLDER.")
     beside = target.with_name(f".{target.name}.{secrets.token_hex(4)}")
-    make_experiment_folder(beside)
     try:
+        make_experiment_folder(beside)
         adopted = _write(understanding, ExperimentFolder(beside), target)
         beside.replace(target)
     except OSError as error:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.importing.column_evidence import STATUSES, repetition_number
+from robot_runner.analysis.importing.foreign_table import ANSWERS
 from robot_runner.analysis.importing.units import MISSING
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.storage.cells import CellValue, RunStatus
@@ -76,7 +77,7 @@ def read_runs(
     said = [name for name in roles.measures if table.says_yes_or_no(name)]
     if said:
         notes.append(f"yes and no of {enumerated(said)} are True and False here, so that proportions are compared")
-    words = {name: _ANSWERS if name in said else _TRUTH for name in roles.measures}
+    words = {name: ANSWERS if name in said else _TRUTH for name in roles.measures}
     runs = []
     for place, (row, source_id) in enumerate(zip(table.rows, source_ids, strict=True)):
         cells = dict(zip(table.headings, row, strict=True))
@@ -184,7 +185,6 @@ def _status(cells: Mapping[str, str], roles: ColumnRoles, measures: Mapping[str,
 
 #: The values of texts in measures, in any case; yes and no count only in columns without other texts.
 _TRUTH = {"true": True, "false": False}
-_ANSWERS = {"yes": True, "no": False}
 
 
 def _value(cell: str, table: ForeignTable, words: Mapping[str, bool]) -> CellValue:
@@ -218,7 +218,8 @@ def _run_notes(table: ForeignTable, roles: ColumnRoles, runs: Sequence[ForeignRu
     for name in roles.measures:
         texts = [run.run_id for run in runs if isinstance(run.measures[name], str)]
         if texts and any(isinstance(run.measures[name], int | float) for run in runs):
-            notes.append(f"{name} is text in {counted(len(texts), 'run')}, such as {texts[0]}: no statistics of it")
+            told = f"{name} is text in {counted(len(texts), 'run')}, such as {texts[0]}: no statistics of it"
+            notes.append(f"{told}. Where a value is missing, leave the cell empty")
         notes += _nines(name, [run.measures[name] for run in runs])
     without = [run.run_id for run in runs if run.status is RunStatus.DONE and run.folder is None]
     if any(run.folder for run in runs) and without:
@@ -235,9 +236,10 @@ def _nines(name: str, values: Sequence[object]) -> Iterator[str]:
     """Say which nines stand rather for a missing value: those that are far from all other numbers of a measure."""
     numbers = Counter(float(value) for value in values if isinstance(value, int | float))
     nines = [number for number in numbers if _NINES.fullmatch(f"{number:.0f}") and number == int(number)]
-    others = [abs(number) for number in numbers if number not in nines]
+    others = [number for number in numbers if number not in nines]
     for number in nines:
-        if others and abs(number) >= _FAR * max(others):
+        is_far = others and abs(number) >= _FAR * max(map(abs, others))
+        if is_far or (others and number < 0 <= min(others)):
             told = f"{name} is {number:.0f} in {counted(numbers[number], 'run')}, far from all others"
             yield f"{told}: a missing value? Then leave these cells empty"
 

@@ -24,6 +24,11 @@ _DECIMAL_COMMA = re.compile(r"(?<![0-9])-?[0-9]+,[0-9]+(?![0-9,])")
 #: The heading that pandas writes for a column without a name.
 _WRITTEN_FOR_NONE = re.compile(r"Unnamed: \d+(_level_\d+)?")
 
+#: How tables say yes and no, in small letters; spreadsheets write truth values in the language of their user.
+ANSWERS = dict.fromkeys(("yes", "ja", "oui", "si", "sí", "wahr", "vrai"), True) | dict.fromkeys(
+    ("no", "nein", "nee", "non", "falsch", "faux"), False
+)
+
 #: The part of a file that is examined to find its dialect, bytes.
 _HEAD = 1 << 16
 #: More rows are not an experiment: at a second a run they would take two days, and nobody could read the report.
@@ -97,8 +102,8 @@ class ForeignTable:
         return self._says_only(heading, {"true", "false"})
 
     def says_yes_or_no(self, heading: str) -> bool:
-        """Return whether the column has only `yes` and `no`, in any case."""
-        return self._says_only(heading, {"yes", "no"})
+        """Return whether the column has only words of `ANSWERS`, in any case."""
+        return self._says_only(heading, ANSWERS)
 
     def _says_only(self, heading: str, words: Collection[str]) -> bool:
         return heading in self._distinct and all(cell.casefold() in words for cell in self._distinct[heading])
@@ -187,7 +192,11 @@ def dialect_of(path: Path) -> CsvDialect:
     if told is not None:
         blank += 1
     heading, *body = lines[blank : blank + _LINES_LOOKED_AT] or [""]
-    cells = {each: len(next(csv.reader([heading], delimiter=each), [])) for each in _DELIMITERS}
+    # The line below tells where the heading does not: it is a title then, which the cells do not fit.
+    cells = {
+        each: [len(next(csv.reader([line], delimiter=each), [])) for line in (heading, *body[:1])]
+        for each in _DELIMITERS
+    }
     delimiter = max(_DELIMITERS, key=cells.__getitem__) if told is None else told[1]
     return CsvDialect(encoding, delimiter, delimiter != "," and bool(_DECIMAL_COMMA.search("\n".join(body))), blank)
 
@@ -222,10 +231,15 @@ def _table(
     for number, row in body:
         if any(row[width:]):
             problem = f"the row has {len(row)} cells, the heading has {width}"
-            raise AnalysisError(problem, where=f"{path}:{number}", fix="Give it a cell under each heading.")
+            title = ", or remove the lines above the heading" if width == 1 else ""
+            raise AnalysisError(problem, where=f"{path}:{number}", fix=f"Give it a cell under each heading{title}.")
     columns = list(zip(*((*row[:width], *[""] * (width - len(row))) for _, row in body), strict=True))
     # A spreadsheet leaves an empty column where one was deleted.
     kept = [place for place, name in enumerate(headings) if name or (columns and any(columns[place]))]
+    if len(kept) > 1 and not any(headings[place] for place in kept[1:]):
+        problem = f"of {len(kept)} columns with values only the first has a heading, {headings[kept[0]]!r}"
+        fix = "Remove the lines above the heading, or name each column."
+        raise AnalysisError(problem, where=f"{path}:{line}", fix=fix)
     notes = []
     if kept and not headings[kept[0]] and columns and _numbers_rows(columns[kept[0]]):
         notes.append("the first column has no heading and numbers the rows: left out")

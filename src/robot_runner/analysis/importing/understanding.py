@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import prod
 from pathlib import Path
@@ -23,10 +23,15 @@ from robot_runner.analysis.importing.units import Unit, unit_of
 from robot_runner.core.design.columns import REPETITION, is_fit_for_heading, name_findings
 from robot_runner.core.errors import AnalysisError, Finding, StorageError, did_you_mean
 from robot_runner.core.storage.cells import number_of
-from robot_runner.core.words import counted, one_line
+from robot_runner.core.words import counted, enumerated, one_line
 
 _TABLE = "run_table.csv"
 _SHOWN_TABLES = 10
+#: What spreadsheets write before the means and sums under a table, in small letters.
+_SUMMARIES = (
+    "mean average avg median total sum min max minimum maximum sd std stdev stddev variance mittelwert durchschnitt mw "
+    "summe gesamt standardabweichung stabw moyenne somme media promedio suma somma gemiddelde totaal"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +75,26 @@ class Understanding:
             if name in {*self.roles.measures, *self.roles.design}:
                 fix = "Say which the decimal sign is: --decimal point or --decimal comma."
                 found.append(Finding.error(where, f"numbers of column {name!r} can be read in two ways: {doubt}", fix))
-        return tuple(found)
+        return (*found, *self._odd_rows(where))
+
+    def _odd_rows(self, where: str) -> Iterator[Finding]:
+        """Yield an error for each row that rather has units, or sums up the runs above it."""
+        table, said = self.table, self.said
+        measures = [place for place, name in enumerate(table.headings) if name in self.roles.measures]
+        units = [table.rows[0][place] for place in measures if unit_of(table.rows[0][place].strip("[]()"))]
+        if units and not any(table.number(cell) is not None for cell in table.rows[0]):
+            problem = f"line {table.lines[0]} has units rather than values ({enumerated(units)})"
+            yield Finding.error(where, problem, "Write them into the heading, as in 'Energy (J)', and remove the line.")
+        settled = {said.run_id, *(said.factors or ()), *(said.measures or ()), *said.ignore}
+        open_columns = [place for place, name in enumerate(table.headings) if name not in settled]
+        for row, line in zip(reversed(table.rows), reversed(table.lines), strict=True):
+            words = [place for place in open_columns if row[place].casefold().strip(".: ") in _SUMMARIES.split()]
+            if not words or table.column(name := table.headings[words[0]]).count(word := row[words[0]]) > 1:
+                break
+            problem = f"line {line} has {word!r} for {name}, as if it summed up the runs above it"
+            option = "--run-id" if name == self.roles.run_id else "--factor"
+            fix = f"Remove the line; if it is a run, say {option} {shlex.quote(name)}."
+            yield Finding.error(where, problem, fix)
 
     @property
     def design_words(self) -> str:
@@ -224,7 +248,8 @@ def _table_path(root: Path, name: str | None) -> Path:
 def _unit(table: ForeignTable, measure: str, units: Mapping[str, str]) -> Unit | None:
     if measure in units:
         return unit_of(units[measure])
-    return table.unit(measure) if table.is_numeric(measure) else None
+    has_numbers = any(table.number(cell) is not None for cell in table.column(measure))
+    return table.unit(measure) if has_numbers else None
 
 
 def _settled_by(guess: RoleGuess) -> str:

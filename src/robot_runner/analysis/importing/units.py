@@ -277,6 +277,7 @@ _STYLES = (
     ("['\u2019]", ".", "apostrophes between thousands"),
 )
 _WITH_COMMAS = frozenset(words for _, decimal, words in _STYLES if decimal == ",")
+_NUMBER = re.compile(r"[+-]?\d[\d., \u00a0\u202f'\u2019]*(?:[eE][+-]?\d+)?")
 _WITH_UNIT = re.compile(r"([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*([^\d\s.,].{0,11})")
 
 
@@ -303,7 +304,7 @@ class PlainCells:
 
 
 def plain_cells(cells: Sequence[str], *, decimal: str | None, has_decimal_commas: bool) -> PlainCells:
-    """Return a column with its numbers in plain notation; a column that is not numeric is unchanged.
+    """Return a column with its numbers in plain notation; words are unchanged, and columns that have mostly words.
 
     Args:
         cells: the column.
@@ -314,10 +315,10 @@ def plain_cells(cells: Sequence[str], *, decimal: str | None, has_decimal_commas
         >>> plain_cells(["1,5", "2,25", "nan"], decimal=None, has_decimal_commas=False).cells
         ['1.5', '2.25', 'nan']
     """
-    filled = {cell for cell in set(cells) if cell.casefold() not in MISSING}
+    filled = _mostly_numbers({cell for cell in set(cells) if cell.casefold() not in MISSING})
     numbers = {cell: cell for cell in filled}
     unit = None
-    suffixed = {cell: found for cell in filled if (found := _WITH_UNIT.fullmatch(cell))} if _have_units(filled) else {}
+    suffixed = {cell: found for cell in filled if (found := _WITH_UNIT.fullmatch(cell))}
     if filled and len(suffixed) == len(filled):
         suffixes = {found[2].strip() for found in suffixed.values()}
         unit = unit_of(suffixes.pop()) if len(suffixes) == 1 else None
@@ -335,9 +336,13 @@ def plain_cells(cells: Sequence[str], *, decimal: str | None, has_decimal_commas
     return PlainCells([written.get(cell, cell) for cell in cells], unit, said, doubt)
 
 
-def _have_units(filled: Collection[str]) -> bool:
-    """Return whether a few of the texts look like numbers with units, to skip the many columns that do not."""
-    return all(cell[0] in "+-0123456789" and not cell[-1].isdigit() for cell in list(filled)[:5])
+def _mostly_numbers(filled: Collection[str]) -> Collection[str]:
+    """Return the numbers, or numbers with units, of a column that has a few words beside them; else all cells."""
+    for kind in (_NUMBER, _WITH_UNIT):
+        found = [cell for cell in filled if kind.fullmatch(cell)]
+        if 2 * len(found) > len(filled):
+            return found
+    return filled
 
 
 def _readings(numbers: Collection[str], has_decimal_commas: bool) -> list[tuple[str, dict[str, str]]]:

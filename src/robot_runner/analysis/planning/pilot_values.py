@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from scipy import stats
 
+from robot_runner.analysis.comparison.matching import in_unit, of_one_quantity, why_incomparable
 from robot_runner.analysis.planning.assumed_values import AssumedMeasure
 from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, Design, design_of
 from robot_runner.core.errors import AnalysisError, did_you_mean
@@ -78,11 +79,15 @@ def pilot_values(study: Study, results: Results, measures: Sequence[str]) -> Pil
         if name not in results.measures:
             problem = f"the pilot has no measure {name!r}"
             raise AnalysisError(problem, where=where, fix=did_you_mean(name, results.measures))
+        if why := why_incomparable(results.unit(name), study.units[name]):
+            fix = "Correct the unit in the config, or name other measures with --measure."
+            raise AnalysisError(f"the pilot has another {name}. {why}", where=where, fix=fix)
     shared = _shared(study, design, where)
-    found = {name: _measure(study, design, name, shared, where) for name in measures}
+    units = {name: (results.unit(name), study.units[name]) for name in measures}
+    found = {name: _measure(study, design, name, shared, where, units[name]) for name in measures}
     told = {name: each for name, (each, _) in found.items()}
     freedoms = {name: freedom for name, (_, freedom) in found.items()}
-    return Pilot(results.name, told, tuple(_notes(study, design, shared)), freedoms)
+    return Pilot(results.name, told, (*_notes(study, design, shared), *_notes_on_units(units)), freedoms)
 
 
 def _shared(study: Study, design: Design, where: str) -> list[str]:
@@ -110,13 +115,26 @@ def _notes(study: Study, design: Design, shared: Sequence[str]) -> Iterator[str]
         yield "The pilot has no blocks: blocks are taken not to vary, unless --block-sd and --response-sd say how."
 
 
-def _measure(study: Study, design: Design, name: str, shared: Sequence[str], where: str) -> tuple[AssumedMeasure, int]:
-    """Return the assumptions on a measure, and the degrees of freedom of its standard deviation."""
+def _notes_on_units(units: Mapping[str, tuple[str, str]]) -> Iterator[str]:
+    for name, (own, wanted) in units.items():
+        if own != wanted:
+            taken = f"converted to {wanted}" if of_one_quantity(own, wanted) else "taken as they are"
+            both = f"in {own or 'no unit'} in the pilot, and in {wanted or 'no unit'} in the config"
+            yield f"{name} is {both}: its values are {taken}."
+
+
+def _measure(
+    study: Study, design: Design, name: str, shared: Sequence[str], where: str, units: tuple[str, str]
+) -> tuple[AssumedMeasure, int]:
+    """Return the assumptions on a measure, and the degrees of freedom of its standard deviation.
+
+    `units` are those of the measure in the pilot, and in the study.
+    """
     data = design.data(name)
     if data is None:
         what = "not a number" if design.answers(name) is None else "yes or no, of which no power is simulated,"
         raise AnalysisError(f"{name} is {what} in the pilot", where=where, fix="Name another with --measure.")
-    frame = _with_cells(data.frame, shared)
+    frame = _with_cells(data.frame.assign(**{VALUE: in_unit(data.frame[VALUE], *units)}), shared)
     means = frame.groupby(_CELL)[VALUE].mean().to_dict()
     counts = frame[_CELL].value_counts().to_dict()
     wanted = {cell: _part(study, cell, shared) for cell in study.cells}

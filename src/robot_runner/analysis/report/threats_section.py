@@ -218,18 +218,19 @@ def _excluded(material: Material) -> Threats:
 
 
 def _searched(material: Material) -> Threats:
-    results = material.results
+    results, planned = material.results, counted(len(material.results.runs), "run")
     searched = len(results.with_exploration.runs) - (len(results.runs) if results.only_confirming else 0)
     text = (
         f"The design decided on {counted(searched, 'run')} from the results of others. They are exploratory: the best "
         "of many looks better than it is, and they are not tested. "
     )
-    if results.only_confirming:
-        text += f"Statistics are of the {counted(len(results.runs), 'run')} that were planned beforehand to confirm it."
-        yield "What was found by searching was confirmed", text, Tone.NOTE
-    else:
-        text += "No further run confirms what was found: plan confirm=10, say."
-        yield "What was found by searching is not confirmed", text, Tone.WARNING
+    if results.only_confirming and len(results.done):
+        text += f"Statistics are of the {planned} that were planned beforehand to confirm it."
+        yield "What was found by searching was measured again", text, Tone.NOTE
+        return
+    none = f"None of the {planned} that were to confirm it is done."
+    text += none if results.only_confirming else "No further run confirms what was found: plan confirm=10, say."
+    yield "What was found by searching is not confirmed", text, Tone.WARNING
 
 
 def _extended(material: Material) -> Threats:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import chain
@@ -201,6 +201,12 @@ class RecoveredTable:
     doubts: defaultdict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
     reasons: defaultdict[str, dict[str, tuple[str, ...]]] = field(default_factory=lambda: defaultdict(dict))
 
+    def take_column(self, column: ColumnDescription, attempted: Container[str]) -> None:
+        """Take what the schema says of the values of a column, except of runs that were attempted since."""
+        self.origins[column.name].update(column.origin.split(", ") if column.origin else ())
+        self.reasons[column.name].update((run, why) for run, why in column.doubts.items() if run not in attempted)
+        self.doubts[column.owner].update(column.findings)
+
     def take_outcome(self, run_id: str, outcome: RunOutcome) -> bool:
         """Update the row of a run after its attempt; return whether a type or origin is new, which the schema lacks."""
         self.take_record({"run": run_id, **outcome.fields()})
@@ -228,6 +234,26 @@ class RecoveredTable:
         for name, measure in record["measures"].items():
             if doubts := measure.get("doubts"):
                 self.reasons[name][record["run"]] = tuple(doubts)
+
+    def changed_units(self, schema: Iterable[ColumnDescription], path: Path) -> Iterator[Finding]:
+        """Yield an error for each column whose values would be said to be in another unit than when they were taken.
+
+        Args:
+            schema: the columns as they were.
+            path: of the schema.
+        """
+        now = {column.name: column.measure.unit for column in self.experiment.columns.in_table}
+        now |= {factor.name: factor.unit for factor in self.experiment.model.factors}
+        for column in schema:
+            unit = now.get(column.name, column.unit)
+            if column.unit in {"", unit} or all(value is None for value in self.rows.values(column.name)):
+                continue
+            problem = f"{column.name} is in {column.unit} in the run table, and in {unit or 'no unit'} by the config"
+            fix = (
+                "Put the unit back, give what is in the other unit another name, or choose another experiment_name. If "
+                "only the word was wrong, correct it in this file, too."
+            )
+            yield Finding.error(str(path), problem, fix)
 
     def put_back_attempts(self) -> Iterator[str]:
         """Put the files of attempts back that were moved for a next attempt which a kill kept from beginning.

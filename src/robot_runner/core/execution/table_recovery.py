@@ -119,9 +119,7 @@ class _Recovery:
         table.former = self._former
         attempted = set(history.attempted)
         for column in self._schema:
-            table.origins[column.name].update(column.origin.split(", ") if column.origin else ())
-            table.reasons[column.name].update((run, why) for run, why in column.doubts.items() if run not in attempted)
-            table.doubts[column.owner].update(column.findings)
+            table.take_column(column, attempted)
         for line in history.doubtful.values():
             table.take_circumstances(parsed_record(self._journal, line))
         for owner, doubts in history.doubts.items():
@@ -131,6 +129,7 @@ class _Recovery:
         table.findings = (*self._schema_findings, *table.findings)
         self._add_newer(table)
         self._settle(table)
+        refuse_differences(table.changed_units(self._schema, self._experiment.folder.schema))
         return table
 
     def _read(self) -> RecoveredTable:
