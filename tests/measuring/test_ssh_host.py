@@ -17,9 +17,11 @@ from tests.measuring.busy_core import wait_for_samples
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.links.ssh_command import ssh_command, ssh_findings
 from robot_runner.measuring import on_board_session
 from robot_runner.measuring.host import FileHost, HostLink, ProcessHost
+from robot_runner.measuring.on_board_session import OnBoardSession
 from robot_runner.measuring.ssh_host import SshHost
 from robot_runner.ros.ros_environment import ros_of_host
 
@@ -202,6 +204,21 @@ def test_a_key_that_the_host_does_not_take_is_refused_with_a_remedy(server: SshS
     with pytest.raises(LinkError, match="Permission denied") as raised:
         SshHost("robot", SystemClock(), config=config).sample_utilisation(10.0)
     assert raised.value.fix == "Give it this machine's key: ssh-copy-id robot."
+
+
+def test_the_connection_of_a_run_that_is_interrupted_while_the_host_greets_is_ended(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    greeting: list[OnBoardSession] = []
+
+    def interrupt(session: OnBoardSession, _form: str | None) -> str:
+        greeting.append(session)
+        raise RunInterrupted
+
+    monkeypatch.setattr(OnBoardSession, "_agree", interrupt)
+    with pytest.raises(RunInterrupted):
+        OnBoardSession(["sh"], where="here", clock=SystemClock())
+    assert not greeting[0].is_alive
 
 
 def test_a_host_that_can_be_reached_gives_no_finding(server: SshServer) -> None:

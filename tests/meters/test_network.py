@@ -17,6 +17,8 @@ from tests.meters.fake_sysfs import write
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.early_end import RunInterrupted
+from robot_runner.measuring.meter_process import MeterProcess
 from robot_runner.meters import network
 from robot_runner.meters.counters import unwrapped
 from robot_runner.plugins import Circumstances
@@ -280,6 +282,23 @@ def test_a_tshark_that_never_listens_fails_the_run_before_the_mission(capturing,
     assert launched == []
     assert "capture" in raised.value.fix
     assert plugin._capturing is None
+
+
+def test_a_tshark_is_ended_with_the_run_that_is_interrupted_before_it_listens(capturing, fake_tshark, monkeypatch):
+    fake_tshark(seconds=60)
+    plugin, context = capturing
+    begun = []
+
+    def interrupt(process, *_, **__):
+        begun.append(process)
+        raise RunInterrupted
+
+    monkeypatch.setattr(MeterProcess, "wait", interrupt)
+    plugin.start_run(context)
+    with pytest.raises(RunInterrupted):
+        plugin.start_measurement(context)
+    plugin.stop_run(context)
+    assert not begun[0].is_running
 
 
 def test_a_tshark_that_may_not_capture_fails_the_run_with_its_own_words(capturing, fake_tshark):

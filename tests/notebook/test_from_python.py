@@ -37,6 +37,7 @@ from robot_runner.notebook import apart, from_python
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterator
+    from types import FrameType
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 
@@ -468,6 +469,50 @@ def test_an_interrupt_while_much_is_being_printed_tears_no_line() -> None:
     with pytest.raises(ExecutionError, match="KeyboardInterrupt"):
         apart.execute_forked(work, say)
     assert said == [33, 2_000_000]
+
+
+@pytest.mark.long
+def test_wherever_an_interrupt_comes_it_ends_the_copy_and_none_goes_on_without_its_program() -> None:
+    def work(tell: Callable[[str], object]) -> Any:
+        tell("begun")
+        time.sleep(60)
+
+    def interrupted(at: int | None) -> int:
+        """Interrupt at an instruction, or once the work has begun; return how many there were until then."""
+        count = 0
+
+        def trace(frame: FrameType, event: str, _argument: object) -> Any:
+            nonlocal count
+            frame.f_trace_opcodes = True
+            if event == "opcode" and os.getpid() == process:
+                count += 1
+                if count == at:
+                    signal.getsignal(signal.SIGINT)(signal.SIGINT, frame)  # type: ignore[misc, operator]
+            return trace if frame.f_code.co_filename == apart.__file__ else None
+
+        def say(_line: str) -> None:
+            if at is None:
+                sys.settrace(None)
+                os.kill(process, signal.SIGINT)
+
+        def traced() -> None:
+            try:
+                sys.settrace(lambda frame, *_: trace(frame, "", None))
+                apart.execute_forked(work, say)
+            finally:
+                sys.settrace(earlier)
+
+        process, earlier = os.getpid(), sys.gettrace()
+        with pytest.raises(KeyboardInterrupt):
+            traced()
+        with pytest.raises(ChildProcessError):
+            os.waitpid(-1, os.WNOHANG)
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        return count
+
+    count = interrupted(None)
+    for at in range(3, count, count // 40):
+        interrupted(at)
 
 
 def test_a_file_that_executes_its_class_while_it_is_loaded_is_refused_and_nothing_is_executed(tmp_path: Path) -> None:

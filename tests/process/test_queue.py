@@ -412,3 +412,16 @@ def test_an_experiment_that_is_refused_as_the_disk_fails_is_not_in_the_queue(
             queue.add(**FACTS)
     assert queue.read() == ([kept], [])
     assert queue.add(**FACTS).number > kept.number
+
+
+def test_an_experiment_is_not_in_the_queue_where_ctrl_c_ended_adding_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    queue, write = ExperimentQueue(), ExperimentQueue.write
+
+    def write_and_interrupt(*words: Any) -> None:
+        write(*words)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ExperimentQueue, "write", write_and_interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        queue.add(**FACTS)
+    assert queue.read() == ([], [])

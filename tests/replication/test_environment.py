@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
 import zipfile
@@ -216,3 +218,35 @@ def test_another_python_installs_by_a_pip_of_its_own_as_ours_may_not_know_it(tmp
         assert ("--without-pip" in made) == (version == own)
         before = [sys.executable, "-m", "pip", "--python", inside] if version == own else [inside, "-m", "pip"]
         assert installed[: len(before)] == before
+
+
+#: A program of another environment that counts how often it is asked to stop.
+COUNTING = """\
+#!{python}
+import signal, sys
+if "--help" not in sys.argv:
+    signal.pthread_sigmask(signal.SIG_BLOCK, {{signal.SIGINT}})
+    print("ready", flush=True)
+    while signal.sigtimedwait({{signal.SIGINT}}, 1.5) is not None:
+        print("asked", flush=True)
+"""
+EXECUTING = """\
+import sys
+from pathlib import Path
+from robot_runner.replication.virtual_environments import execute_with
+sys.exit(execute_with(Path(sys.argv[1]), ["replicate"], quietly="--quietly", output=None))
+"""
+
+
+@pytest.mark.long
+def test_ctrl_c_asks_the_program_of_another_environment_once_and_not_twice_which_would_kill_its_run(tmp_path):
+    program = tmp_path / "program"
+    program.write_text(COUNTING.format(python=sys.executable), encoding="utf-8")
+    program.chmod(0o755)
+    words = [sys.executable, "-c", EXECUTING, str(program)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, start_new_session=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+        assert process.stdout.read() == "asked\n"
+    assert process.returncode == 0

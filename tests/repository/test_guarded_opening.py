@@ -85,7 +85,6 @@ OTHERS: dict[str, str] = {
         ),
         "a file that the user names": (
             "cli/commands/try_.py: _kept",
-            "cli/templating.py: write_new_file",
             "core/config/notify.py: addresses_from",
             "core/storage/input_files.py: _file_digest",
             "core/storage/input_files.py: kept_contents",

@@ -22,6 +22,7 @@ from tests.waiting import wait_until
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.links.connect import open_clock
 from robot_runner.core.links.robot import Qos
@@ -29,6 +30,8 @@ from robot_runner.ros import ros1_node as node
 from robot_runner.ros.graph_clock import GraphClock
 from robot_runner.ros.ros1_link import open_ros1_link
 from robot_runner.ros.ros1_master import Master
+from robot_runner.ros.ros1_publisher import Publisher
+from robot_runner.ros.ros1_transport import _Subscription
 from robot_runner.ros.ros1_types import as_mapping, as_message, message_class, shape_of
 from robot_runner.ros.shapes import completed
 from robot_runner.ros.transform_buffer import TransformBuffer
@@ -184,6 +187,24 @@ class TestGraph:
         link.offer("bell", "std_srvs/Trigger", lambda _: {})
         assert own_nodes()
         link.close()
+        assert own_nodes() == set()
+
+    @pytest.mark.parametrize(
+        ("waits", "use"),
+        [
+            ((Publisher, "reach"), lambda link: link.publish("chat", STRING, {"data": "hi"})),
+            ((_Subscription, "connect"), lambda link: link.subscribe("chat", STRING, print)),
+        ],
+    )
+    def test_nothing_is_left_at_the_master_of_a_topic_where_the_run_is_interrupted_as_it_is_joined(
+        self, opened, own_nodes, monkeypatch, waits, use
+    ):
+        def interrupt(*_):
+            raise RunInterrupted
+
+        monkeypatch.setattr(*waits, interrupt)
+        with pytest.raises(RunInterrupted):
+            use(opened())
         assert own_nodes() == set()
 
     def test_one_node_is_all_robots_of_a_process(self, opened, own_nodes):

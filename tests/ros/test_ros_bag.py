@@ -22,8 +22,10 @@ from tests.core.links.ssh_server import SshServer
 from tests.waiting import wait_until
 
 from robot_runner.core.errors import PluginError
+from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.events.measure import Origin
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos
+from robot_runner.measuring.meter_process import MeterProcess
 from robot_runner.ros import bag_recorder
 from robot_runner.ros.bag_file import began_late, messages_in, new_bag
 from robot_runner.ros.bag_recorder import BagProgram
@@ -241,6 +243,19 @@ def test_both_recorders_finish_their_bags(tmp_path, programs, encoding):
     recorder = BagProgram(encoding, ["/odom", "/voice"], folder)
     assert recorder.close() is None
     assert messages_in(folder) == 2
+
+
+def test_a_recorder_is_ended_where_the_run_is_interrupted_while_it_starts(tmp_path, programs, monkeypatch):
+    begun = []
+
+    def interrupt(process, *_, **__):
+        begun.append(process)
+        raise RunInterrupted
+
+    monkeypatch.setattr(MeterProcess, "wait", interrupt)
+    with pytest.raises(RunInterrupted):
+        BagProgram(Encoding.CDR, ["/odom"], tmp_path)
+    assert not begun[0].is_running
 
 
 def test_a_recorder_that_cannot_start_fails_the_run_with_what_it_said(tmp_path, programs):

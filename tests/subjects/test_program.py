@@ -14,7 +14,7 @@ import sys
 import time
 from functools import partial
 from pathlib import Path
-from threading import Timer
+from threading import Thread, Timer
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 from unittest.mock import Mock
@@ -32,6 +32,7 @@ from robot_runner.core.config.treatment_makers import Workshop
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.errors import PluginError, RobotRunnerError, StorageError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.plugin import Circumstances
 from robot_runner.plugins.systems import Program
 from robot_runner.subjects import supervisor
@@ -224,6 +225,35 @@ def test_the_wait_for_the_end_of_an_earlier_start_is_no_part_of_the_startup_time
     opening = Timer(2.0, held.close)
     startup_time, until_mission = startup_and_all_before_the_mission(context, program, opening.start)
     assert startup_time <= until_mission - 2.0
+
+
+def test_a_program_is_ended_at_once_where_its_run_is_interrupted_while_it_is_being_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, token: str
+) -> None:
+    def interrupt(_program: SupervisedProgram) -> None:
+        wait_until(lambda: alive(token))
+        raise RunInterrupted
+
+    monkeypatch.setattr(SupervisedProgram, "_await_start", interrupt)
+    program = Program(["sh", "-c", "while :; do sleep 0.2; done", token])
+    with pytest.raises(RunInterrupted):
+        program.start_run(make_context(tmp_path, program, clock=SystemClock()))
+    assert not alive(token)
+
+
+def test_a_subject_whose_run_is_interrupted_before_it_is_watched_is_stopped_without_a_failure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, token: str
+) -> None:
+    def interrupt(_thread: Thread) -> None:
+        raise RunInterrupted
+
+    program = Program(["sh", "-c", "while :; do sleep 0.2; done", token])
+    context = make_context(tmp_path, program, clock=SystemClock())
+    monkeypatch.setattr(Thread, "start", interrupt)
+    with pytest.raises(RunInterrupted):
+        program.start_run(context)
+    program.stop_run(context)
+    assert not alive(token)
 
 
 def test_what_kills_all_of_a_runs_session_leaves_the_supervisor_that_ends_its_program(tmp_path: Path) -> None:

@@ -117,7 +117,7 @@ class ExperimentQueue:
             added = QueuedExperiment(number, **facts)
             try:
                 self.write(added)
-            except StorageError:  # it may be there all the same; and who was refused adds it once more
+            except (StorageError, KeyboardInterrupt):  # it may be there all the same; and who was refused adds it again
                 with suppress(StorageError):
                     guarded_files.remove(self._file(number), self.folder)
                 raise

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
-from typing import TextIO
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.guarded_files import open_to_write
 
 _TEMPLATES = Path(__file__).parent / "templates"
 
@@ -27,20 +27,8 @@ def write_new_file(path: Path, text: str, *, instead: str) -> None:
     Raises:
         StorageError: it is there, or cannot be written.
     """
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            _fill(file, text, path)
-    except FileExistsError as error:
-        raise StorageError("there is a file of this name already", where=str(path), fix=instead) from error
-    except OSError as error:
-        raise storage_error(path, "written", error) from error
-
-
-def _fill(file: TextIO, text: str, path: Path) -> None:
-    """Write to a new file; where that fails, nothing is left of it."""
-    try:
-        file.write(text)
-        file.flush()
-    except OSError:
-        path.unlink(missing_ok=True)
-        raise
+    if os.path.lexists(path):
+        raise StorageError("there is a file of this name already", where=str(path), fix=instead)
+    # Beside it first: where this is interrupted or fails, there is no part of a file that a second try would respect.
+    with open_to_write(path, mode=0o666) as file:
+        file.write(text.encode())

@@ -111,7 +111,7 @@ class OnBoardSession:
         self._listener.start()
         try:
             self.form = self._agree(form)
-        except LinkError:
+        except BaseException:  # also where the run ends now
             self.close()
             raise
 

@@ -142,9 +142,11 @@ class Network(PolledProfiler[Counters]):
         folder = context.raw_data_folder
         capture = folder / "capture.pcapng"
         tshark = MeterProcess(self._tshark(capture), output=None, folder=folder, clock=machine_clock(context))
+        self._capturing = tshark  # before it is awaited: the run may end meanwhile
         # tshark begins its file once it captures.
         if tshark.wait(lambda: capture.exists() and capture.stat().st_size > 0, seconds=_STARTUP):
             return tshark
+        self._capturing = None
         ending = tshark.stop(signal.SIGINT, grace=_GRACE)
         problem = (
             f"tshark did not begin to capture within {_STARTUP:g} s"

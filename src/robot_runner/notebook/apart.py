@@ -9,14 +9,16 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import traceback
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NoReturn
+from types import FrameType
+from typing import Any, NoReturn, Self
 
 from robot_runner.core import errors
 from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, Severity
@@ -45,15 +47,17 @@ def execute_in_interpreter(
     line = [sys.executable, "-c", program, function, str(writer)]
     searched = (each for each in sys.path if isinstance(each, str) and each)  # as Python does, which takes no Path
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(searched)}
-    process = subprocess.Popen(  # noqa: S603 - this interpreter, and our own program
-        line, stdin=subprocess.PIPE, pass_fds=[writer], env=environment, start_new_session=True
-    )
-    os.close(writer)
-    assert process.stdin is not None  # noqa: S101 - it is a pipe
-    with suppress(BrokenPipeError), process.stdin as asked:  # it has ended already, which its code tells
-        asked.write(json.dumps(request).encode())
-    last = _followed(process.pid, reader, say)
-    return _outcome(process.wait(), last)
+    with _Interrupts() as interrupts:
+        process = subprocess.Popen(  # noqa: S603 - this interpreter, and our own program
+            line, stdin=subprocess.PIPE, pass_fds=[writer], env=environment, start_new_session=True
+        )
+        os.close(writer)
+        assert process.stdin is not None  # noqa: S101 - it is a pipe
+        with suppress(BrokenPipeError), process.stdin as asked:  # it has ended already, which its code tells
+            asked.write(json.dumps(request).encode())
+        last = _followed(process.pid, reader, say, interrupts)
+        code = process.wait()
+    return _outcome(code, last, interrupts)
 
 
 def be_requested() -> NoReturn:
@@ -77,38 +81,85 @@ def execute_forked(work: Work, say: Callable[[str], object] | None) -> Experimen
 
     Raises:
         RobotRunnerError: what the experiment raised.
+        KeyboardInterrupt: the user interrupted it before it had begun.
     """
     reader, writer = os.pipe()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of forking beside threads: the copy uses none of them
-        pid = os.fork()
-    if pid == 0:
-        os.setsid()  # a notebook interrupts its whole process group, and then this process a second time
-        os.close(reader)
-        _be_apart(work, os.fdopen(writer, "wb", buffering=0))
-    os.close(writer)
-    last = _followed(pid, reader, say)
-    return _outcome(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), last)
+    with _Interrupts() as interrupts:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of forking beside threads: the copy uses none of them
+            pid = os.fork()
+        if pid == 0:
+            os.setsid()  # a notebook interrupts its whole process group, and then this process a second time
+            os.close(reader)
+            _be_apart(work, os.fdopen(writer, "wb", buffering=0))
+        os.close(writer)
+        last = _followed(pid, reader, say, interrupts)
+        code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    return _outcome(code, last, interrupts)
 
 
-def _followed(pid: int, reader: int, say: Callable[[str], object] | None) -> dict[str, Any]:
+class _Interrupts:
+    """Passes Ctrl-C, and a notebook's interrupt, on to the copy, and raises nothing here meanwhile.
+
+    Raised here, it would tear a record, or leave a copy that nobody follows; and in the copy, before that handles it, a
+    second program would go on as if it were this one.
+
+    Attributes:
+        count: how many came.
+    """
+
+    def __init__(self) -> None:
+        self.count = self._copy = 0
+
+    def __enter__(self) -> Self:
+        is_main = threading.current_thread() is threading.main_thread()  # nothing is raised in other threads
+        self._earlier = signal.getsignal(signal.SIGINT) if is_main else None  # None also for one that is not Python's
+        if self._earlier is not None:
+            signal.signal(signal.SIGINT, self.take)
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        if self._earlier is not None:
+            signal.signal(signal.SIGINT, self._earlier)
+
+    def pass_on_to(self, pid: int) -> None:
+        """Pass them on to the copy from now on, and the first of those that came before."""
+        self._copy = pid
+        if self.count:
+            self._interrupt()
+
+    def stop_passing_on(self) -> None:
+        """Pass no more of them on: the copy has ended."""
+        self._copy = 0
+
+    def take(self, _number: int = signal.SIGINT, _frame: FrameType | None = None) -> None:
+        """Take one, and pass it on, if there is a copy to pass it on to."""
+        self.count += 1
+        self._interrupt()
+
+    def _interrupt(self) -> None:
+        if self._copy:
+            with suppress(ProcessLookupError):
+                os.kill(self._copy, signal.SIGINT)
+
+
+def _followed(pid: int, reader: int, say: Callable[[str], object] | None, interrupts: _Interrupts) -> dict[str, Any]:
     """Pass on what the copy says, and return its last record."""
     last: dict[str, Any] = {}
     takers = {"print": _print, "say": say}
     with os.fdopen(reader, "rb") as records:
-        while True:
-            try:
-                line = records.readline()
-                if not line:
-                    break
-                record = json.loads(line)
-                if kind := next((each for each in takers if each in record), None):
+        for line in records:
+            record = json.loads(line)
+            if kind := next((each for each in takers if each in record), None):
+                try:
                     takers[kind] = _told(takers[kind], record[kind])
-                else:
-                    last = record
-            except KeyboardInterrupt:
-                with suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGINT)
+                except KeyboardInterrupt:  # raised by what takes the lines
+                    interrupts.take()
+            elif "listens" in record:
+                interrupts.pass_on_to(pid)
+            else:
+                last = record
+    interrupts.stop_passing_on()
     return last
 
 
@@ -128,9 +179,11 @@ def _told(take: Callable[[str], object] | None, text: str) -> Callable[[str], ob
     return take
 
 
-def _outcome(code: int, last: dict[str, Any]) -> ExperimentFinished:
-    if "error" in last:
-        kind = getattr(errors, str(last["error"]), ExecutionError)
+def _outcome(code: int, last: dict[str, Any], interrupts: _Interrupts) -> ExperimentFinished:
+    if interrupts.count and not last.keys() & {"error", "finished"}:
+        raise KeyboardInterrupt
+    if "findings" in last:
+        kind = getattr(errors, str(last.get("error")), ExecutionError)
         findings = [Finding(Severity(each.pop("severity")), **each) for each in last["findings"]]
         raise kind.of_findings(findings)
     if "finished" not in last:
@@ -162,36 +215,46 @@ class _Told(io.TextIOBase):
 
 def _be_apart(work: Work, records: io.FileIO) -> NoReturn:
     """Execute the experiment in the copy, and leave without what the copied program would do at its end."""
-    stop_with_parent()
-    stops = stop_signals_to_handle()
-    for number in stops:
-        signal.signal(number, signal.default_int_handler)
-
-    def tell(record: dict[str, Any]) -> None:
-        left = memoryview(json.dumps(record, default=str).encode() + b"\n")
-        earlier = signal.pthread_sigmask(signal.SIG_BLOCK, stops)  # what their handlers raise would tear the line
-        try:
-            with suppress(BrokenPipeError):
-                while left:  # other signals let the system write a part
-                    left = left[records.write(left) :]
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, earlier)
-
-    sys.stdin = open(os.devnull, encoding="utf-8")  # noqa: SIM115, PTH123 - as long as the process
-    sys.stdout = sys.stderr = _Told(tell)
     code = 1
     try:
+        stop_with_parent()
+        stops = stop_signals_to_handle()
+
+        def tell(record: dict[str, Any]) -> None:
+            left = memoryview(json.dumps(record, default=str).encode() + b"\n")
+            earlier = signal.pthread_sigmask(signal.SIG_BLOCK, stops)  # what their handlers raise would tear the line
+            try:
+                with suppress(BrokenPipeError):
+                    while left:  # other signals let the system write a part
+                        left = left[records.write(left) :]
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, earlier)
+
+        sys.stdin = open(os.devnull, encoding="utf-8")  # noqa: SIM115, PTH123 - as long as the process
+        sys.stdout = sys.stderr = _Told(tell)
+        _tell_outcome(work, tell, stops)
+        code = 0
+    finally:
+        os._exit(code)
+
+
+def _tell_outcome(work: Work, tell: Callable[[dict[str, Any]], None], stops: Sequence[signal.Signals]) -> None:
+    try:
+        for number in stops:
+            signal.signal(number, signal.default_int_handler)
+        tell({"listens": True})
         finished = work(lambda line: tell({"say": line}))
         tell({"finished": {**_plain(finished), "findings": list(map(_plain, finished.findings))}})
-        code = 0
     except RobotRunnerError as error:
         tell({"error": type(error).__name__, "findings": list(map(_plain, error.findings))})
     except BaseException as error:  # noqa: BLE001 - it is told, whatever it is
-        traceback.print_exc()
-        finding = Finding.error("run_experiment", f"{type(error).__name__}: {error}", "Look at the traceback.")
-        tell({"error": "ExecutionError", "findings": [_plain(finding)]})
-    finally:
-        os._exit(code)
+        is_interrupted = isinstance(error, KeyboardInterrupt)
+        if not is_interrupted:
+            traceback.print_exc()
+        fix = "Call it again." if is_interrupted else "Look at the traceback."
+        finding = Finding.error("run_experiment", f"{type(error).__name__}: {error}", fix)
+        kind = "interrupted" if is_interrupted else "error"
+        tell({kind: "ExecutionError", "findings": [_plain(finding)]})
 
 
 def _plain(value: Any) -> dict[str, Any]:

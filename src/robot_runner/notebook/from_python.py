@@ -116,6 +116,7 @@ def run_experiment(  # noqa: PLR0913 - one keyword for each thing that the comma
     Raises:
         ConfigError: the config is refused; all findings are told.
         RobotRunnerError: the experiment cannot start, or cannot go on.
+        KeyboardInterrupt: the user interrupted before the experiment was begun; later, the results tell it.
 
     Example:
         >>> from robot_runner import ExperimentConfig, Factor, RunTableModel

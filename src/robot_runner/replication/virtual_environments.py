@@ -6,7 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
@@ -195,9 +195,10 @@ def execute_with(program: Path, words: Sequence[str], *, quietly: str, output: T
             [str(program), words[0], "--help"], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
         )
         asked = [str(program), *words, *([quietly] if quietly in known.stdout else [])]
-        with _passed_on() as passed_on:
-            process = subprocess.Popen(asked, stdout=output)  # noqa: S603 - as above
-            passed_on.append(process)
+        with _passed_on() as pass_on_to:
+            # In a session of its own, so that each signal arrives once: a terminal sends Ctrl-C to all of a session.
+            process = subprocess.Popen(asked, stdout=output, start_new_session=True)  # noqa: S603 - as above
+            pass_on_to(process)
             return process.wait()
     except OSError as error:
         fix = "Remove the environment, then repeat the command."
@@ -205,16 +206,22 @@ def execute_with(program: Path, words: Sequence[str], *, quietly: str, output: T
 
 
 @contextmanager
-def _passed_on() -> Iterator[list[subprocess.Popen[bytes]]]:
-    """Yield a list; stop requests are forwarded to the processes in it, and do not interrupt this one.
-
-    A terminal sends Ctrl-C to them, too; the program counts two within a second as one.
-    """
+def _passed_on() -> Iterator[Callable[[subprocess.Popen[bytes]], None]]:
+    """Yield what takes a process: stop requests, also earlier ones, are forwarded to it, and do not interrupt us."""
     processes: list[subprocess.Popen[bytes]] = []
+    asked: list[int] = []
 
-    def pass_on(number: int, _frame: FrameType | None) -> None:
-        for process in processes:
-            process.send_signal(number)
+    def pass_on() -> None:
+        while processes and asked:
+            processes[0].send_signal(asked.pop(0))
 
-    with stop_signals_handled(pass_on):
-        yield processes
+    def take_signal(number: int, _frame: FrameType | None) -> None:
+        asked.append(number)
+        pass_on()
+
+    def take_process(process: subprocess.Popen[bytes]) -> None:
+        processes.append(process)
+        pass_on()
+
+    with stop_signals_handled(take_signal):
+        yield take_process

@@ -102,7 +102,11 @@ class BagProgram:
             script = _ON_HOST.format(setup=sourced, command=words, signal=ending_signal, beat=_BEAT)
             command = ssh_command(host, f"bash -c {shlex.quote(script)}", config=ssh_config)
         self._process = MeterProcess(command, output=None, folder=folder, clock=SystemClock())
-        self._process.wait(self._has_begun, seconds=_STARTUP)
+        try:
+            self._process.wait(self._has_begun, seconds=_STARTUP)
+        except BaseException:  # the run ends now: what was begun on another computer is removed there, too
+            self.close()
+            raise
         if not self._process.is_running:
             ending = self._process.stop(ENDING[encoding], grace=_GRACE)
             raise PluginError(

@@ -69,7 +69,7 @@ class Publisher:
         self._publisher = within(partial(self._register, qos), where=topic, doing="registering the publisher")
         try:
             self.reach()
-        except Exception:
+        except BaseException:  # also where the run ends now
             self.close()
             raise
 

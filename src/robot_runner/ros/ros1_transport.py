@@ -77,7 +77,11 @@ class Ros1Transport:
         self._check_type(topic, message_type, publishers_only=True)
         publishers = [each.node for each in self.publishers(topic)]
         subscription = _Subscription(self, topic, message_class(message_type), receive)
-        subscription.connect(publishers)
+        try:
+            subscription.connect(publishers)
+        except BaseException:  # the run ends now
+            subscription.close()
+            raise
         return subscription
 
     def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:

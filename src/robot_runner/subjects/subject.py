@@ -230,16 +230,14 @@ class Subject(System):
             self._start(context)
 
     def _start(self, context: RobotRunnerContext) -> None:
-        start: supervised_program.Start
-        if self._is_of_run:
+        try:
             # If the run is killed, its supervisor has time to clean up.
             begun = context.outlives if self.last_words() is not None else lambda _: None
-            start = self._begin(context, context.raw_data_folder, begun)
-        else:
-            start = self._attached(context)
-        if self._robot is not None and context.robot is not None:
-            self._robot.tell = partial(CommandedTopics(start).add, context.robot)
-        try:
+            start: supervised_program.Start = (
+                self._begin(context, context.raw_data_folder, begun) if self._is_of_run else self._attached(context)
+            )
+            if self._robot is not None and context.robot is not None:
+                self._robot.tell = partial(CommandedTopics(start).add, context.robot)
             self._await_ready(context, start)
         except BaseException:
             if self._robot is not None:
@@ -261,9 +259,8 @@ class Subject(System):
         if self._robot is not None:
             self._robot.look_at_last()
         self._is_ending.set()
-        if self._watch is not None:
+        if self._watch is not None and self._watch.is_alive():  # the run may have been ended as it was to be started
             self._watch.join()
-            self._watch = None
         program = self._program
         if not self._is_of_run or program is None:
             return
@@ -333,8 +330,12 @@ class Subject(System):
             ssh_config=around.ssh_config,
             lock=self._lock(context),
         )
-        self._program = supervised_program.SupervisedProgram(folder, task, name=self.name, begun=begun)
-        return self._program
+
+        def know(program: supervised_program.SupervisedProgram, supervisor: int) -> None:
+            self._program = program  # before it starts anything: it is ended wherever this is interrupted
+            begun(supervisor)
+
+        return supervised_program.SupervisedProgram(folder, task, name=self.name, begun=know)
 
     def _lock(self, context: ExperimentContext) -> Path:
         """Return the file that is locked from each start of this subject until all of it has ended."""

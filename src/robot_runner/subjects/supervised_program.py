@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Self
 
 from robot_runner.core.errors import PluginError, StorageError, did_you_mean
 from robot_runner.core.execution.processes import FEWER_PROCESSES, needed_process
@@ -225,13 +225,16 @@ class SupervisedProgram(Start):
         folder: for its output; made if it is missing.
         task: what is started.
         name: of the plugin, for messages.
-        begun: called with the process id of the supervisor, which is always on this machine, before it starts anything.
+        begun: called with this, and the process id of the supervisor, which is always on this machine, before that
+            starts anything.
 
     Raises:
         RobotRunnerError: it cannot be started.
     """
 
-    def __init__(self, folder: Path, task: Task, *, name: str, begun: Callable[[int], object] = lambda _: None) -> None:
+    def __init__(
+        self, folder: Path, task: Task, *, name: str, begun: Callable[[Self, int], object] = lambda *_: None
+    ) -> None:
         super().__init__(folder)
         folder.mkdir(parents=True, exist_ok=True)
         self._task = task
@@ -250,7 +253,7 @@ class SupervisedProgram(Start):
                 start_new_session=True,
                 pass_fds=[*turn, *held_against_users()],
             )
-        begun(self._supervisor.pid)
+        begun(self, self._supervisor.pid)
         self._say(task.line(self.stdout, self.stderr))
         self._await_start()
 

@@ -53,6 +53,36 @@ def test_nothing_is_left_of_a_file_for_which_the_disk_has_no_room(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of files that the interruption closes
+@pytest.mark.parametrize("words", [[], ["--plugin", "profiler"]])
+def test_wherever_it_is_interrupted_nothing_is_there_or_all_of_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, words: list[str]
+) -> None:
+    def written(at: int, folder: Path) -> dict[str, str]:
+        folder.mkdir()
+        monkeypatch.chdir(folder)
+        calls = iter(range(1, at))
+
+        def call_or_interrupt(_frame: object, event: str, function: object) -> None:
+            is_writing = getattr(function, "__name__", "") in {"open", "mkdir", "write", "fsync", "close", "unlink"}
+            if event == "c_return" and is_writing and next(calls, None) is None:
+                sys.setprofile(None)
+                raise KeyboardInterrupt
+
+        sys.setprofile(call_or_interrupt)
+        try:
+            main(["new", *words])
+        finally:
+            sys.setprofile(None)
+        return {str(file.relative_to(folder)): file.read_text("utf-8") for file in folder.rglob("*") if file.is_file()}
+
+    whole = written(1000, tmp_path / "whole")
+    outcomes = [written(at, tmp_path / str(at)) for at in range(1, 40)]
+    assert all(outcome in ({}, whole) for outcome in outcomes)
+    assert {} in outcomes
+    assert whole in outcomes
+
+
 def test_an_existing_file_is_never_overwritten(robot_runner: Callable, tmp_path: Path) -> None:
     (tmp_path / "experiment.py").write_text("mine", encoding="utf-8")
     answer = robot_runner("new")

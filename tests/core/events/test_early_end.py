@@ -52,6 +52,16 @@ def test_a_request_comes_also_where_the_block_fails(gate: InterruptGate) -> None
         gate.request(at_once=True)
 
 
+def test_a_request_that_waits_for_the_end_of_a_block_is_not_taken_for_one_that_a_callback_ignores(
+    gate: InterruptGate,
+) -> None:
+    told: list[object] = []
+    gate.held_up = told.append
+    with pytest.raises(RunInterrupted), undivided:
+        gate._take_signal(signal.SIGTERM, None)
+    assert told == []
+
+
 def test_a_request_that_comes_when_nothing_may_be_interrupted_waits_for_the_next_callback(gate: InterruptGate) -> None:
     gate.disarm()
     with undivided:

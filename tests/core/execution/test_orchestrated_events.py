@@ -15,6 +15,7 @@ from tests.core.execution.conftest import execute_in
 from tests.long_cases import long_but
 
 from robot_runner.core.errors import ExecutionError
+from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents
 from robot_runner.core.execution.orchestrator_events import DeadlinePassed, EventDeadline
 from robot_runner.core.storage import journal
 
@@ -317,12 +318,26 @@ def test_a_watcher_that_fails_does_not_go_on_as_the_experiment(monkeypatch: pyte
 
 
 def test_a_deadline_passes_also_where_its_signal_was_blocked_when_the_program_began() -> None:
+    events, event = EventManager(), RobotRunnerEvents.BEFORE_EXPERIMENT
+    events.subscribe(event, lambda: time.sleep(60.0), owner="config", kind=OwnerKind.CONFIG)
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM})
     try:
-        with pytest.raises(DeadlinePassed), EventDeadline("an event", 0.01, 1.0):
-            time.sleep(60.0)
+        with EventDeadline("an event", 0.01, 1.0):
+            emission = events.emit(event, lambda _owner: None)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    assert [type(failure.error) for failure in emission.failures] == [DeadlinePassed]
+
+
+def test_a_request_to_stop_of_a_second_terminal_is_recorded_also_where_it_ends_a_callback(execute: Execute) -> None:
+    body = """
+def before_run(self, context):
+    (context.experiment_folder / ".stop").touch()
+    context.clock.sleep(60)
+"""
+    executed = execute(body)
+    assert executed.finished.interrupted
+    assert len(executed.journal("stop_requested")) == 1
 
 
 def test_an_error_whose_text_ends_the_program_fails_its_run_and_no_more(execute: Execute) -> None:

@@ -7,12 +7,18 @@ import os
 import sys
 import threading
 import time
+from collections.abc import Callable
+from contextlib import suppress
+from types import FrameType
 from typing import Any
 
 import pytest
 from tests.waiting import PATIENCE
 
 from robot_runner.core.errors import ExecutionError
+from robot_runner.core.events.early_end import RunInterrupted
+from robot_runner.core.execution import run_records
+from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.run_records import FINISHED, RecordReader, RecordWriter, failure_fields
 
 
@@ -105,3 +111,56 @@ def test_callbacks_do_not_fill_the_memory_for_an_orchestrator_that_never_reads_a
     share(1)  # once it reads, callbacks go on
     os.close(writing)
     os.close(reading)
+
+
+def _told(at: int | None, act: Callable[[RecordWriter], object]) -> tuple[list[str], int]:
+    """Act at an instruction of sending a long record; return what arrives, and how many instructions it has."""
+    reader, writer = os.pipe()
+    records, sent, count = RecordReader(reader), RecordWriter(writer), 0
+
+    def trace(frame: FrameType, event: str, _argument: object) -> Any:
+        nonlocal count
+        if frame.f_code.co_filename != run_records.__file__:
+            return None
+        frame.f_trace_opcodes = True
+        if event == "opcode":
+            count += 1
+            if count == at:
+                act(sent)
+        return trace
+
+    earlier = sys.gettrace()
+    with suppress(RunInterrupted):
+        try:
+            sys.settrace(trace)
+            sent("shared", {"values": "long" * 3_000})
+        finally:
+            sys.settrace(earlier)
+    sent("window", {})
+    sent.close()
+    os.set_blocking(reader, True)
+    kinds = [kind for kind, _ in records.read()[0]]
+    os.close(reader)
+    return kinds, count
+
+
+def test_a_record_that_is_interrupted_anywhere_is_neither_torn_nor_told_twice() -> None:
+    def interrupt(_sent: RecordWriter) -> None:
+        gate = InterruptGate()
+        gate.request(at_once=True)
+
+    kinds, count = _told(None, interrupt)
+    assert kinds == ["shared", "window"]
+    for at in range(1, count + 1):
+        kinds, _ = _told(at, interrupt)
+        assert kinds in (["shared", "window"], ["window"]), at
+
+
+def test_a_signal_handler_may_tell_something_while_another_record_is_being_sent() -> None:
+    def tell(sent: RecordWriter) -> None:
+        sent("mission_stopped", {})
+
+    _, count = _told(None, tell)
+    for at in range(1, count + 1):
+        kinds, _ = _told(at, tell)
+        assert sorted(kinds) == ["mission_stopped", "shared", "window"], at

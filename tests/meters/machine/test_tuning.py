@@ -13,7 +13,7 @@ import textwrap
 import time
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from unittest.mock import Mock
 
 import pytest
@@ -116,6 +116,24 @@ def test_a_setting_that_the_kernel_does_not_take_leaves_all_as_it_was(copy: Comp
         machine.apply(WISHES, owner=os.getpid())
     assert (copy.read(GOVERNORS[0]), copy.read(TURBO)) == ("powersave", "0")
     assert not machine.state.exists()
+
+
+def test_a_command_that_is_interrupted_between_two_settings_leaves_all_as_it_was_and_can_be_repeated(
+    copy: ComputerCopy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["tune", "--root", str(copy.root), "--governor", "performance", "--turbo", "off"]
+    set_one = Machine._set
+
+    def set_and_interrupt(machine: Machine, *change: Any, **more: Any) -> None:
+        set_one(machine, *change, **more)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as ctrl_c:
+        ctrl_c.setattr(Machine, "_set", set_and_interrupt)
+        assert main(words) == 130
+    assert setting(copy) == AS_BEFORE
+    assert main(words) == 0
+    assert setting(copy) == AS_ASKED
 
 
 def test_what_somebody_else_has_set_since_is_left(copy: ComputerCopy, machine: Machine) -> None:

@@ -8,8 +8,10 @@ The config describes a short experiment on the embedded robot, the plugin measur
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
+import shutil
 import sys
 from argparse import Namespace
 from keyword import iskeyword
@@ -161,16 +163,20 @@ def write_plugin_package(folder: Path, kind: str) -> str:
         f"{module}.py": template(f"{kind}_plugin.txt"),
         f"test_{module}.py": template(f"{kind}_plugin_test.txt"),
     }
-    try:
-        folder.mkdir(parents=True)
-    except FileExistsError as error:
+    if os.path.lexists(folder):
         fix = f"Choose another name: robot-runner new --plugin {kind} NAME"
-        raise StorageError("there is a file or folder of this name already", where=str(folder), fix=fix) from error
+        raise StorageError("there is a file or folder of this name already", where=str(folder), fix=fix)
+    unfinished = folder.with_name(f".{folder.name}.{os.getpid()}.tmp")
+    try:
+        unfinished.mkdir(parents=True)
+        for name, text in files.items():
+            write_new_file(unfinished / name, _filled(text, words), instead="Choose another name.")
+        unfinished.rename(folder)
     except OSError as error:
         fix = "Name one in a folder that can be written."
         raise StorageError(f"the folder cannot be made: {error.strerror}", where=str(folder), fix=fix) from error
-    for name, text in files.items():
-        write_new_file(folder / name, _filled(text, words), instead="Choose another name.")
+    finally:  # where it is interrupted or fails, there is no part of a package that a second try would respect
+        shutil.rmtree(unfinished, ignore_errors=True)
     return words["Class"]
 
 

@@ -100,12 +100,16 @@ class Undivided(ContextDecorator):
             held, self._held = self._held, None
             held()
 
+    @property
+    def is_entered(self) -> bool:
+        """Whether this is the main thread, in such a block."""
+        return self._depth > 0 and _is_main_thread()
+
     def hold(self, request: Callable[[], None]) -> bool:
         """Return whether the main thread is in such a block; `request` is called at its end then."""
-        if self._depth and _is_main_thread():
+        if self.is_entered:
             self._held = request
-            return True
-        return False
+        return self.is_entered
 
 
 #: The one for all blocks: `with undivided:`, or `@undivided` above a function.

@@ -8,6 +8,7 @@ from typing import Any
 
 from robot_runner.core.errors import Finding, MeasureError, did_you_mean
 from robot_runner.core.events import measure
+from robot_runner.core.events.early_end import undivided
 from robot_runner.core.secret_names import without_environment_secrets
 
 #: Takes a record of a run: its kind and its plain fields.
@@ -39,7 +40,7 @@ class MeasureBroker:
         self._run_id = run_id
         self._columns = columns
         self._report = report
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # re-entrant: a signal handler may publish, too
         self._told = {} if told is None else told
         self._measures = {
             name: measure.PublishedMeasure(name, each["value"], each["owner"], origin=measure.Origin(each["origin"]))
@@ -82,7 +83,7 @@ class MeasureBroker:
             self._report("refused", {"owner": owner, "name": str(name), "value": refused})
             raise
         published = measure.PublishedMeasure(column.name, plain, owner, column.measure.unit, origin)
-        with self._lock:
+        with undivided, self._lock:  # both or neither, where the mission ends now
             self._measures[column.name] = published
             fields = {"name": column.name, "value": plain, "owner": owner, "origin": origin.value}
             self._told[column.name] = fields
@@ -90,7 +91,7 @@ class MeasureBroker:
 
     def share(self, owner: str, values: Mapping[str, object]) -> None:
         """Pass key-value pairs on to the subscribers of the following events."""
-        with self._lock:
+        with undivided, self._lock:
             self._shared.setdefault(owner, {}).update(values)
             self._report("shared", {"owner": owner, "values": dict(values)})
 
@@ -115,13 +116,13 @@ class MeasureBroker:
 
     def _record_finding(self, owner: str, problem: str, fix: str, more: dict[str, Any]) -> None:
         problem, fix = str(problem), str(fix or "")  # an exception that a callback passes on is a text in the journal
-        with self._lock:
+        with undivided, self._lock:
             self._findings.append(Finding.warning(f"{self._run_id}, {owner}", problem, fix))
             self._report("finding", {"owner": owner, "problem": problem, "fix": fix, **more})
 
     def note(self, owner: str, kind: str, facts: Mapping[str, object]) -> None:
         """Report something else that happened in this run, as a record of this kind."""
-        with self._lock:
+        with undivided, self._lock:
             self._report(kind, {"owner": owner, **facts})
 
 

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, TypeVar, cast, runtime_checkable
 
+from robot_runner.core.events.early_end import undivided
+
 
 class Closable(Protocol):
     """Anything that is closed once it is no longer needed."""
@@ -52,8 +54,9 @@ class Resources:
         with self._lock:
             if key not in self._opened:
                 opened = opener()
-                self._opened[key] = opened
-                self._closing.callback(opened.close)
+                with undivided:
+                    self._opened[key] = opened
+                    self._closing.callback(opened.close)
             return cast("R", self._opened[key])
 
     def close(self) -> None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 from robot_runner.core.errors import PluginError
+from robot_runner.core.events.early_end import undivided
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,8 +211,9 @@ class MissionTimes:
                 beginnings.pop()  # the first one stays until all have ended
                 is_over = not beginnings
             if is_over:
-                phases.append((name, begun, ended))
-                self._report("phase", {"name": name, "start": begun.run, "end": ended.run})
+                with undivided:
+                    phases.append((name, begun, ended))
+                    self._report("phase", {"name": name, "start": begun.run, "end": ended.run})
 
     def window(self, clock: TimeSource | None = None) -> Window | None:
         """Return the measured window; None while the mission has not ended.

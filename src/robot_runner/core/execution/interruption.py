@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from types import FrameType
 from typing import Self
@@ -69,7 +69,7 @@ def stop_signals_handled(handler: Callable[[int, FrameType | None], None]) -> It
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        for number, before in earlier.items():
+        for number, before in reversed(earlier.items()):  # that of Ctrl-C last: what it raises leaves nothing undone
             signal.signal(number, before)
 
 
@@ -187,7 +187,8 @@ class InterruptGate:
     def _take_signal(self, number: int, frame: FrameType | None) -> None:
         del number
         self.request()
-        self.held_up(frame)
+        if not undivided.is_entered:  # else it is raised at the end of that block
+            self.held_up(frame)
 
     def _ask_again(self, otherwise: Callable[[sys.UnraisableHookArgs], object], lost: sys.UnraisableHookArgs) -> None:
         """Raise a request once more that Python dropped, as it does with all that is raised in a `__del__`."""
@@ -234,19 +235,20 @@ class Interruption:
 
     def __enter__(self) -> Self:
         ignore_broken_pipes()
-        self._reader, self._writer = os.pipe()
-        os.set_blocking(self._writer, False)
-        os.set_blocking(self._reader, False)
-        self._earlier_wakeup = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
-        self._signals = stop_signals_handled(self._count_signal)
-        self._signals.__enter__()
+        with ExitStack() as opened:
+            # First, and at the end last: meanwhile, Ctrl-C raises nothing that would leave a part of this behind.
+            opened.enter_context(stop_signals_handled(self._count_signal))
+            self._reader, self._writer = os.pipe()
+            opened.callback(os.close, self._reader)
+            opened.callback(os.close, self._writer)
+            os.set_blocking(self._writer, False)
+            os.set_blocking(self._reader, False)
+            opened.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False))
+            self._opened = opened.pop_all()
         return self
 
     def __exit__(self, *raised: object) -> None:
-        self._signals.__exit__(None, None, None)
-        signal.set_wakeup_fd(self._earlier_wakeup)
-        os.close(self._reader)
-        os.close(self._writer)
+        self._opened.close()
 
     @contextmanager
     def passed_on(self, gate: InterruptGate) -> Iterator[None]:

@@ -16,8 +16,8 @@ from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.design.watched_combination import WatchedCombination
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.events.context import ExperimentContext, ExperimentEnd, NextRun, RobotRunnerContext, SystemClock
-from robot_runner.core.events.early_end import RunInterrupted
-from robot_runner.core.events.manager import CallbackFailure, Emission, RobotRunnerEvents
+from robot_runner.core.events.early_end import RunInterrupted, undivided
+from robot_runner.core.events.manager import CallbackFailure, Emission, RobotRunnerEvents, Subscriber
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.execution.clock_jumps import NotedSettings
 from robot_runner.core.execution.inherited import note_fresh_files, seed_random_numbers
@@ -34,6 +34,8 @@ from robot_runner.core.storage.journal import utc_now
 
 #: How many times over `grace_in_s` a callback may take to end once its deadline has passed.
 _PATIENCE = 3
+#: After how long it is looked again whether a callback is executed whose deadline has passed, s.
+_SOON = 0.01
 #: The longest timeout that is given to the system, s: thirty years.
 _LONGEST = 1e9
 #: Shows the cursor of a terminal, which the live screen hides.
@@ -45,7 +47,7 @@ class DeadlinePassed(BaseException):
 
 
 class EventDeadline:
-    """Raises `DeadlinePassed` in its `with` block once that takes too long.
+    """Raises `DeadlinePassed` in a callback of an event that is emitted in its `with` block, once that takes too long.
 
     A timer signal ends the callback. Python handles signals between two of its own instructions: a signal interrupts
     sleeping, waiting and I/O, but not code in C that computes, or that waits again after each signal. Nothing in this
@@ -79,18 +81,19 @@ class EventDeadline:
         return self
 
     def __exit__(self, *raised: object) -> None:
-        try:
-            self._is_armed = False
-        finally:  # also where the signal came right before this
-            self._is_armed = False
-            signal.setitimer(signal.ITIMER_REAL, 0)
-            signal.signal(signal.SIGALRM, self._earlier)
-            self._dismiss_watcher()
+        self._is_armed = False
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, self._earlier)
+        self._dismiss_watcher()
 
     def _take_signal(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
-        if self._is_armed:
+        del number
+        if not self._is_armed:
+            return
+        if _is_of_callback(frame) and not undivided.is_entered:
             raise DeadlinePassed(str(self))
+        # Between callbacks it would leave a part of this deadline behind.
+        signal.setitimer(signal.ITIMER_REAL, _SOON, min(_LONGEST, self._grace))
 
     def _watch(self) -> tuple[int, int]:
         """Start the watcher; return its process id, and the descriptor on which it is told that the event has ended."""
@@ -129,6 +132,12 @@ class EventDeadline:
             f"{cursor}\nerror: {self._what}: {self}, and code that is not Python's keeps it from being ended: the "
             "experiment is killed\n  fix: Correct this callback and start the experiment again: it resumes.\n"
         )
+
+
+def _is_of_callback(frame: FrameType | None) -> bool:
+    while frame is not None and frame.f_code is not Subscriber.call.__code__:
+        frame = frame.f_back
+    return frame is not None
 
 
 #: How often the run table is brought up to date while a callback of this process sleeps, s.
@@ -179,7 +188,8 @@ class OrchestratorEvents:
         """
 
         def told(kind: str, fields: dict[str, Any]) -> None:
-            report(kind, sentences_without_secrets(fields))  # as on the way from the process of a run
+            with undivided:
+                report(kind, sentences_without_secrets(fields))  # as on the way from the process of a run
             self._patience.refresh_screen()
 
         told("event", {"event": event.value, "at": utc_now(), "clock": time.monotonic()})
@@ -289,18 +299,19 @@ class OrchestratorEvents:
         """Emit an event in this process; Ctrl-C, and the deadline, end the callback that is being executed."""
         gate = InterruptGate()
         subscribers = self._experiment.events.subscribers(event)
-        try:
-            with self._interruption.passed_on(gate), ExitStack() as guarded:
-                if event is not RobotRunnerEvents.AFTER_EXPERIMENT:
-                    gate.arm()
-                limit = self._experiment.parameters.event_deadline_in_s
-                if limit is not None and subscribers:
-                    owners = ", ".join(dict.fromkeys(each.owner for each in subscribers))
-                    what = f"{event.value} of {owners}"
-                    guarded.enter_context(EventDeadline(what, limit, self._experiment.parameters.grace_in_s))
-                return self._experiment.events.emit(event, context_for)
-        except (RunInterrupted, DeadlinePassed) as error:  # between two callbacks
-            return Emission((), (), (CallbackFailure(event, "", error),))
+        limit = self._experiment.parameters.event_deadline_in_s
+        with ExitStack() as guarded:
+            if limit is not None and subscribers:  # outside of the gate, so that nothing of it is left half done
+                owners = ", ".join(dict.fromkeys(each.owner for each in subscribers))
+                what = f"{event.value} of {owners}"
+                guarded.enter_context(EventDeadline(what, limit, self._experiment.parameters.grace_in_s))
+            try:
+                with self._interruption.passed_on(gate):
+                    if event is not RobotRunnerEvents.AFTER_EXPERIMENT:
+                        gate.arm()
+                    return self._experiment.events.emit(event, context_for)
+            except RunInterrupted as error:  # between two callbacks
+                return Emission((), (), (CallbackFailure(event, "", error),))
 
 
 @dataclass(slots=True)

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Collection, Generator, Sequence
 from typing import TypeVar
 
+from robot_runner.core.events.early_end import undivided
 from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.places import INTERRUPTED, Awaited, Places
 
@@ -86,7 +87,8 @@ class Patience:
         """Bring a live screen up to date, and call `tend`."""
         if self.refresh_interval is not None:
             self._refresh()
-        self._tend()
+        with undivided:  # a callback may have called this, and what is written would be half done
+            self._tend()
 
     def follow(self, steps: Steps[_Result]) -> _Result:
         """Execute steps, with nothing else beside them, and return their result."""

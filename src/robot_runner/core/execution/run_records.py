@@ -12,7 +12,7 @@ from typing import Any
 
 from robot_runner.core.errors import ExecutionError, RobotRunnerError, nearest
 from robot_runner.core.events.context import OTHER_NAMES, ExperimentContext
-from robot_runner.core.events.early_end import RunInterrupted
+from robot_runner.core.events.early_end import RunInterrupted, undivided
 from robot_runner.core.secret_names import sentences_without_secrets, without_environment_secrets
 
 #: The last record of a run that ended by itself.
@@ -49,7 +49,8 @@ class RecordWriter:
     def __init__(self, descriptor: int, *, waits: bool = False) -> None:
         os.set_blocking(descriptor, waits)
         self.descriptor = descriptor
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # re-entrant: a signal handler may stop the mission, or fail the run
+        self._is_sending = False
         self._event = ""
         self._held = bytearray()
         self._is_stalled = False
@@ -61,12 +62,16 @@ class RecordWriter:
             ExecutionError: a callback shares or publishes while the orchestrator has not read for too long.
         """
         line = f"{_encode([kind, sentences_without_secrets(fields)])}\n"
-        with self._lock:
+        with undivided, self._lock:  # where the mission ends now, nothing is torn, or told twice
             self._event = fields["event"] if kind == "event" else self._event
             self._held += line.encode()
-            if kind == "measure" and self._event == POPULATE:
+            if self._is_sending or (kind == "measure" and self._event == POPULATE):
                 return
-            self._send(waits=kind == FINISHED)
+            self._is_sending = True
+            try:
+                self._send(waits=kind == FINISHED)
+            finally:
+                self._is_sending = False
             if len(self._held) > _MOST_HELD and kind in _OF_CALLBACKS:
                 raise ExecutionError(
                     "the orchestrator does not take what the run tells: it was suspended, or waits for a disk",

@@ -103,12 +103,12 @@ class Machine:
         if self._kept() is not None:
             raise PluginError(problems[0], where=where, fix=_AS_ROOT)
         kept = self._planned(wishes, owner)
-        kept.write(self.state)
         try:
+            kept.write(self.state)
             for change in kept.changes:
                 self._set(change)
             self._isolate(kept, wishes.cores)
-        except PluginError:
+        except BaseException:  # also Ctrl-C
             self.restore()
             raise
 

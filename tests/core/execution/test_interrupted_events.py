@@ -1,0 +1,121 @@
+"""A signal may come at any instruction while the orchestrator emits an event: nothing of its deadline is left."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, Self, cast
+
+import pytest
+
+from robot_runner.core.events import manager
+from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents
+from robot_runner.core.execution import interruption, orchestrator_events
+from robot_runner.core.execution.interruption import Interruption
+from robot_runner.core.execution.orchestrator_events import OrchestratorEvents
+from robot_runner.core.execution.patience import Patience
+
+if TYPE_CHECKING:
+    from types import FrameType
+
+_FILES = {contextlib.__file__, manager.__file__, interruption.__file__, orchestrator_events.__file__}
+#: Each so many instructions, of a thousand.
+_STRIDE = 7
+_EVENT = RobotRunnerEvents.BEFORE_EXPERIMENT
+
+
+class _SignalAt:
+    """Counts the instructions that emitting an event executes in this process, and acts at one of them."""
+
+    def __init__(self, at: int | None, act: Callable[[FrameType], None]) -> None:
+        self.count, self._at, self._act, self._process = 0, at, act, os.getpid()
+
+    def __enter__(self) -> Self:
+        sys.settrace(self._enter)
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        sys.settrace(None)
+
+    def _enter(self, frame: FrameType, _event: str, _argument: object) -> Any:
+        if frame.f_code.co_filename not in _FILES or os.getpid() != self._process:
+            return None
+        frame.f_trace_opcodes = True
+        return self._trace
+
+    def _trace(self, frame: FrameType, event: str, _argument: object) -> Any:
+        if event == "opcode":
+            self.count += 1
+            if self.count == self._at:
+                self._act(frame)
+        return self._trace
+
+
+def _emitted(at: int | None, act: Callable[[Interruption], Callable[[FrameType], None]]) -> int:
+    """Emit an event with a deadline and two callbacks; return how many instructions that took.
+
+    Raises:
+        AssertionError: something of the deadline goes on.
+    """
+    events = EventManager()
+    for owner in ("first", "second"):
+        events.subscribe(_EVENT, lambda: None, owner=owner, kind=OwnerKind.SYSTEM)
+    parameters = SimpleNamespace(event_deadline_in_s=1000.0, grace_in_s=1000.0)
+    experiment = cast("Any", SimpleNamespace(events=events, parameters=parameters))
+    with Interruption() as stops:
+        emitter = OrchestratorEvents(experiment, cast("Any", None), Patience(stops))
+        with _SignalAt(at, act(stops)) as counted:
+            emission = emitter._emit(_EVENT, lambda _owner: None)
+        assert signal.getitimer(signal.ITIMER_REAL)[0] == 0.0, at
+        assert signal.getsignal(signal.SIGALRM) is signal.SIG_DFL, at
+        with pytest.raises(ChildProcessError):  # the watcher, which would kill this process later
+            os.waitpid(-1, os.WNOHANG)
+        assert len(emission.failures) <= 1, at
+    return counted.count
+
+
+@pytest.fixture
+def _no_timer() -> Iterator[None]:
+    """Keep the deadline of the test itself, which has the same signal, from being taken for one of the event."""
+    earlier, timer = signal.signal(signal.SIGALRM, signal.SIG_DFL), signal.setitimer(signal.ITIMER_REAL, 0)
+    yield
+    signal.signal(signal.SIGALRM, earlier)
+    signal.setitimer(signal.ITIMER_REAL, *timer)
+
+
+def _deadline_passes(_stops: Interruption) -> Callable[[FrameType], None]:
+    def act(frame: FrameType) -> None:
+        handler = signal.getsignal(signal.SIGALRM)
+        if callable(handler):
+            handler(signal.SIGALRM, frame)
+
+    return act
+
+
+def _user_interrupts(stops: Interruption) -> Callable[[FrameType], None]:
+    return lambda frame: stops._count_signal(signal.SIGINT, frame)
+
+
+def _user_interrupts_twice(stops: Interruption) -> Callable[[FrameType], None]:
+    def act(frame: FrameType) -> None:
+        try:
+            stops._count_signal(signal.SIGINT, frame)
+        finally:
+            stops._count_signal(signal.SIGINT, frame)
+
+    return act
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("_no_timer")
+@pytest.mark.parametrize("act", [_deadline_passes, _user_interrupts, _user_interrupts_twice])
+def test_wherever_a_signal_comes_an_event_leaves_no_timer_and_no_watcher(
+    act: Callable[[Interruption], Callable[[FrameType], None]],
+) -> None:
+    count = _emitted(None, act)
+    for at in range(1, count + 1, _STRIDE):
+        _emitted(at, act)
