@@ -246,6 +246,27 @@ def test_a_robot_that_a_program_out_of_reach_of_a_killed_run_may_drive_on_is_tol
 
 @over("dds")
 @pytest.mark.long
+def test_a_robot_that_a_program_drives_before_it_is_ready_stands_still_once_the_run_is_killed(
+    graph: str, start: Callable[..., Experiment], tmp_path: Path
+) -> None:
+    (tmp_path / "planner.py").write_text(PLANNER)
+    config = tmp_path / "config.py"
+    text = (
+        CONFIG.format(robot=graph).replace('per="experiment"', 'per="run"').replace('["hall", "kitchen"]', '["hall"]')
+    )
+    config.write_text(text.replace('ready="drives", ready_timeout_s=60', 'ready="never said", ready_timeout_s=3600'))
+    with open_robot(graph) as (link, _):
+        robot = Robot(link)
+        experiment = start(config=config)
+        wait_until_seen_to_move(robot, experiment)
+        kill_together([experiment.run_process()])
+        assert experiment.end() == 1
+        assert experiment.nobody_is_left()
+        assert not robot.moves(), experiment.output
+
+
+@over("dds")
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("with_all", "is_far"),
     [

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import RobotRunnerContext
@@ -15,6 +15,8 @@ from robot_runner.core.links.robot import Advertiser, RobotLink
 
 #: How long the discovery of a graph may take, s: with Fast DDS, it has taken up to 3.2 s.
 _DISCOVERY = 4.0
+#: How often it is looked whether software commands the robot before it is ready, s.
+_LOOK = 0.5
 
 
 class CommandedRobot:
@@ -72,11 +74,26 @@ class CommandedRobot:
                 publishers = link.publishers(topic)
                 is_seen = not all(each.is_own for each in publishers)
                 if topic not in self._commanded and (is_seen or any(each.is_shared for each in publishers)):
+                    self.tell(topic, self._taken[topic])  # before the next, which may take seconds
                     link.advertise(topic, self._taken[topic])
                     self._commanded.add(topic)
-                    self.tell(topic, self._taken[topic])
                 if is_seen:
                     self._seen.add(topic)
+
+    @contextmanager
+    def looked_at(self) -> Iterator[None]:
+        """Look now and then in a thread, while the software starts: it may command the robot before it is ready."""
+        is_over = threading.Event()
+
+        def look() -> None:
+            while not is_over.wait(_LOOK):
+                self.look()
+
+        threading.Thread(target=look, name="look at the robot", daemon=True).start()
+        try:
+            yield
+        finally:
+            is_over.set()  # a look that goes on holds up the next one, and nothing else
 
     def look_at_last(self) -> None:
         """Look once more before the software is ended: in a short run its graph may not be known yet."""

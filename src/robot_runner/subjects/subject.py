@@ -230,18 +230,19 @@ class Subject(System):
             self._start(context)
 
     def _start(self, context: RobotRunnerContext) -> None:
+        robot = self._robot = self._robot or CommandedRobot(context)
         try:
             # If the run is killed, its supervisor has time to clean up.
             begun = context.outlives if self.last_words() is not None else lambda _: None
             start: supervised_program.Start = (
                 self._begin(context, context.raw_data_folder, begun) if self._is_of_run else self._attached(context)
             )
-            if self._robot is not None and context.robot is not None:
-                self._robot.tell = partial(CommandedTopics(start).add, context.robot)
-            self._await_ready(context, start)
+            if context.robot is not None:
+                robot.tell = partial(CommandedTopics(start).add, context.robot)
+            with robot.looked_at():
+                self._await_ready(context, start)
         except BaseException:
-            if self._robot is not None:
-                self._robot.look_at_last()
+            robot.look_at_last()
             self._end()
             raise
         self._current = start
@@ -355,9 +356,8 @@ class Subject(System):
 
     def _await_ready(self, context: RobotRunnerContext, start: supervised_program.Start) -> None:
         """Wait until it is ready, in real time, as it does not use a simulation's clock."""
-        real = replace(context, clock=machine_clock(context))
         ready = Ready(self.name, start, self.ready, may_end=self.may_end)
-        ready.wait(real, timeout_s=self.ready_timeout_s)
+        ready.wait(replace(context, clock=machine_clock(context)), timeout_s=self.ready_timeout_s)
 
     def _watch_over(
         self, context: RobotRunnerContext, start: supervised_program.Start, is_ending: threading.Event
