@@ -8,10 +8,12 @@ import signal
 import subprocess
 import sys
 import zipfile
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from tests.replication.small_index import tiny_wheel
+from tests.waiting import wait_until
 
 from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.manifest import describe_host, describe_software
@@ -250,3 +252,20 @@ def test_ctrl_c_asks_the_program_of_another_environment_once_and_not_twice_which
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does
         assert process.stdout.read() == "asked\n"
     assert process.returncode == 0
+
+
+@pytest.mark.long
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell a program that its parent is gone")
+def test_the_program_of_another_environment_closes_its_run_where_who_started_it_is_killed(tmp_path):
+    program, told = tmp_path / "robot-runner", tmp_path / "told"
+    program.write_text(
+        f"#!/bin/sh\n[ $2 = --help ] && exit\ntrap 'echo closed >{told}; exit' TERM\n"
+        f"touch {told}.begun\nwhile :; do sleep 0.05; done\n"
+    )
+    program.chmod(0o755)
+    name = virtual_environments.__name__
+    code = f"from {name} import execute_with\nexecute_with({str(program)!r}, ['run', 'it'], quietly='-q', output=None)"
+    with subprocess.Popen([sys.executable, "-c", code]) as starter:
+        wait_until(lambda: Path(f"{told}.begun").exists(), "it was started")
+        starter.kill()
+    wait_until(told.exists, "it was told to end")

@@ -21,7 +21,7 @@ from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.ssh_command import checked_destination, ssh_findings
 from robot_runner.measuring.host import process_selector
 
-if TYPE_CHECKING:  # imported where a computer is looked at: whoever names a condition needs none of it
+if TYPE_CHECKING:  # loaded once a computer is looked at: naming a condition does not need them
     from robot_runner.measuring.local_host import LocalHost
     from robot_runner.measuring.ssh_host import SshHost
 

@@ -15,6 +15,7 @@ from typing import Any, TextIO
 
 from robot_runner.core.errors import PackageError
 from robot_runner.core.execution.interruption import stop_signals_handled
+from robot_runner.core.execution.processes import stop_with_parent
 from robot_runner.core.storage.guarded_files import read_text
 from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.replication.contents import REQUIREMENTS, WHEELS
@@ -197,7 +198,13 @@ def execute_with(program: Path, words: Sequence[str], *, quietly: str, output: T
         asked = [str(program), *words, *([quietly] if quietly in known.stdout else [])]
         with _passed_on() as pass_on_to:
             # In a session of its own, so that each signal arrives once: a terminal sends Ctrl-C to all of a session.
-            process = subprocess.Popen(asked, stdout=output, start_new_session=True)  # noqa: S603 - as above
+            # No terminal would reach it where we are killed, so that the system tells it then (Linux).
+            process = subprocess.Popen(  # noqa: S603 - as above
+                asked,
+                stdout=output,
+                start_new_session=True,
+                preexec_fn=stop_with_parent,  # noqa: PLW1509 - one system call, no lock
+            )
             pass_on_to(process)
             return process.wait()
     except OSError as error:
