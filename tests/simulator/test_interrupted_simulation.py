@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any
 
 import pytest
+from tests.instructions import Instructions
 
 import robot_runner.simulator
 from robot_runner.core.events.early_end import RunInterrupted
@@ -15,43 +15,9 @@ from robot_runner.meters.ina219.line_meter import SharedLine
 from robot_runner.simulator.simulated_devices import SimulatedSerialLine
 from robot_runner.simulator.simulated_turtlebot3 import Simulation
 
-if TYPE_CHECKING:
-    from types import FrameType
-
 _SIMULATOR = str(Path(robot_runner.simulator.__file__).parent)
 _SECONDS = 0.3
 _MOMENTS = 30
-
-
-class _Instructions:
-    """Counts the instructions that the simulator's own functions execute, and asks to stop at one of them."""
-
-    def __init__(self, at: int | None) -> None:
-        self.count = 0
-        self._at = at
-        self._gate = InterruptGate()
-
-    def __enter__(self) -> Self:
-        self._gate.arm()
-        sys.settrace(self._enter)
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        sys.settrace(None)
-        self._gate.disarm()
-
-    def _enter(self, frame: FrameType, _event: str, _argument: object) -> Any:
-        if not frame.f_code.co_filename.startswith(_SIMULATOR):
-            return None
-        frame.f_trace_opcodes = True
-        return self._trace
-
-    def _trace(self, _frame: FrameType, event: str, _argument: object) -> Any:
-        if event == "opcode":
-            self.count += 1
-            if self.count == self._at:
-                self._gate.request()
-        return self._trace
 
 
 def _driven(at: int | None) -> tuple[dict[str, Any], int]:
@@ -67,7 +33,9 @@ def _driven(at: int | None) -> tuple[dict[str, Any], int]:
     simulation.clock.call_every(0.05, lambda: line.since(0))
     robot.drive(0.2, 0.3)
     simulation.clock.sleep(0.95)  # the battery is looked at each second
-    with _Instructions(at) as counted:
+    gate = InterruptGate()
+    gate.arm()
+    with Instructions(_SIMULATOR, at=at, act=lambda _frame: gate.request()) as counted:
         try:
             simulation.clock.sleep(_SECONDS)
         except RunInterrupted:

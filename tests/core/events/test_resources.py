@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+
+from tests.instructions import Instructions
 
 from robot_runner.core.events import resources
 from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.execution.interruption import InterruptGate
-
-if TYPE_CHECKING:
-    from types import FrameType
 
 
 class _Link:
@@ -24,30 +21,17 @@ class _Link:
 
 def _opened(at: int | None) -> tuple[_Link, int]:
     """Interrupt opening a link at an instruction; return the link that the next caller gets, and the instructions."""
-    opened, gate, earlier, count = Resources(), InterruptGate(), sys.gettrace(), 0
-
-    def trace(frame: FrameType, event: str, _argument: object) -> Any:
-        nonlocal count
-        if frame.f_code.co_filename != resources.__file__:
-            return None
-        frame.f_trace_opcodes = True
-        if event == "opcode":
-            count += 1
-            if count == at:
-                gate.request()
-        return trace
-
+    opened, gate = Resources(), InterruptGate()
     gate.arm()
-    with suppress(RunInterrupted):
-        try:
-            sys.settrace(trace)
-            opened.open("robot", _Link)
-        finally:
-            sys.settrace(earlier)
+    with (
+        suppress(RunInterrupted),
+        Instructions(resources.__file__, at=at, act=lambda _frame: gate.request()) as counted,
+    ):
+        opened.open("robot", _Link)
     gate.disarm()
     known = opened.open("robot", _Link)
     opened.close()
-    return known, count
+    return known, counted.count
 
 
 def test_a_link_whose_opening_was_interrupted_anywhere_is_closed_if_it_is_known() -> None:

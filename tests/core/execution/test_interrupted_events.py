@@ -5,12 +5,12 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import sys
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Self, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import pytest
+from tests.instructions import Instructions
 
 from robot_runner.core.events import manager
 from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents
@@ -22,37 +22,10 @@ from robot_runner.core.execution.patience import Patience
 if TYPE_CHECKING:
     from types import FrameType
 
-_FILES = {contextlib.__file__, manager.__file__, interruption.__file__, orchestrator_events.__file__}
+_FILES = (contextlib.__file__, manager.__file__, interruption.__file__, orchestrator_events.__file__)
 #: Each so many instructions, of a thousand.
 _STRIDE = 7
 _EVENT = RobotRunnerEvents.BEFORE_EXPERIMENT
-
-
-class _SignalAt:
-    """Counts the instructions that emitting an event executes in this process, and acts at one of them."""
-
-    def __init__(self, at: int | None, act: Callable[[FrameType], None]) -> None:
-        self.count, self._at, self._act, self._process = 0, at, act, os.getpid()
-
-    def __enter__(self) -> Self:
-        sys.settrace(self._enter)
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        sys.settrace(None)
-
-    def _enter(self, frame: FrameType, _event: str, _argument: object) -> Any:
-        if frame.f_code.co_filename not in _FILES or os.getpid() != self._process:
-            return None
-        frame.f_trace_opcodes = True
-        return self._trace
-
-    def _trace(self, frame: FrameType, event: str, _argument: object) -> Any:
-        if event == "opcode":
-            self.count += 1
-            if self.count == self._at:
-                self._act(frame)
-        return self._trace
 
 
 def _emitted(at: int | None, act: Callable[[Interruption], Callable[[FrameType], None]]) -> int:
@@ -68,7 +41,7 @@ def _emitted(at: int | None, act: Callable[[Interruption], Callable[[FrameType],
     experiment = cast("Any", SimpleNamespace(events=events, parameters=parameters))
     with Interruption() as stops:
         emitter = OrchestratorEvents(experiment, cast("Any", None), Patience(stops))
-        with _SignalAt(at, act(stops)) as counted:
+        with Instructions(*_FILES, at=at, act=act(stops)) as counted:
             emission = emitter._emit(_EVENT, lambda _owner: None)
         assert signal.getitimer(signal.ITIMER_REAL)[0] == 0.0, at
         assert signal.getsignal(signal.SIGALRM) is signal.SIG_DFL, at

@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from tests.instructions import Instructions
 
 from robot_runner.core.execution import interruption
 from robot_runner.core.execution.interruption import STOP_SIGNALS, Interruption
@@ -19,28 +20,14 @@ if TYPE_CHECKING:
 
 def _interrupted(at: int | None) -> int:
     """Press Ctrl-C at an instruction of entering or leaving; return how many there are."""
-    count = 0
 
-    def trace(frame: FrameType, event: str, _argument: object) -> Any:
-        nonlocal count
-        if frame.f_code.co_filename not in {interruption.__file__, contextlib.__file__}:
-            return None
-        frame.f_trace_opcodes = True
-        if event == "opcode":
-            count += 1
-            if count == at:
-                signal.getsignal(signal.SIGINT)(signal.SIGINT, frame)  # type: ignore[misc, operator]
-        return trace
+    def press(frame: FrameType) -> None:
+        signal.getsignal(signal.SIGINT)(signal.SIGINT, frame)  # type: ignore[misc, operator]
 
-    stops, earlier = Interruption(), sys.gettrace()
-    with suppress(KeyboardInterrupt):
-        try:
-            sys.settrace(trace)
-            with stops:
-                pass
-        finally:
-            sys.settrace(earlier)
-    return count
+    files = interruption.__file__, contextlib.__file__
+    with suppress(KeyboardInterrupt), Instructions(*files, at=at, act=press) as counted, Interruption():
+        pass
+    return counted.count
 
 
 def test_a_program_that_is_interrupted_anywhere_has_the_signals_and_descriptors_that_it_had() -> None:

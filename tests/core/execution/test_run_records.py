@@ -9,10 +9,10 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from types import FrameType
 from typing import Any
 
 import pytest
+from tests.instructions import Instructions
 from tests.waiting import PATIENCE
 
 from robot_runner.core.errors import ExecutionError
@@ -116,32 +116,15 @@ def test_callbacks_do_not_fill_the_memory_for_an_orchestrator_that_never_reads_a
 def _told(at: int | None, act: Callable[[RecordWriter], object]) -> tuple[list[str], int]:
     """Act at an instruction of sending a long record; return what arrives, and how many instructions it has."""
     reader, writer = os.pipe()
-    records, sent, count = RecordReader(reader), RecordWriter(writer), 0
-
-    def trace(frame: FrameType, event: str, _argument: object) -> Any:
-        nonlocal count
-        if frame.f_code.co_filename != run_records.__file__:
-            return None
-        frame.f_trace_opcodes = True
-        if event == "opcode":
-            count += 1
-            if count == at:
-                act(sent)
-        return trace
-
-    earlier = sys.gettrace()
-    with suppress(RunInterrupted):
-        try:
-            sys.settrace(trace)
-            sent("shared", {"values": "long" * 3_000})
-        finally:
-            sys.settrace(earlier)
+    records, sent = RecordReader(reader), RecordWriter(writer)
+    with suppress(RunInterrupted), Instructions(run_records.__file__, at=at, act=lambda _frame: act(sent)) as counted:
+        sent("shared", {"values": "long" * 3_000})
     sent("window", {})
     sent.close()
     os.set_blocking(reader, True)
     kinds = [kind for kind, _ in records.read()[0]]
     os.close(reader)
-    return kinds, count
+    return kinds, counted.count
 
 
 def test_a_record_that_is_interrupted_anywhere_is_neither_torn_nor_told_twice() -> None:
