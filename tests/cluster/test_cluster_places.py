@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import signal
 import subprocess
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -320,16 +320,46 @@ def test_nobody_loses_patience_while_a_worker_loads_the_experiment(
     places.close()
 
 
+def test_that_there_is_no_worker_is_said_once_they_have_had_their_time_to_join(
+    watched: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = Lacking()
+    clock.told.pop()  # the one that has joined
+    with _places(clock, watched, monkeypatch) as places:
+        assert clock.after(9) == []
+        assert places.due == clock.now + 10, "the settings have come only now"
+        assert clock.after(10, ("joining", {"address": "tcp://one:1"})) == [], "it loads the experiment"
+        [said] = clock.after(1, ("refused", {"address": "tcp://one:1", "findings": []}))
+        assert "cluster tcp://scheduler:8786: no worker is there" in said
+        assert "dask worker tcp://scheduler:8786 --nthreads 1" in said
+        assert clock.after(10) == [], "said once"
+        assert clock.after(0, ("joined", WORKER)) == []
+        [gone] = clock.after(0, ("gone", {"worker": WORKER["worker"], "because": "it has left"}))
+        assert "it has left" in gone
+        assert any("no worker is there" in each for each in clock.after(10, is_idle=False))
+        with pytest.raises(ExecutionError, match="no worker has been there for 60 s") as ended:
+            clock.after(50, is_idle=False)
+        assert "no worker is there" not in ended.value.problem, "said once is enough"
+
+
 @pytest.fixture
 def lacking(watched: Watched, monkeypatch: pytest.MonkeyPatch) -> Iterator[Lacking]:
     """Places of one worker, where a run claims a robot that it does not offer; the clock is moved by hand."""
     clock = Lacking()
+    with _places(clock, watched, monkeypatch):
+        yield clock
+
+
+@contextmanager
+def _places(
+    clock: Lacking, watched: Watched, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[cluster_places.ClusterPlaces]:
     monkeypatch.setattr(cluster_places, "PipedProcess", lambda module: Mock(replies=clock.replies))
     monkeypatch.setattr(cluster_places, "time", Mock(monotonic=lambda: clock.now))
     experiment = prepare_or_refuse(watched.config, {})
     experiment.folder.root.mkdir(parents=True)
     clock.places = cluster_places.ClusterPlaces(experiment, "tcp://scheduler:8786")
-    yield clock
+    yield clock.places
     clock.places.close()
 
 

@@ -36,7 +36,8 @@ _NOT_OFFERED = "no worker offers it as a resource, and a run needs it for itself
 _NOT_TOGETHER = "no worker offers them together as resources, and a run needs them for itself"
 #: How long the gateway may take to say goodbye to the workers, s.
 _GOODBYE = 20.0
-#: How long no other worker is to have come until it is said that none offers what a run claims, s.
+_NO_WORKER = "no worker is there"
+#: How long no other worker is to have come until it is said that there is none, or none that offers a claim, s.
 _JOINING = 10.0
 #: How many reasons the error has why there is no worker.
 _MOST_KNOWN = 8
@@ -90,12 +91,13 @@ class ClusterPlaces:
 
     @property
     def due(self) -> float | None:
-        """When runs of before have ended in any case, or the end of the patience, where there is no worker."""
+        """When runs of before have ended in any case, or something is to be told of workers that are lacking."""
         if self._said or (self._is_gone and not self._runs):
             return 0.0
         if time.monotonic() < self._free_at:
             return self._free_at
-        ends = (self._patience_end, self._lack_end, self._changed + _JOINING if self._is_lack_untold else None)
+        untold = self._changed + _JOINING if self._is_lack_untold else None
+        ends = (self._patience_end, self._lack_end, self._told_alone_at, untold)
         return min((each for each in ends if each is not None), default=None)
 
     def advance(self, *, is_idle: bool = False) -> Sequence[str]:
@@ -112,6 +114,9 @@ class ClusterPlaces:
             for claims in sorted(self._lacking):
                 has = "has it" if len(claims) == 1 else "has all of them"
                 self._say(*_lack_of(claims), f"Start one that {has}: {self._started_with(claims)}")
+        if self._told_alone_at is not None and now >= self._told_alone_at:
+            fix = f"Start some: dask worker {self._address} --nthreads 1. They are awaited for {self._patience:g} s."
+            self._say(f"cluster {self._address}", _NO_WORKER, fix)
         said, self._said = self._said, []
         if self._lack_end is not None and now >= self._lack_end:
             groups = sorted(self._lacking)
@@ -231,6 +236,13 @@ class ClusterPlaces:
         else:
             self._set_aside(kind, fields)
 
+    @property
+    def _told_alone_at(self) -> float | None:
+        """When it is to be told that there is no worker; None where one is or loads the experiment, or it was told."""
+        if self._patience_end is None or (f"cluster {self._address}", _NO_WORKER) in self._asides:
+            return None
+        return self._patience_end - self._patience + _JOINING
+
     def _set(self, lease: float, patience: float) -> None:
         self._lease, self._patience = lease, patience
         self._alone_since = time.monotonic()  # only now is there somebody who looks for workers
@@ -245,6 +257,7 @@ class ClusterPlaces:
         self._places += [ClusterPlace(self, self._experiment, worker, slot) for slot in slots]
         self._joining.discard(worker["address"])
         self._alone_since = None
+        self._asides.pop((f"cluster {self._address}", _NO_WORKER), None)  # it is told again once all have left
         self._changed = time.monotonic()
         self._lacking.clear()  # it is tried with this one
 
@@ -266,7 +279,7 @@ class ClusterPlaces:
     def _refusal(self, problem: str, fix: str) -> ExecutionError:
         alike: dict[tuple[str, str], list[str]] = {}
         for (where, each), mend in self._asides.items():
-            if each not in {_NOT_OFFERED, _NOT_TOGETHER}:  # if that is why, it is the problem
+            if each not in {_NO_WORKER, _NOT_OFFERED, _NOT_TOGETHER}:  # if that is why, it is the problem
                 alike.setdefault((each, mend), []).append(where)
         latest = list(alike.items())[-_MOST_KNOWN:]
         known = "; ".join(str(Finding.warning(listed(wheres), *each)) for each, wheres in latest)
