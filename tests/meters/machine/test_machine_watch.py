@@ -175,7 +175,8 @@ def test_a_measure_of_the_computer_is_doubted_and_others_are_not(
     records = [json.loads(line) for line in preparation.experiment.folder.journal.read_text().splitlines()]
     doubts = [each for each in records if each["kind"] == "finding"]
     assert {each["owner"] for each in doubts} == {"PsUtil"}
-    watched = [each for each in doubts if "chromium, pid 7" in each["problem"]]  # on a busy machine samples are late, too
+    # On a busy machine, samples are late as well.
+    watched = [each for each in doubts if "chromium, pid 7" in each["problem"]]
     assert [each["measures"] for each in watched] == [["CPU", "Memory"]]
 
 
