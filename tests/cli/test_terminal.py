@@ -244,7 +244,7 @@ def test_a_table_that_disagrees_with_the_journal_is_asked_about_at_a_terminal(
 def test_ctrl_c_says_what_it_does_and_what_another_would(
     terminal: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
-    write_config("def launch_mission(self, context): context.clock.sleep(30)", table=TWO_RUNS)
+    write_config("def launch_mission(self, context): context.clock.sleep(600)", table=TWO_RUNS)
     shown = terminal("run", "config.py")
     shown.wait_for("launch_mission")
     shown.child.sendintr()

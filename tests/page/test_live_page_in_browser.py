@@ -256,7 +256,7 @@ def test_samples_of_a_run_that_ended_before_its_first_ones_had_arrived_are_looke
 def test_who_may_only_look_has_no_buttons(
     browser: Browser, serve_page: Callable[..., ServedPage], write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
-    config = write_config("def launch_mission(self, context): context.clock.sleep(20)")
+    config = write_config("def launch_mission(self, context): context.clock.sleep(600)")
     with executed(config):
         root = tmp_path / "results" / "trial"
         wait_until(lambda: any(read_journal(root / "journal.jsonl", kinds={"attempt_started"})))
