@@ -33,6 +33,7 @@ from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.registration import write_registration
+from robot_runner.replication.explanation import explain_run
 from robot_runner.replication.replicating import prepare_replication
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 WITH_DESIGNS = HEAD.replace(
     "from robot_runner import *", "from robot_runner import *\nfrom robot_runner.adaptive import *"
 )
+ALL_SPEEDS = "[0.02 * step for step in range(1, 12)]"
 TABLE = """\
     def create_run_table(self):
         return RunTableModel(
@@ -96,9 +98,12 @@ class Recording(SilentObserver):
             self.decided.append(notice)
 
 
-def with_design(folder: Path, design: str = SEARCH, body: str = BODY) -> Path:
+def with_design(
+    folder: Path, design: str = SEARCH, body: str = BODY, *, speeds: str = ALL_SPEEDS, repetitions: int = 2
+) -> Path:
     folder.mkdir(exist_ok=True)
-    return written_config(folder, body, table=TABLE.replace("{design}", design), head=WITH_DESIGNS)
+    table = TABLE.replace(ALL_SPEEDS, speeds).replace("repetitions=2", f"repetitions={repetitions}")
+    return written_config(folder, body, table=table.replace("{design}", design), head=WITH_DESIGNS)
 
 
 def execute(config: Path, **asked: Any) -> tuple[Any, list[NextDecided]]:
@@ -151,6 +156,8 @@ def test_a_search_finds_the_best_within_its_runs_and_confirms_it(searched: tuple
     status = read_status(folder_of(config).root)
     assert "Energy: Speed " in status.decided
     assert status.todo == 0
+    (batch,) = explain_run(folder_of(config).root, "r_22", ["batch"]).values
+    assert dict(batch.facts)["Runs"].endswith("Z to confirm what was found"), "and is no extension"
 
 
 @pytest.mark.long
@@ -185,6 +192,22 @@ def test_killed_at_any_step_of_a_decision_it_goes_on_as_if_nothing_had_happened(
     assert names == ["combination 6", "combination 8", "batch"], "nothing is decided twice"
     starts = [record["run"] for record in records(config, "attempt_started")]
     assert len(set(starts)) == len(planned(config))
+
+
+@pytest.mark.long
+def test_a_replication_of_what_was_killed_behind_a_decision_has_its_runs_and_goes_on_deciding(tmp_path: Path) -> None:
+    config = with_design(tmp_path, RACE, speeds="[0.1, 0.16, 0.17]", repetitions=3)
+    command = [sys.executable, "-c", DYING, str(config), "1"]  # before the table has the runs that were decided on
+    assert subprocess.run(command, capture_output=True, timeout=120, check=False).returncode == -signal.SIGKILL
+    (first,) = records(config, "decided")
+    assert {run["run"] for run in first["runs"]}.isdisjoint(row["run_id"] for row in rows_of(config))
+    replication = prepare_replication(folder_of(config).root, tmp_path / "again", {})
+    assert replication.findings == ()
+    execute_experiment(replication.experiment, SilentObserver())
+    execute(config)
+    again = load_results(replication.experiment.folder.root)
+    assert list(again.runs["run_id"].astype(str)) == [row["run_id"] for row in rows_of(config)]
+    assert again.manifest["design"]["source"] == "config"
 
 
 def test_a_lost_table_and_manifest_come_back(tmp_path: Path, searched: tuple[Path, list[NextDecided]]) -> None:
@@ -258,8 +281,7 @@ def test_what_was_confirmed_is_named_where_it_is_not_the_best_any_more(
 
 
 def test_a_race_drops_what_is_clearly_worse_and_keeps_its_blocks_balanced(tmp_path: Path) -> None:
-    table = TABLE.replace("0.02 * step for step in range(1, 12)", "0.1, 0.16, 0.17, 0.18").replace("=2", "=3")
-    config = written_config(tmp_path, BODY, table=table.replace("{design}", RACE), head=WITH_DESIGNS)
+    config = with_design(tmp_path, RACE, speeds="[0.1, 0.16, 0.17, 0.18]", repetitions=3)
     _, decided = execute(config)
     rows = rows_of(config)
     assert "dropped: Speed 0.1 (worse than Speed" in decided[0].told
@@ -290,7 +312,7 @@ def test_side_by_side_the_same_is_decided(tmp_path: Path, searched: tuple[Path, 
 @pytest.mark.long
 @pytest.mark.usefixtures("optuna_here")
 def test_a_registered_search_is_no_deviation_and_its_replication_executes_the_same_runs(tmp_path: Path) -> None:
-    config = with_design(tmp_path)
+    config = with_design(tmp_path, speeds="Range(0.02, 0.22, step=0.02)")
     preparation = prepare(config)
     assert preparation.experiment is not None
     experiment = preparation.experiment

@@ -29,11 +29,12 @@ from robot_runner.replication.replicating import prepare_replication, replicated
 from robot_runner.replication.run_by_run import Sameness, identical_values
 
 GROWING = """
-from robot_runner import ExperimentConfig, Factor, RunTableModel
+from robot_runner import ExperimentConfig, Factor, RunProcess, RunTableModel
 
 class RobotRunnerConfig(ExperimentConfig):
     experiment_name = "growing"
     results_output_path = "results"
+    run_process = RunProcess.IN_PROCESS
 
     def create_run_table(self):
         return RunTableModel([Factor("Task", ["Video", "Network"])], shuffle=True, data_columns=["Number"], warm_up=1)
@@ -293,19 +294,20 @@ def test_an_experiment_that_was_extended_is_executed_again_with_its_batches(tmp_
     config = tmp_path / "study.py"
     config.write_text(GROWING, encoding="utf-8")
     original = execute(config)
-    request = ExtensionRequest(added=Additions(2, {"Task": ["Audio"]}), seed=3)
-    extend_experiment(prepare(config, is_for_here=False).experiment, request)
+    for added in (Additions(2, {"Task": ["Audio"]}), Additions(3)):
+        extend_experiment(prepare(config, is_for_here=False).experiment, ExtensionRequest(added=added, seed=3))
     execute(config)
     target = tmp_path / "again"
+    again, journal = target / "growing", target / "growing" / "journal.jsonl"
     assert prepare_replication(original, target, {}).findings == ()
+    journal.write_bytes(journal.read_bytes().splitlines(keepends=True)[0])  # killed before the record of the last batch
     _replicate(original, target)  # what an earlier try has left is gone on with
-    again = target / "growing"
     assert _runs(again) == _runs(original)
-    assert len(_runs(again)) == 3 + 5
+    assert len(_runs(again)) == 3 + 5 + 4
     manifest, was = (read_manifest(ExperimentFolder(folder).manifest) for folder in (again, original))
     assert manifest["design"] == was["design"]
-    assert [batch["batch"] for batch in manifest["design"]["batches"]] == [1, 2]
-    assert identical_values(original, again) == {"Number": Sameness(runs=6, identical=6)}
+    assert [batch["batch"] for batch in manifest["design"]["batches"]] == [1, 2, 3]
+    assert identical_values(original, again) == {"Number": Sameness(runs=9, identical=9)}
     (again / "run_table.csv").unlink()
     execute_experiment(prepare_replication(original, target, {}).experiment, SilentObserver())
     assert _runs(again) == _runs(original)
@@ -332,11 +334,9 @@ def test_a_replication_has_the_repetitions_that_were_added_until_the_original_wa
 @pytest.mark.long
 def test_a_run_in_an_interpreter_of_its_own_writes_into_the_replication_and_knows_added_treatments(tmp_path):
     config = tmp_path / "study.py"
-    body = GROWING.replace("import ExperimentConfig", "import ExperimentConfig, RunProcess")
-    spawned = '    results_output_path = "results"\n    run_process = RunProcess.SPAWN\n'
     told = "    def launch_mission(self, context):\n"
     told += '        (context.run_folder / "task").write_text(context.combination["Task"])\n'
-    config.write_text(body.replace('    results_output_path = "results"\n', spawned) + told, encoding="utf-8")
+    config.write_text(GROWING.replace("IN_PROCESS", "SPAWN") + told, encoding="utf-8")
     original = execute(config)
     request = ExtensionRequest(added=Additions(treatments={"Task": ["Audio"]}), seed=3)
     extend_experiment(prepare(config, is_for_here=False).experiment, request)

@@ -16,8 +16,10 @@ from robot_runner.analysis.libraries import MissingLibraryError
 from robot_runner.cli.main import main
 from robot_runner.core.errors import PackageError
 from robot_runner.core.events.measure import OPERATOR_OWNER, ROBOTS_OWNER
+from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 from robot_runner.replication.commands import replication_verdict
+from robot_runner.replication.explanation import explain_run
 from robot_runner.replication.needed_runs import needed_runs, runs_for_difference, runs_for_equivalence
 from robot_runner.replication.run_by_run import Sameness, identical_values
 from robot_runner.replication.verdicts import (
@@ -32,12 +34,13 @@ import os
 import random
 from pathlib import Path
 
-from robot_runner import AnalysisPlan, ExperimentConfig, Factor, Hypothesis, RunTableModel
+from robot_runner import AnalysisPlan, ExperimentConfig, Factor, Hypothesis, RunProcess, RunTableModel
 
 
 class RobotRunnerConfig(ExperimentConfig):
     experiment_name = "noisy"
     results_output_path = Path("results")
+    run_process = RunProcess.IN_PROCESS
     {plan}
 
     def create_run_table(self):
@@ -288,6 +291,13 @@ def test_a_comparison_in_an_environment_of_an_earlier_version_lacks_the_largest_
     assert verdict.conclusion is Conclusion.DIFFERENT
 
 
+def test_of_a_search_that_was_confirmed_here_alone_it_is_said_that_no_combination_is_compared():
+    comparison = {"measures": [{"first_name": "Energy", "differences": []}]}
+    margins = margins_of({"Energy": "J"}, {}, [])
+    verdict = reached_verdict([_measure("Energy")], {}, {"Energy": Sameness(4, 0)}, margins, comparison)
+    assert "it differs in 4 of 4 runs, and no combination is compared that both have" in verdict.measures[0].sentence
+
+
 def test_no_run_in_common_is_undecided():
     margins = margins_of({"Energy": "J"}, {}, [])
     for same in ({}, {"Energy": Sameness(0, 0)}):
@@ -308,6 +318,20 @@ def test_results_are_not_identical_where_runs_of_the_original_have_failed_here(t
     assert "identical in the one run that can be compared, and 2 runs of the original are not done" in (
         verdict.measures[0].sentence
     )
+
+
+def test_runs_that_ended_after_the_table_was_written_last_are_compared(tmp_path):
+    folders = [two_tasks(tmp_path / name, (1.0, 2.0), (3.0, 4.0)).root for name in ("original", "again")]
+    with Journal(folders[0] / "journal.jsonl") as journal:  # as a kill leaves it
+        journal.append("attempt_started", run="r_4", attempt=1)
+        ended = {
+            "measures": {"Energy": {"value": 5.0, "owner": "Meter", "origin": "measured"}},
+            "stamps": {},
+            "failure": None,
+        }
+        journal.append("attempt_finished", run="r_4", attempt=1, is_last=True, status="done", seconds=1.0, **ended)
+    assert identical_values(*folders) == {"Energy": Sameness(4, 3)}
+    assert explain_run(folders[0], "r_4", ["Energy"]).values[0].value == 5.0
 
 
 @pytest.mark.parametrize(

@@ -16,12 +16,11 @@ from robot_runner.core.design.batch import CONFIRMATION
 from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STATUS
 from robot_runner.core.errors import AnalysisError, Finding
 from robot_runner.core.events.measure import QUALITY_SUFFIX, Quality, quality_of_value
-from robot_runner.core.storage.cells import ENDS, RunStatus, typed_value, typed_values
+from robot_runner.core.storage.cells import RunStatus, typed_value, typed_values
 from robot_runner.core.storage.executed_runs import ExcludedRuns, edited_findings, unrecorded_findings
-from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.lock import holder_of
-from robot_runner.core.storage.run_table_reading import read_run_table
-from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, ColumnRole, TableLayout
+from robot_runner.core.storage.recorded_rows import recorded_rows
+from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, ColumnRole
 from robot_runner.core.storage.table_schema import type_of_values
 
 if TYPE_CHECKING:
@@ -175,20 +174,7 @@ def read_run_frame(
     Raises:
         StorageError: there is no run table, or it cannot be read.
     """
-    # Read the journal first: a table that is written meanwhile is newer than its records, never older.
-    ended: set[str] = set()
-    newer = _ended_since_table(read_journal(folder.journal, kinds={"attempt_finished", "table_written"}), ended)
-    excluded = ExcludedRuns.read(folder.journal) if folder.journal.exists() else None
-    layout = TableLayout.of_schema(columns)
-    if excluded is not None and excluded.were_any:
-        layout = replace(layout, has_exclusions=True)
-    rows = read_run_table(folder.run_table, layout)
-    for record in newer.values():
-        if rows.place_of(record["run"]) is not None:
-            _take(rows, record)
-    if excluded is not None:  # the journal decides; the next session settles a cell that was edited by hand
-        for run_id in rows.values(RUN_ID) if rows.layout.has_exclusions else ():
-            rows.exclude(run_id, excluded.reason(run_id))
+    rows, ended = recorded_rows(folder, columns)
     warm_ups = tuple(run.run_id for run in rows.planned if run.is_warm_up)
     # While the experiment is executed, a run may have ended since the journal was read.
     done = rows.done_runs if holder_of(folder.lock) is None else ()
@@ -224,24 +210,6 @@ def quality_frame(
 def treatment_texts(values: pd.Series) -> pd.Series:
     """Return a factor's column as texts, as in the run table."""
     return values.cat.rename_categories([str(each) for each in values.cat.categories])
-
-
-def _ended_since_table(records: Iterable[Mapping[str, Any]], ended: set[str]) -> dict[str, Mapping[str, Any]]:
-    """Return the ends of runs since the table was last written, and add all ended runs to `ended`."""
-    newer: dict[str, Mapping[str, Any]] = {}
-    for record in records:
-        if record["kind"] == "table_written":
-            newer.clear()
-        else:
-            newer[record["run"]] = record
-            (ended.discard if record["status"] == "interrupted" else ended.add)(record["run"])
-    return newer
-
-
-def _take(rows: RunTableRows, record: Mapping[str, Any]) -> None:
-    stamps = {f"{event}_at": at for event, at in record["stamps"].items() if f"{event}_at" in rows.layout.stamps}
-    measures = {name: each["value"] for name, each in record["measures"].items() if name in rows.layout.measures}
-    rows.record(record["run"], status=ENDS.get(record["status"], RunStatus.TODO), stamps=stamps, measures=measures)
 
 
 def _frame(rows: RunTableRows, columns: Sequence[ColumnDescription], manifest: Mapping[str, Any]) -> pd.DataFrame:

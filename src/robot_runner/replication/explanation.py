@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from robot_runner.core.design.batch import CONFIRMATION
 from robot_runner.core.design.columns import BATCH, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.errors import StorageError, did_you_mean
 from robot_runner.core.events.measure import CONFIG_OWNER, OPERATOR_OWNER, ROBOTS_OWNER, quality_text
@@ -14,10 +15,10 @@ from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import executed_order, moved_runs, unrecorded_runs
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
+from robot_runner.core.storage.recorded_rows import recorded_rows
 from robot_runner.core.storage.registration import read_registration
-from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.system_refusals import storage_errors
-from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, ColumnRole, TableLayout
+from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, ColumnRole
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import shown_commit, shown_duration
 from robot_runner.replication.about import imported_facts
@@ -80,7 +81,7 @@ class _Explaining:
         self._files = ExperimentFolder.found_at(root)
         self._manifest = read_manifest(self._files.manifest)
         self._columns = {column.name: column for column in read_schema(self._files.schema)}
-        rows = read_run_table(self._files.run_table, TableLayout.of_schema(tuple(self._columns.values())))
+        rows, _ = recorded_rows(self._files, tuple(self._columns.values()))
         place = rows.place_of(run_id)
         if place is None:
             known = [rows.run_id(each) for each in range(min(len(rows), 1000))]  # searching more is slow
@@ -205,7 +206,8 @@ class _Explaining:
         yield "From", f"Robot Runner: {column.description}"
         batch = self._batch
         if batch is not None:
-            added = f", added at {batch['at']} by `robot-runner extend`" if batch.get("at") else ""
+            by = "to confirm what was found" if batch.get("role") == CONFIRMATION else "by `robot-runner extend`"
+            added = f", added at {batch['at']} {by}" if batch.get("at") else ""
             yield "Runs", f"{batch['runs']} ({batch['first']} to {batch['last']}){added}"
 
     def _executed(self) -> str:

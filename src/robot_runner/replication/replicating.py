@@ -15,6 +15,7 @@ from robot_runner.core.config.treatment_makers import known_treatments, treatmen
 from robot_runner.core.design.batches import EXTENDED, REPEATED, records_of
 from robot_runner.core.errors import ConfigError, Finding, PackageError
 from robot_runner.core.execution.given_values import given_elsewhere
+from robot_runner.core.execution.recovered_table import with_later_batches
 from robot_runner.core.execution.recovery import table_differences
 from robot_runner.core.secret_names import REDACTED, hidden_settings, is_same_setting, shown_settings
 from robot_runner.core.storage.declared_shapes import shape_findings
@@ -285,8 +286,9 @@ def _settle_table(
     """Make sure that the runs are the original ones; return a finding if the config plans others."""
     has_exclusions = files.schema.exists() and TableLayout.of_schema(read_schema(files.schema)).has_exclusions
     layout = replace(experiment.table_layout(), has_exclusions=has_exclusions)
-    rows = read_run_table(files.run_table, layout)
     plan = experiment.model.plan(manifest["seed"])
+    # Where the original was killed, the file may lack runs that were added last, and the journal has them.
+    rows, _ = with_later_batches(files.run_table, plan, read_run_table(files.run_table, layout))
     same_ids = [run.run_id for run in plan] == [rows.run_id(place) for place in range(len(rows))]
     if (manifest.get("design") or {}).get("source") != "config":  # written by hand
         _put_table(experiment, rows)
@@ -314,8 +316,8 @@ def _with_batches(experiment: Experiment, files: ExperimentFolder) -> Experiment
         return experiment
     make_experiment_folder(experiment.folder.root)
     with Journal(experiment.folder.journal) as journal:
-        if not experiment.model.batches:  # else an earlier attempt has written them
-            for fields in records_of(model.batches):
+        for fields in records_of(model.batches):
+            if fields.get("batch", 1) > len(experiment.model.batches):  # else an earlier attempt has written it
                 journal.append(EXTENDED if "batch" in fields else REPEATED, flush=True, **fields)
     return replace(experiment, model=model)
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.run_table_reading import read_described_table
+from robot_runner.core.storage.recorded_rows import recorded_rows
 from robot_runner.core.storage.run_table_rows import RunTableRows
+from robot_runner.core.storage.table_schema import read_schema
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,4 +86,5 @@ def _sameness(ours: RunTableRows, theirs: RunTableRows, name: str, pairs: list[t
 
 
 def _rows(folder: Path) -> RunTableRows:
-    return read_described_table(ExperimentFolder.found_at(folder))
+    files = ExperimentFolder.found_at(folder)
+    return recorded_rows(files, read_schema(files.schema))[0]

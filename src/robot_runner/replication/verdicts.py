@@ -193,7 +193,7 @@ def reached_verdict(
     measures = [
         _judged(
             _Judged(name, units[name], same.get(name), margins[name], compared.get(name)),
-            has_comparison=comparison is not None,
+            untested=_why_untested(name, comparison),
             secondary_because=because,
         )
         for name, because in secondary.items()
@@ -229,7 +229,19 @@ def _has_numbers(found: Mapping[str, Any]) -> bool:
     return any(each["first_mean"] is not None for each in found["differences"])
 
 
-def _judged(judged: _Judged, *, has_comparison: bool, secondary_because: str) -> MeasureConclusion:
+def _why_untested(name: str, comparison: Mapping[str, Any] | None) -> str:
+    """Return why there are no statistics of a measure, where there are none."""
+    if comparison is None:
+        return (
+            "no statistics were at hand to tell whether that matters (install the extra `analysis`, and repeat "
+            "the command: no run is executed again)"
+        )
+    if any(each["first_name"] == name and not each["differences"] for each in comparison.get("measures", ())):
+        return "no combination is compared that both have (of a search, only runs that confirm it are)"
+    return "its values are not numbers, and one execution does not tell whether that is chance"
+
+
+def _judged(judged: _Judged, *, untested: str, secondary_because: str) -> MeasureConclusion:
     same, runs = judged.same, 0 if judged.same is None else judged.same.runs
     if same is not None and same.is_complete:
         conclusion, told = Conclusion.IDENTICAL, f"is identical in {_all_runs(runs)}, to the last digit."
@@ -241,14 +253,8 @@ def _judged(judged: _Judged, *, has_comparison: bool, secondary_because: str) ->
         told += f"{counted(same.lacking, 'run')} of the original {'is' if same.lacking == 1 else 'are'} not done here."
         conclusion = Conclusion.UNDECIDED
     elif judged.found is None:
-        why = (
-            "its values are not numbers, and one execution does not tell whether that is chance"
-            if has_comparison
-            else "no statistics were at hand to tell whether that matters (install the extra `analysis`, and repeat "
-            "the command: no run is executed again)"
-        )
         conclusion = Conclusion.UNDECIDED
-        told = f"could not be decided: it differs in {runs - same.identical} of {counted(runs, 'run')}, and {why}."
+        told = f"could not be decided: it differs in {runs - same.identical} of {counted(runs, 'run')}, and {untested}."
     else:
         conclusion, told = _by_statistics(judged, judged.found)
     is_bounded = judged.found is not None and not (same is not None and same.is_same)

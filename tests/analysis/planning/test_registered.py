@@ -47,7 +47,7 @@ def registered_experiment(
         "values": lambda treatments, repetition: {"Energy": 10.0 * treatments["Speed"] + repetition},
         "analysis": PLAN,
     }
-    factors = [Factor("Task", ["Video", "Network"]), Factor("Speed", [1, 2])]
+    factors = [Factor("Task", ["Video", "Network"]), Factor("Speed", [1, 2], unit="m/s")]
     folder = make_experiment(root / "made", factors, **given | (made or {}))
     folder.config.mkdir()
     (folder.config / "study.py").write_text(CONFIG, encoding="utf-8")
@@ -127,6 +127,13 @@ def test_a_deviation_is_told(tmp_path: Path, change: Callable[[dict[str, Any]], 
 def _shuffled() -> dict[str, Any]:
     factors = {"Task": ["Video", "Network"], "Speed": ["1", "2"]}
     return {"factors": factors, "repetitions": 3, "shuffle": True, "blocks": None, "excluded": []}
+
+
+def test_another_unit_of_a_factor_is_told_and_a_whole_number_with_a_point_is_no_other_treatment(tmp_path: Path) -> None:
+    factors = {"Task": ["Video", "Network"], "Speed": ["1.0", "2.0"]}
+    design = {**_shuffled(), "shuffle": False, "factors": factors, "units": {"Speed": "km/h"}}
+    found = registered_experiment(tmp_path, lambda manifest: None, design=design)
+    assert found.deviations == ("Speed is in m/s, and km/h was registered",)
 
 
 def test_combinations_and_configs_other_than_the_registered_ones_are_told(tmp_path: Path) -> None:

@@ -126,3 +126,31 @@ def test_differences_are_told_in_words() -> None:
     older = copy.deepcopy(CONTENT)
     del older["analysis"]["statistic"]
     assert list(differences(older, CONTENT)) == []
+
+
+def test_other_units_conditions_and_ranges_are_differences_and_a_whole_number_with_a_point_is_none() -> None:
+    registered = {
+        "factors": {"Wait": ["1", "2"], "Mode": ["eco", "fast"]},
+        "units": {"Wait": "s"},
+        "combinations": [["1", "eco"], ["2", "fast"]],
+    }
+    before = {**CONTENT, "design": registered}
+
+    def told(**changes: Any) -> list[str]:
+        return list(differences(before, {"design": {**registered, **changes}}))
+
+    with_points = {"factors": {"Wait": ["1.0", "2.0"], "Mode": ["eco", "fast"]}}
+    assert told(**with_points, combinations=[["2.0", "fast"], ["1.0", "eco"]]) == []
+    assert told(units={"Wait": "ms"}) == ["Wait is in ms, and s was registered"]
+    assert told(combinations=[["1", "fast"], ["2", "fast"]]) == [
+        "1 combination not registered: 1 / fast",
+        "1 combination registered and not in the design: 1 / eco",
+    ]
+    ranged = {**registered, "ranges": {"Wait": "1 to 9 in steps of 1"}}
+    tried = {**ranged, "factors": {**registered["factors"], "Wait": ["1", "2", "4"]}}  # what a search had tried
+    assert list(differences({**CONTENT, "design": ranged}, {"design": tried})) == []
+    assert list(differences({**CONTENT, "design": ranged}, {"design": {**tried, "ranges": {"Wait": "1 to 5"}}})) == [
+        "the range of Wait is 1 to 5, and 1 to 9 in steps of 1 was registered"
+    ]
+    unknown = {name: each for name, each in registered.items() if name == "factors"}  # as an earlier version wrote it
+    assert list(differences({**CONTENT, "design": unknown}, {"design": registered})) == []

@@ -17,8 +17,14 @@ from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.storage.executed_runs import executed_order, moved_in_words, moved_runs
 from robot_runner.core.storage.guarded_files import read_bytes
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.registration import Registration, differences, read_registration
-from robot_runner.core.words import combination_label, counted
+from robot_runner.core.storage.registration import (
+    Registration,
+    combination_differences,
+    differences,
+    plain_text,
+    read_registration,
+)
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from robot_runner.analysis.results import Results
@@ -86,7 +92,7 @@ def _made_too_late(changes: Any) -> Registered | None:
 def _deviations(found: Registration, results: Results, statistics: ExperimentStatistics) -> Iterator[str]:
     manifest, content = results.manifest, found.content
     now: dict[str, Any] = {
-        "design": {**_first_design(manifest), **_not_in_manifest(content["design"])},
+        "design": {**_first_design(manifest), **_not_in_manifest(content["design"]), "units": _units(content, results)},
         "seed": manifest.get("seed"),
         "analysis": manifest.get("analysis"),
         "repeat_until": manifest.get("repeat_until"),
@@ -105,6 +111,10 @@ def _not_in_manifest(design: Mapping[str, Any]) -> dict[str, Any]:
     return {"excluded": design["excluded"]} if "excluded" in design else {}
 
 
+def _units(content: Mapping[str, Any], results: Results) -> dict[str, str]:
+    return {name: results.unit(name) for name in content["design"].get("units", ()) if name in results.columns}
+
+
 def _first_design(manifest: Mapping[str, Any]) -> dict[str, Any]:
     """Return the initial design of the experiment; added batches are reported separately."""
     design = {name: each for name, each in (manifest.get("design") or {}).items() if name not in {"source", "batches"}}
@@ -119,22 +129,19 @@ def _first_design(manifest: Mapping[str, Any]) -> dict[str, Any]:
 def _of_combinations(design: Mapping[str, Any], results: Results) -> Iterator[str]:
     """Yield the combinations of the run table that were not registered, and the registered ones that it lacks."""
     names = list(design.get("factors") or {})
-    if not names or any(name not in results.all_runs for name in names):
+    runs = results.with_exploration.all_runs
+    if not names or any(name not in runs for name in names):
         return  # reported as factors
-    if results.is_adaptive:
-        return  # the registration left the combinations to the search
     if "combinations" in design:
-        planned = {tuple(map(str, each)) for each in design["combinations"]}
+        planned = {tuple(map(plain_text, each)) for each in design["combinations"]}
     else:
         left_out = {tuple(each) for each in design.get("excluded", ())}
-        planned = {cell for cell in product(*design["factors"].values()) if cell not in left_out}
-    present = {tuple(map(str, row)) for row in results.all_runs[names].itertuples(index=False)}
-    treatments = [set(texts) for texts in design["factors"].values()]
-    # Combinations with treatments that were not registered are reported as treatments.
-    added = [cell for cell in sorted(present - planned) if all(map(set.__contains__, treatments, cell))]
-    for words, cells in (("not registered", added), ("registered and not in the run table", sorted(planned - present))):
-        if cells:
-            yield f"{counted(len(cells), 'combination')} {words}: {listed(map(combination_label, cells))}"
+        cells = (cell for cell in product(*design["factors"].values()) if cell not in left_out)
+        planned = {tuple(map(plain_text, cell)) for cell in cells}
+    present = {tuple(map(plain_text, row)) for row in runs[names].itertuples(index=False)}
+    if results.is_adaptive:
+        present &= planned  # the registration left the others to the search
+    yield from combination_differences(planned, present, "the run table", design["factors"])
 
 
 def _of_config(config: Mapping[str, Any], results: Results) -> Iterator[str]:

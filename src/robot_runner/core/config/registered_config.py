@@ -66,6 +66,7 @@ def registration_content(
     """
     own, plan = as_configured(model), parameters.analysis
     runs = len(own.plan())
+    units = {factor.name: factor.unit for factor in own.factors if factor.unit}
     path = loaded.source.path
     settings = {name: text for name, text in shown_settings(loaded.overrides).items() if name not in _UNREGISTERED}
     return {
@@ -78,7 +79,7 @@ def registration_content(
             "modules": {place.as_posix(): _digest(each) for each, place in loaded.local_modules.items()},
             "settings": settings,
         },
-        "design": {**described_design(own), **_combinations(own), "runs": runs},
+        "design": {**described_design(own), **_combinations(own), "units": units, "runs": runs},
         "seed": own.seed,
         "seed_is_given": own.seed_is_given,
         "measures": [{"name": each.name, "unit": each.measure.unit} for each in columns.in_table if not each.tells_of],

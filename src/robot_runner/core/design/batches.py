@@ -307,7 +307,7 @@ def _plain(factors: Sequence[Factor]) -> dict[str, list[Any]]:
 
 
 def described_design(model: RunTableModel) -> dict[str, Any]:
-    """Return a design for the manifest: factors, repetitions, order, warm-up runs, batches.
+    """Return a design for the manifest: factors, ranges, repetitions, order, warm-up runs, batches.
 
     Designs other than the full factorial have `parameters` and `facts`, too.
     """
@@ -320,6 +320,8 @@ def described_design(model: RunTableModel) -> dict[str, Any]:
     if not model.is_full_factorial:
         design["parameters"] = dict(model.design.as_mapping())
         design["facts"] = dict(model.design_facts)
+    if ranges := {factor.name: factor.range.in_words for factor in model.factors if factor.range is not None}:
+        design["ranges"] = ranges
     if model.warm_up is not None:
         design["warm_up"] = asdict(model.warm_up)
     if model.is_extended:

@@ -57,6 +57,11 @@ class Range:
         """Whether it has whole numbers only."""
         return all(isinstance(each, int) for each in (self.lower, self.upper, 1 if self.step is None else self.step))
 
+    @property
+    def in_words(self) -> str:
+        """Its ends and its step, without the unit: `0.05 to 0.2 in steps of 0.05`."""
+        return f"{self.lower} to {self.upper} in steps of {self._step}"
+
     def at(self, share: float) -> float:
         """Return the valid value nearest to `share` (0 to 1) of the way from the lower end to the upper one."""
         if self.step is None and share in {0, 1}:

@@ -27,6 +27,7 @@ class _Batch(TypedDict):
 class _Design(TypedDict):
     source: NotRequired[str]
     factors: NotRequired[dict[str, list[str]]]
+    ranges: NotRequired[dict[str, str]]
     repetitions: NotRequired[int]
     shuffle: NotRequired[bool]
     blocks: NotRequired[str | None]

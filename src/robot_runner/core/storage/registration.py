@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from robot_runner.core.design.precision import rule_in_words, rules_of_mapping
 from robot_runner.core.errors import DesignError, StorageError
 from robot_runner.core.storage.file_shapes import RegistrationFile
 from robot_runner.core.storage.guarded_files import MissingFileError, read_declared, replace
-from robot_runner.core.words import enumerated
+from robot_runner.core.words import combination_label, counted, enumerated, listed
 
 #: Version of the file's format; readers refuse a newer one.
 FORMAT = 1
@@ -23,6 +23,8 @@ FORMAT = 1
 _SUM = "sha256"
 #: A larger file, bytes, is not a registration, which has some kilobytes.
 _LARGEST = 16 << 20
+#: At most so many differing combinations are named.
+_MOST = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,16 +148,50 @@ def repeated_in_words(recorded: Mapping[str, Any] | None) -> str:
 
 def _design_differences(registered: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:
     before, after = registered.get("factors") or {}, now.get("factors") or {}
+    ranges = registered.get("ranges", {})
     for name in [*before, *(name for name in after if name not in before)]:
         if name not in after:
             yield f"the factor {name} was registered, and is gone"
         elif name not in before:
             yield f"the factor {name} was not registered"
-        elif list(before[name]) != list(after[name]):
+        elif (was := ranges.get(name)) and (is_now := now.get("ranges", {}).get(name)):
+            if was != is_now:  # the treatments within it are the design's choice
+                yield f"the range of {name} is {is_now}, and {was} was registered"
+        elif list(map(plain_text, before[name])) != list(map(plain_text, after[name])):
             yield f"the treatments of {name} are {_several(after[name])}, and {_several(before[name])} were registered"
     for name, words in _DESIGN_WORDS.items():
         if (name in now or name in registered) and now.get(name) != registered.get(name):
             yield f"{words}: {_shown(now.get(name))}, and {_shown(registered.get(name))} was registered"
+    yield from _unit_differences(registered.get("units", {}), now.get("units", {}))
+    if "combinations" in registered and "combinations" in now and list(before) == list(after):
+        was, are = ({tuple(map(plain_text, each)) for each in design["combinations"]} for design in (registered, now))
+        yield from combination_differences(was, are, "the design", before)
+
+
+def plain_text(treatment: object) -> str:
+    """Return the text of a treatment, by which 1 and 1.0 are the same."""
+    text = str(treatment)
+    number = text.removesuffix(".0")
+    return number if number.removeprefix("-").isdecimal() else text
+
+
+def combination_differences(
+    registered: set[tuple[str, ...]], now: set[tuple[str, ...]], where: str, factors: Mapping[str, Sequence[str]]
+) -> Iterator[str]:
+    """Yield in words which combinations were not registered, and which are missing though they were.
+
+    Args:
+        registered: the combinations, each as the `plain_text` of its treatments.
+        now: those that there are.
+        where: they are, in words.
+        factors: the registered treatments of each; other treatments are reported as such.
+    """
+    treatments = [set(map(plain_text, texts)) for texts in factors.values()]
+    added = [cell for cell in sorted(now - registered) if all(map(set.__contains__, treatments, cell))]
+    missing = sorted(registered - now)
+    for words, cells in (("not registered", added), (f"registered and not in {where}", missing)):
+        if cells:
+            yield f"{counted(len(cells), 'combination')} {words}: {listed(map(combination_label, cells), _MOST)}"
 
 
 #: Further keys of a design, in words.
@@ -206,11 +242,16 @@ def _measure_differences(registered: list[Any], now: list[Any]) -> Iterator[str]
     for name in before:
         if name not in after:
             yield f"the measure {name} was registered, and the run table has no column for it"
-        elif before[name] != after[name] and before[name] and after[name]:
-            yield f"{name} is in {after[name]}, and {before[name]} was registered"
+    yield from _unit_differences(before, after)
     added = [name for name in after if name not in before]
     if added:
         yield f"the run table has measures that were not registered: {enumerated(added)}"
+
+
+def _unit_differences(registered: Mapping[str, str], now: Mapping[str, str]) -> Iterator[str]:
+    for name, unit in registered.items():
+        if unit and now.get(name, "") not in {"", unit}:
+            yield f"{name} is in {now[name]}, and {unit} was registered"
 
 
 def _several(texts: object) -> str:
