@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import threading
 import time
 from bisect import bisect_right
@@ -13,6 +12,8 @@ from itertools import takewhile
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
+from tests.forked_program import SIMULATES, ForkedProgram
+
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros.graph_links import GRAPH_LINKS
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 PATIENCE = 60.0
+STREAMS = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE}
 STANDSTILL = 0.01  # m/s
 #: A robot that brakes rocks: its speed goes through zero once before it stands.
 _IN_A_ROW = 3
@@ -29,8 +31,8 @@ _IN_A_ROW = 3
 @contextmanager
 def simulated_robot(link: str, *options: str) -> Iterator[str]:
     """Offer a robot until the context ends; yields the port of its power meter."""
-    command = [sys.executable, "-m", "robot_runner", "simulate", "turtlebot3", "--link", link, *options]
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
+    words = ["simulate", "turtlebot3", "--link", link, *options]
+    process = ForkedProgram("robot_runner", words, SIMULATES, text=True, **STREAMS)
     # Whatever keeps it from getting ready, its output ends at last.
     overdue = threading.Timer(PATIENCE, process.kill)
     overdue.start()

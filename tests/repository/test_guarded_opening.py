@@ -54,7 +54,7 @@ OTHERS: dict[str, str] = {
             "replication/distributions.py: write_wheel",
             "replication/distributions.py: _editable_code",
             "replication/distributions.py: _path_entries",
-            "replication/environment.py: _reached",
+            "replication/environment.py: _imports_of",
         ),
         "a folder of the system that all users share, from which nothing is believed": tuple(
             f"core/storage/shared_claims.py: {function}" for function in ("_hold", "_holder", "_let_go", "_locker")

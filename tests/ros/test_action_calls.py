@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.goals import GoalStatus
+from robot_runner.ros import ros1_actions
 from robot_runner.ros.action_calls import LinkGoals
 from robot_runner.ros.action_server import GoalServer
 from robot_runner.ros.ros1_actions import Ros1Actions
@@ -221,6 +223,78 @@ def test_a_goal_that_comes_while_its_server_of_ros1_begins_is_executed() -> None
     served.close()
     assert faults == []
     assert graph.open == []
+
+
+class ServerOfRos1:
+    """A graph with an action server that takes each goal, and says of them what the test lets it say."""
+
+    def __init__(self) -> None:
+        self.keys: list[str] = []
+        self.cancelled: list[str] = []
+        self.receivers: dict[str, Any] = {}
+
+    def publishers(self, topic: str) -> list[Any]:
+        return ["/counter"]
+
+    def subscribe(self, topic: str, message_type: str, receive: Any, **_: Any) -> Any:
+        self.receivers[topic] = receive
+        if topic.endswith("/status"):
+            self.tell([])
+        return SimpleNamespace(close=lambda: None)
+
+    def advertise(self, topic: str, message_type: str, qos: Any) -> Any:
+        return SimpleNamespace(
+            publish=self.take if topic.endswith("/goal") else lambda asked: self.cancelled.append(asked["id"]),
+            flush=lambda _: None,
+            close=lambda: None,
+        )
+
+    def wait(self, event: threading.Event, seconds: float) -> None:
+        event.wait(seconds)
+
+    def take(self, message: Any) -> None:
+        self.keys.append(message["goal_id"]["id"])
+        self.tell(self.keys)
+
+    def tell(self, keys: list[str]) -> None:
+        listed = [{"goal_id": {"id": key}, "status": 1, "text": ""} for key in keys]
+        self.receivers["/count/status"](SimpleNamespace(message=lambda: {"status_list": listed}))
+
+
+def times(monotonic: Callable[[], float]) -> Any:
+    return SimpleNamespace(monotonic=monotonic, time=time.time, time_ns=time.time_ns)
+
+
+def test_a_goal_that_its_server_of_ros1_has_forgotten_is_lost_as_after_a_restart(monkeypatch: Any) -> None:
+    now = 100.0
+    monkeypatch.setattr(ros1_actions, "time", times(lambda: now))
+    server = ServerOfRos1()
+    actions = Ros1Actions(server)  # type: ignore[arg-type]
+    actions.actions = lambda: {"/count": COUNT}  # type: ignore[method-assign]
+    actions.types = lambda _: SimpleNamespace(goal=NOTHING)  # type: ignore[method-assign,assignment,return-value]
+    goals = goals_of(actions)
+    lost, other = send(goals), send(goals)
+    server.tell([other.key])
+    assert lost.fault is None  # it may be listed again at once
+    now += 1.5
+    server.tell([other.key])
+    with pytest.raises(LinkError, match="does not know the goal any more"):
+        lost.result(timeout=0.0)
+    assert (other.fault, other.is_over) == (None, False)
+
+
+def test_a_goal_of_ros1_is_cancelled_at_once_though_the_master_hangs(monkeypatch: Any) -> None:
+    monkeypatch.setattr(ros1_actions, "time", times(lambda: 100.0))
+    server = ServerOfRos1()
+    actions = Ros1Actions(server)  # type: ignore[arg-type]
+    actions.actions = lambda: {"/count": COUNT}  # type: ignore[method-assign]
+    actions.types = lambda _: SimpleNamespace(goal=NOTHING)  # type: ignore[method-assign,assignment,return-value]
+    goal = send(goals_of(actions))
+    asked: list[str] = []
+    monkeypatch.setattr(server, "publishers", asked.append)  # it answers after seconds
+    server.tell(server.keys)
+    goal.ask_for_end(1.0)
+    assert (asked, server.cancelled) == ([], [goal.key])
 
 
 @pytest.mark.parametrize("failing", ["/count/goal", "/count/cancel", "/count/feedback"])

@@ -37,6 +37,9 @@ class Noted:
         self.transport.note("reach", self.name)
         return True
 
+    def is_heard(self):
+        return self.transport.has_subscribers
+
     def flush(self, seconds):
         self.transport.note("flush", self.name)
 
@@ -58,6 +61,7 @@ class NotingTransport:
         self.published = []
         self.receivers = {}
         self.is_lost = False
+        self.has_subscribers = False
 
     def note(self, what, name):
         self.done.append(f"{what} {name}")
@@ -166,6 +170,14 @@ def test_a_topic_has_a_publisher_for_each_qos_and_one_type(link, transport):
     assert transport.done.count("advertise /chatter") == 2
     with pytest.raises(LinkError, match="carries std_msgs/String, not std_msgs/Int32"):
         link.publish("chatter", "std_msgs/Int32", {"data": 1})
+
+
+def test_it_tells_whether_a_topic_has_subscribers_and_nothing_before_it_is_advertised(link, transport):
+    assert link.is_heard("chatter"), "not known"
+    link.publish("chatter", "std_msgs/String", {"data": "a"})
+    assert not link.is_heard("chatter")
+    transport.has_subscribers = True
+    assert link.is_heard("chatter")
 
 
 def test_a_wait_leaves_no_subscription_behind(link, transport):

@@ -11,7 +11,7 @@ from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.goals import ActionCanceled, GoalStatus
+from robot_runner.core.links.goals import ActionCanceled, ActionResult, GoalStatus
 from robot_runner.ros import rosbridge_actions
 from robot_runner.ros.rosbridge_link import open_rosbridge_link
 from robot_runner.testing import RosbridgeServer
@@ -117,6 +117,19 @@ def test_goals_of_two_clients_at_once_are_an_error_and_none_goes_on(server, robo
             assert own.result(timeout=20).status is GoalStatus.CANCELED
         other.cancel(timeout=20)
         wait_until(lambda: ended == [1, 2])
+
+
+def test_a_goal_that_is_given_up_as_another_s_is_not_told_to_be_cancelled_though_its_end_comes_first(
+    robot, link, monkeypatch
+):
+    robot.offer_action("sow", FIBONACCI, count)
+    goal = link.send_goal("sow", FIBONACCI, {"order": 1})
+    monkeypatch.setattr(goal.client, "cancel", lambda sent, _: sent.finish(ActionResult(GoalStatus.CANCELED, {})))
+    goal.client._give_up(goal, "it may be another client's")
+    with pytest.raises(LinkError, match="it may be another client's"):
+        goal.result(timeout=0.0)
+    monkeypatch.undo()
+    goal.client.cancel(goal, 0.0)
 
 
 def test_a_goal_of_another_client_is_not_taken_for_one_that_was_silently_rejected(server, robot, link):

@@ -11,6 +11,7 @@ import time
 from contextlib import ExitStack, closing, contextmanager, suppress
 
 import pytest
+from tests.conftest import HEAD
 from tests.ros.test_rosbridge_security import lab, served
 from tests.waiting import PATIENCE, wait_until
 
@@ -79,6 +80,20 @@ def test_a_subscription_that_the_server_refuses_leaves_nobody_who_receives(serve
     server.publish("/map", STRING, {"data": "a"})
     assert link._transport._topics == {}
     assert heard == []
+
+
+def test_a_subscription_that_was_interrupted_as_it_began_begins_anew(server, opened, monkeypatch):
+    def interrupt(*_args, **_more):
+        raise RunInterrupted
+
+    link, heard = opened(server), []
+    with monkeypatch.context() as patch:
+        patch.setattr(link._transport._session, "request", interrupt)
+        with pytest.raises(RunInterrupted):
+            link.subscribe("chatter", STRING, heard.append)
+    link.subscribe("chatter", STRING, heard.append)
+    server.publish("/chatter", STRING, {"data": "a"})
+    wait_until(lambda: heard == [{"data": "a"}])
 
 
 def test_a_message_that_comes_while_another_subscription_begins_comes_once(server, opened):
@@ -238,6 +253,26 @@ def test_a_script_stops_the_robot_as_its_interpreter_exits(way, server_of_ros2, 
     opened(server_of_ros2).subscribe("cmd_vel", TWIST, lambda message: heard.append(message["linear"]["x"]))
     subprocess.run([sys.executable, "-c", _SCRIPT, server_of_ros2.url, way], check=True, timeout=PATIENCE)
     wait_until(lambda: heard == ([0.2, 0.1, 0.0] if way == "fork" else [0.2, 0.0]))
+
+
+@pytest.mark.long
+def test_a_link_that_a_callback_opened_by_itself_and_left_open_stops_the_robot_as_the_run_ends(
+    server_of_ros2, opened, write_config, robot_runner
+):
+    heard = []
+    opened(server_of_ros2).subscribe("cmd_vel", TWIST, lambda message: heard.append(message["linear"]["x"]))
+    body = f"""
+        def launch_mission(self, context):
+            self.left_open = open_robot({server_of_ros2.url!r})
+            link, _ = self.left_open.__enter__()
+            link.publish("cmd_vel", {TWIST!r}, {{"linear": {{"x": 0.2}}}})
+    """
+    head = HEAD.replace("import *", "import *\nfrom robot_runner.plugins import open_robot", 1)
+    table = "    def create_run_table(self):\n        return RunTableModel([Factor('Task', ['Video'])])\n"
+    answer = robot_runner(write_config(body, head=head, table=table))
+    assert answer.code == 0, answer.out + answer.err
+    wait_until(lambda: heard[-1:] == [0.0])
+    assert heard[0] == 0.2
 
 
 def test_whether_a_goal_is_taken_may_be_asked_of_the_robot(server_of_ros2, opened):

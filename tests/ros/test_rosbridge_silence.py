@@ -11,11 +11,14 @@ import time
 from contextlib import ExitStack, closing, contextmanager, suppress
 
 import pytest
+from tests.waiting import PATIENCE
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.goals import ActionCanceled
 from robot_runner.ros import rosbridge_session
 from robot_runner.ros.rosbridge_link import open_rosbridge_link
+from robot_runner.ros.rosbridge_session import Session
 from robot_runner.testing import RosbridgeServer
 
 
@@ -33,11 +36,12 @@ def answers_lost(server):
             target.shutdown(socket.SHUT_WR)
 
     def take():
-        near = listening.accept()[0]
-        far = opened.enter_context(socket.create_connection(("127.0.0.1", int(server.url.rpartition(":")[2]))))
-        opened.enter_context(near)
-        for each in ((near, far, "requests"), (far, near, "answers")):
-            threading.Thread(target=forward, args=each, daemon=True).start()
+        with suppress(OSError):
+            while True:
+                near = opened.enter_context(listening.accept()[0])
+                far = opened.enter_context(socket.create_connection(("127.0.0.1", int(server.url.rpartition(":")[2]))))
+                for each in ((near, far, "requests"), (far, near, "answers")):
+                    threading.Thread(target=forward, args=each, daemon=True).start()
 
     with ExitStack() as opened, socket.create_server(("127.0.0.1", 0)) as listening:
         threading.Thread(target=take, daemon=True).start()
@@ -77,6 +81,41 @@ def test_a_robot_of_which_nothing_is_heard_any_more_is_told_to_stand_still_as_it
         with pytest.raises(LinkError, match="the robot does not answer any more"):
             link.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
     assert heard == [0.2, 0.0]
+
+
+@pytest.mark.parametrize("generation", [1, 2])
+def test_a_goal_of_a_robot_of_which_nothing_is_heard_any_more_is_cancelled_as_it_may_hear_us(monkeypatch, generation):
+    action_type = "actionlib/Test" if generation == 1 else "example_interfaces/Fibonacci"
+    monkeypatch.setattr(rosbridge_session, "_PING_INTERVAL", 0.05)
+    monkeypatch.setattr(rosbridge_session, "_PING_TIMEOUT", 60.0)
+    is_cancelled, is_over = threading.Event(), threading.Event()
+
+    def dig(execution):
+        while not execution.is_cancel_requested and not is_over.wait(0.01):
+            pass
+        if execution.is_cancel_requested and not is_over.is_set():
+            is_cancelled.set()
+        raise ActionCanceled
+
+    with (
+        closing(RosbridgeServer(generation=generation)) as server,
+        answers_lost(server) as (url, are_lost),
+        closing(open_rosbridge_link(server.url, SystemClock())) as robot,
+        ExitStack() as leaving,
+    ):
+        robot.offer_action("dig", action_type, dig)
+        link = open_rosbridge_link(url, SystemClock())
+        leaving.push(lambda *_: True)  # that the goal could not be cancelled
+        leaving.callback(link.close)
+        link.send_goal("dig", action_type, {})
+        own, answered = link._transport._session, Session._is_answered
+        # The robot's connection is not impatient, and neither is that of the goal, in ROS 2.
+        monkeypatch.setattr(Session, "_is_answered", lambda each, pong: each is not own or answered(each, pong))
+        are_lost.set()
+        monkeypatch.setattr(rosbridge_session, "_PING_TIMEOUT", 0.1)
+        is_cancelled.wait(PATIENCE)
+        is_over.set()  # closing the links asks for the end, too
+    assert is_cancelled.is_set()
 
 
 @pytest.mark.skipif(not hasattr(socket, "TCP_USER_TIMEOUT"), reason="a socket option of Linux")

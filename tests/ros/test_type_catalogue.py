@@ -30,6 +30,10 @@ def test_the_header_of_ros_1_counts_its_messages_and_that_of_ros_2_does_not():
     assert TypeCatalogue.of(2).shape("std_msgs/Header").names == ("stamp", "frame_id")
 
 
+def test_the_catalogue_of_a_check_which_knows_no_distribution_is_that_of_the_runs_which_are_told_the_latest():
+    assert TypeCatalogue.of(2) is TypeCatalogue.of(2, "jazzy")
+
+
 def test_an_array_has_its_length_and_a_sequence_none():
     shape = TypeCatalogue.of(2).shape("sensor_msgs/Imu")
     counts = {field.name: field.count for field in shape.fields}

@@ -46,6 +46,17 @@ def test_a_listener_may_close_itself_or_another_while_it_is_called(clock, topic)
     assert heard == ["first"]
 
 
+def test_a_message_that_nobody_wants_is_not_made_and_what_is_wanted_comes_at_the_same_moments(clock):
+    made, heard, wanted = [], [], [False]
+    topic = PublishedTopic(clock, "std_msgs/Header", 10, lambda: made.append(clock.now()) or {"time": clock.now()})
+    topic.listen(heard.append, lambda: wanted[0])
+    clock.sleep(0.25)
+    assert made == []
+    wanted[0] = True
+    clock.sleep(0.2)
+    assert [message["time"] for message in heard] == made == [0.3, 0.4]
+
+
 def test_who_listens_again_hears_at_the_same_moments(clock, topic):
     topic.listen(lambda message: None).close()
     clock.sleep(0.05)

@@ -193,6 +193,9 @@ class _Publisher:
         is_taken = is_matched and self._is_acknowledged(_MATCHING_SECONDS)
         return is_taken and matched.issubset(matched_subscriptions(self._writer))
 
+    def is_heard(self) -> bool:
+        return bool(matched_subscriptions(self._writer))
+
     def flush(self, seconds: float) -> None:
         # A process of Fast DDS may be matched here seconds before it discovers us; then it gets what was sent since.
         seconds = max(seconds, LONGEST_DISCOVERY)

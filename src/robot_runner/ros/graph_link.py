@@ -130,6 +130,11 @@ class GraphLink:
         check_type(name, message_type, [advertised.message_type])
         return advertised.publisher.reach()  # also subscribers since it was first advertised
 
+    def is_heard(self, topic: str, qos: Qos = Qos.DEFAULT) -> bool:
+        """Whether a message on a topic would reach anybody now; True where that is not known."""
+        advertised = self._advertised.get((self._name(topic), qos))
+        return advertised is None or advertised.publisher.is_heard()
+
     def subscribe(
         self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None
     ) -> Subscription:
@@ -335,13 +340,7 @@ class GraphLink:
             return known
 
     def _subscribe(
-        self,
-        topic: str,
-        message_type: str,
-        deliver: Callable[[Reception], None],
-        qos: Qos | None,
-        *,
-        is_raw: bool,
+        self, topic: str, message_type: str, deliver: Callable[[Reception], None], qos: Qos | None, *, is_raw: bool
     ) -> Opened:
         name, plain = self._name(topic), plain_type(message_type)
 

@@ -65,6 +65,7 @@ class GraphLinkKind:
         takes_address: whether it has an address, and no options.
         client: modules that take long to import, which `module` imports only where they are needed.
         is_slow_to_join: whether a new participant is not heard at once, because DDS has to discover it.
+        can_be_forked: whether importing `client` starts no thread, so that processes can be forked afterwards.
     """
 
     description: str
@@ -73,6 +74,7 @@ class GraphLinkKind:
     takes_address: bool = False
     client: tuple[str, ...] = ()
     is_slow_to_join: bool = False
+    can_be_forked: bool = True
 
     @property
     def is_simulated(self) -> bool:
@@ -182,7 +184,12 @@ class _FoundRobot:
 # The objects that entry points name.
 ROS1 = GraphLinkKind("ROS 1 with rospy", "robot_runner.ros.ros1_link", "open_ros1_link", client=("rospy",))
 ROS2 = GraphLinkKind(
-    "ROS 2 with rclpy", "robot_runner.ros.ros2_link", "open_ros2_link", client=("rclpy",), is_slow_to_join=True
+    "ROS 2 with rclpy",
+    "robot_runner.ros.ros2_link",
+    "open_ros2_link",
+    client=("rclpy",),
+    is_slow_to_join=True,
+    can_be_forked=False,
 )
 DDS = GraphLinkKind(
     "ROS 2 over DDS, with no ROS installed",

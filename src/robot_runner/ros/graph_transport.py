@@ -84,6 +84,9 @@ class TopicPublisher(Protocol):
         A subscriber whose QoS requests more than this publisher offers is not counted.
         """
 
+    def is_heard(self) -> bool:
+        """Whether a subscriber is connected; True where that is not known."""
+
     def flush(self, seconds: float) -> None:
         """Return once the connected subscribers have the messages; raise a `LinkError` where one does not take them."""
 

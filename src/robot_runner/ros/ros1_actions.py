@@ -29,7 +29,9 @@ if TYPE_CHECKING:
 _logger = logging.getLogger(__name__)
 
 _GOAL, _CANCEL, _STATUS, _FEEDBACK, _RESULT = "/goal", "/cancel", "/status", "/feedback", "/result"
-_ID_TYPE, _STATUS_TYPE = "actionlib_msgs/GoalID", "actionlib_msgs/GoalStatusArray"
+#: Of the request to cancel a goal; an empty one cancels all goals of its server.
+GOAL_ID_TYPE = "actionlib_msgs/GoalID"
+_STATUS_TYPE = "actionlib_msgs/GoalStatusArray"
 _GOAL_ENDING, _RESULT_ENDING = "ActionGoal", "ActionResult"
 #: actionlib_msgs/GoalStatus: pending, active, preempted, succeeded, aborted, rejected, preempting, recalling, recalled,
 #: lost.
@@ -55,10 +57,14 @@ _NUMBERS: Mapping[GoalStatus, int] = MappingProxyType(
 _STATUS_PERIOD, _STATUS_SECONDS = 0.2, 5.0
 #: A server that publishes no states for so long counts as gone, s: actionlib's own limit.
 _SILENCE = 5.0
+#: A server that has published its states within so long is there, s.
+_HEARD = 1.0
 #: How long a missing server is waited for, s: as long as a node takes to start.
 _PATIENCE = 1.5
 #: How long after the final state a result may arrive, s.
 _RESULT_SECONDS = 3.0
+#: A goal that has not been among the states for so long, s, which come five times a second, is unknown to its server.
+_FORGOTTEN = 1.0
 
 
 def ros1_action_types(types: GraphTypes, action_type: str) -> ActionTypes:
@@ -119,6 +125,7 @@ class _Client:
         self._transport = transport
         self._action = action
         self._goals: dict[str, SentGoal] = {}
+        self._listed: dict[str, float] = {}
         self._expected: set[str] = set()
         self._lock = threading.Lock()
         self._heard = threading.Event()
@@ -133,7 +140,7 @@ class _Client:
             ):
                 self._open.callback(transport.subscribe(action + name, kind, take, qos=None, is_raw=False).close)
             self._send = _advertised(self._open, transport, action + _GOAL, f"{action_type}{_GOAL_ENDING}")
-            self._cancel = _advertised(self._open, transport, action + _CANCEL, _ID_TYPE)
+            self._cancel = _advertised(self._open, transport, action + _CANCEL, GOAL_ID_TYPE)
         except Exception:
             self._open.close()
             raise
@@ -171,9 +178,11 @@ class _Client:
         self._cancel.flush(timeout)
 
     def is_served(self) -> bool:
-        # A killed server stays registered at the master, but is silent.
-        return time.monotonic() - self._heard_at < _SILENCE and bool(
-            list(self._transport.publishers(self._action + _STATUS))
+        # A killed server stays registered at the master, but is silent; and of one that is heard, a master that hangs
+        # need not be asked: it would keep a request to cancel waiting.
+        silence = time.monotonic() - self._heard_at
+        return silence < _HEARD or (
+            silence < _SILENCE and bool(list(self._transport.publishers(self._action + _STATUS)))
         )
 
     def close(self) -> None:
@@ -188,12 +197,24 @@ class _Client:
         for told in reception.message()["status_list"]:
             goal = self._find(told)
             if goal is not None:
+                self._listed[goal.key] = self._heard_at
                 status = _STATES.get(told["status"], GoalStatus.UNKNOWN)
                 goal.note(status)
                 if goal.is_abandoned and not status.is_over:
                     self._publish_cancel(goal)  # accepted after its deadline: no caller waits for it
                 if status.is_over and status is not GoalStatus.REJECTED:
                     self._expect_result(goal, told["text"])
+        self._lose_forgotten()
+
+    def _lose_forgotten(self) -> None:
+        """End the goals that the server no longer knows, as one that was started anew; actionlib's clients do, too."""
+        with self._lock:
+            listed = [(self._listed.get(key), goal) for key, goal in self._goals.items()]
+        for at, goal in listed:
+            if at is not None and self._heard_at - at > _FORGOTTEN:
+                self._forget(goal)
+                problem = "the action server does not know the goal any more: it may have been started anew"
+                goal.lose(LinkError(problem, where=self._action, fix="Look at the log of its node."))
 
     def _expect_result(self, goal: SentGoal, text: str) -> None:
         """End the goal as lost if its result does not arrive in time after the final state."""
@@ -233,6 +254,7 @@ class _Client:
         with self._lock:
             self._goals.pop(goal.key, None)
             self._expected.discard(goal.key)
+            self._listed.pop(goal.key, None)
 
 
 class _Served:
@@ -262,7 +284,7 @@ class _Served:
         self._server.connect(self)
         for name, kind, take in (
             (_GOAL, f"{action_type}{_GOAL_ENDING}", self._take_goal),
-            (_CANCEL, _ID_TYPE, self._take_cancel),
+            (_CANCEL, GOAL_ID_TYPE, self._take_cancel),
         ):
             self._open.callback(transport.subscribe(action + name, kind, take, qos=None, is_raw=False).close)
         self._status = _advertised(self._open, transport, action + _STATUS, _STATUS_TYPE)

@@ -100,6 +100,10 @@ class Publisher:
         _sender.call(partial(self._publisher.publish, as_message(self._cls, message)))
         check_running(self._rospy.is_shutdown, self._topic)
 
+    def is_heard(self) -> bool:
+        """Whether a subscriber is connected."""
+        return bool(self._publisher.get_num_connections())
+
     def flush(self, seconds: float) -> None:
         """Return once the connected subscribers have the messages, as far as this machine can know.
 

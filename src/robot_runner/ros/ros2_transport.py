@@ -166,6 +166,9 @@ class _Publisher:
         is_taken = is_matched and self._is_taken(_ACKNOWLEDGING) is not False
         return is_taken and self._publisher.get_subscription_count() >= matched
 
+    def is_heard(self) -> bool:
+        return bool(self._publisher.get_subscription_count())
+
     def flush(self, seconds: float) -> None:
         # A process of Fast DDS may be matched here seconds before it discovers us; it receives the messages then.
         seconds = max(seconds, LONGEST_DISCOVERY)

@@ -59,6 +59,7 @@ class RosbridgeActions:
         self.connect = connect
         self._rosapi = rosapi
         self._served: dict[str, _Served] = {}
+        self.sent: dict[str, str] = {}  # the action of each goal that is not over, by its id
         session.on_action = self._take
 
     def types(self, action_type: str) -> ActionTypes:
@@ -103,6 +104,10 @@ class RosbridgeActions:
                 raise LinkError(problem, where=action, fix=f"{_REMEDY} The package of its type must be there, too.")
             time.sleep(_POLL)
 
+    def cancel_requests(self) -> list[dict[str, Any]]:
+        """Return the operations that cancel all goals that are not over."""
+        return [_cancelling(action, key) for key, action in list(self.sent.items())]
+
     def is_served(self, action: str) -> bool:
         """Whether a server of this action is listed."""
         return action in self._rosapi.action_servers()
@@ -140,6 +145,7 @@ class _Client:
             connection.on_lost = partial(self._lose, sent)
             with self._lock:
                 self._connections[sent.key] = connection
+                self._graph.sent[sent.key] = self._action
                 self._unnamed.append(sent)
                 self._latest = sent, time.monotonic()
             try:
@@ -154,8 +160,7 @@ class _Client:
     def cancel(self, sent: SentGoal, timeout: float) -> None:
         del timeout
         # Over the link's own connection: that of the goal may be taken up by it. A server knows all goals by their id.
-        operation = {"op": _CANCELLING, "id": sent.key, "action": self._action}
-        self._graph.session.send(operation)
+        self._graph.session.send(_cancelling(self._action, sent.key))
 
     def is_served(self) -> bool:
         return self._graph.is_served(self._action)
@@ -259,14 +264,19 @@ class _Client:
         """End a goal whose id on the server is not known; the rosbridge itself knows it by our id."""
         if not sent.is_over:
             with suppress(LinkError):
-                self.cancel(sent, 0.0)
-            sent.lose(LinkError(why, where=self._action, fix=_ALONE))
+                error = LinkError(why, where=self._action, fix=_ALONE)
+                sent.lose(error, before_told=partial(self.cancel, sent, 0.0))
 
     def _leave(self, sent: SentGoal) -> None:
         with self._lock:
             connection = self._connections.pop(sent.key, None)
+            self._graph.sent.pop(sent.key, None)
         if connection is not None:
             connection.close()
+
+
+def _cancelling(action: str, key: str) -> dict[str, Any]:
+    return {"op": _CANCELLING, "id": key, "action": action}
 
 
 class _Served:

@@ -23,7 +23,7 @@ from robot_runner.ros.graph_transport import (
     is_hidden,
     wrong_service_type,
 )
-from robot_runner.ros.ros1_actions import Ros1Actions
+from robot_runner.ros.ros1_actions import GOAL_ID_TYPE, Ros1Actions
 from robot_runner.ros.rosbridge_actions import RosbridgeActions
 from robot_runner.ros.rosbridge_callers import Callers
 from robot_runner.ros.rosbridge_frames import from_protocol, passes_as_cbor, to_protocol
@@ -43,6 +43,9 @@ _logger = logging.getLogger(__name__)
 _TOGETHER, _MOST_TOGETHER = "tf2_msgs/TFMessage", 100
 #: So many calls of services that are offered here are answered at a time, each in a thread.
 _MOST_ANSWERING = 64
+
+#: The types of which an empty message ends what was commanded: the motion, or all goals of an action of ROS 1.
+_ENDING = {*VELOCITIES, GOAL_ID_TYPE}
 
 #: How long a server's new publisher may take to be connected with the robot's nodes, s.
 _CONNECTING = 1.0
@@ -190,11 +193,11 @@ class RosbridgeTransport:
         return self._callers.call(service, values, timeout=timeout, where=service)
 
     def _stops(self) -> list[dict[str, Any]]:
-        """Return the operations that command zero on each topic on which velocities are published here."""
-        stops = []
+        """Return the operations that command zero wherever velocities are published here, and cancel goals."""
+        stops = self.actions.cancel_requests() if isinstance(self.actions, RosbridgeActions) else []
         for each in list(self._publishers.values()):
             with suppress(Exception):  # a failure at one robot must not affect the others
-                stops += [each.stop()] if each.message_type in VELOCITIES else []
+                stops += [each.stop()] if each.message_type in _ENDING else []
         return stops
 
     def _told_type(self, topic: str) -> list[str]:
@@ -217,7 +220,7 @@ class RosbridgeTransport:
             self._session.request({**operation, "compression": topic.compression}, where=name)
             if not is_hidden(name):
                 self._rosapi.confirm_subscription(name, message_type)
-        except Exception:
+        except BaseException:  # also where the run ends now: whoever makes its robot safe may subscribe it again
             del self._topics[name]
             raise
         return topic
@@ -299,6 +302,9 @@ class _Publisher:
     def reach(self) -> bool:
         """Whether the server has published the topic for so long that it is connected: it does not tell."""
         return time.monotonic() - self._since >= _CONNECTING
+
+    def is_heard(self) -> bool:
+        return True  # the server does not tell
 
     def flush(self, seconds: float) -> None:
         del seconds  # the session's own deadline: the server answers at once, or is gone

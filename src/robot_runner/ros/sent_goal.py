@@ -131,12 +131,15 @@ class SentGoal:
                 self._status = result.status
         self._end()
 
-    def lose(self, fault: LinkError) -> None:
-        """End the goal without a result."""
+    def lose(self, fault: LinkError, *, before_told: Callable[[], object] = lambda: None) -> None:
+        """End the goal without a result, also where one comes now; `before_told` is called before anybody is told."""
         with self._lock:
             if self._result is None and self._fault is None:
                 self._fault = fault
-        self._end()
+        try:
+            before_told()
+        finally:
+            self._end()
 
     def wait_for_status(self, claim: Callable[[GoalStatus], bool], timeout: float) -> bool:
         """Wait until something holds of the status; return whether it does."""

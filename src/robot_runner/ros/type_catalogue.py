@@ -14,7 +14,7 @@ from robot_runner.core.links.robot import Encoding
 from robot_runner.ros.action_types import is_action_part, whole_action
 from robot_runner.ros.message_codec import FILLER, MessageCodec, NodeKind
 from robot_runner.ros.shapes import ROS1_KINDS, Field, Shape, UpTo, plain_type
-from robot_runner.ros.type_store import filled_store, given_defaults, service_part, stored_name, with_definition
+from robot_runner.ros.type_store import LATEST, filled_store, given_defaults, service_part, stored_name, with_definition
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -60,7 +60,8 @@ class TypeCatalogue:
         Raises:
             LinkError: `rosbags` is not installed, there is no such distribution, or a file cannot be used.
         """
-        return _catalogue(generation, distro, tuple(extra))
+        known = LATEST if generation == 2 and distro is None else distro  # noqa: PLR2004  # of ROS
+        return _catalogue(generation, known, tuple(extra))
 
     def with_definition(self, message_type: str, text: str) -> TypeCatalogue:
         """Return a catalogue that knows a type, too, by the text that `definition` returns where it is known.

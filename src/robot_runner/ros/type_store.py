@@ -26,7 +26,7 @@ ROS2_DISTROS = ("foxy", "galactic", "humble", "iron", "jazzy", "kilted")
 _NEXT = re.compile(r"^=+\nMSG: *", re.MULTILINE)
 
 #: The distribution of ROS 2 whose types are used if none is named.
-_LATEST = "jazzy"
+LATEST = "jazzy"
 #: The field in ROS 2 of a type without fields, such as one of constants only.
 _PLACEHOLDER = "structure_needs_at_least_one_member"
 
@@ -47,7 +47,7 @@ def filled_store(generation: int, distro: str | None, extra: Sequence[Path]) -> 
     rosbags = _rosbags()
     store: Typestore = rosbags.get_typestore(_store_of(rosbags, generation, distro))
     definitions = _definitions(extra)
-    for name, text in bundled_definitions(generation, distro or _LATEST).items():
+    for name, text in bundled_definitions(generation, distro or LATEST).items():
         definitions.setdefault(name, ("what is known without any ROS", text))
     found: dict[str, Any] = {}
     for name, (where, text) in definitions.items():
@@ -141,7 +141,7 @@ def _store_of(rosbags: Any, generation: int, distro: str | None) -> Any:
         _check_distro(distro, ROS1_DISTROS)
         return rosbags.Stores.ROS1_NOETIC
     _check_distro(distro, ROS2_DISTROS)
-    return rosbags.Stores[f"ROS2_{(distro or _LATEST).upper()}"]
+    return rosbags.Stores[f"ROS2_{(distro or LATEST).upper()}"]
 
 
 def _check_distro(distro: str | None, known: Sequence[str]) -> None:

@@ -148,14 +148,14 @@ class PublishedTopic:
         self._rate = rate
         self._make = make
         self._prepare = prepare
-        self._listeners: dict[Listening, Listener] = {}
+        self._listeners: dict[Listening, tuple[Listener, Callable[[], bool]]] = {}
         self._ticker: Ticker | None = None
 
-    def listen(self, listener: Listener) -> Listening:
-        """Call `listener` with each message, during sleeps on the clock, until the result is closed."""
+    def listen(self, listener: Listener, is_wanted: Callable[[], bool] = lambda: True) -> Listening:
+        """Call `listener` with each message that is wanted, during sleeps on the clock, until the result is closed."""
         self._prepare()
         listening = Listening(self)
-        self._listeners[listening] = listener
+        self._listeners[listening] = listener, is_wanted
         if self._ticker is None:
             self._ticker = self._clock.every(self._rate, self._publish)
         return listening
@@ -177,8 +177,9 @@ class PublishedTopic:
             self._ticker = None
 
     def _publish(self) -> None:
-        message = self._make()
-        for listening, listener in tuple(self._listeners.items()):
+        wanted = [(listening, listener) for listening, (listener, is_wanted) in self._listeners.items() if is_wanted()]
+        message = self._make() if wanted else {}
+        for listening, listener in wanted:
             if listening in self._listeners:  # an earlier listener may have closed it
                 listener(message)
 

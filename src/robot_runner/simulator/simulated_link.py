@@ -258,6 +258,10 @@ class _CommandPublisher:
         """Return at once, as the robot always receives."""
         return True
 
+    def is_heard(self) -> bool:
+        """Return True: the robot always receives."""
+        return True
+
     def flush(self, seconds: float) -> None:
         """Do nothing, as commands are executed at once."""
 

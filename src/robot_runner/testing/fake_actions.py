@@ -50,6 +50,7 @@ class FakeGoal:
         action: the name of the action, as it was given.
         action_type: the type, as it was given.
         goal: the message.
+        fault: why there will be no result; a test may set it.
     """
 
     def __init__(
@@ -63,6 +64,7 @@ class FakeGoal:
         self.time = clock.now()
         self.action, self.action_type, self.goal = sent
         self.is_cancel_requested = False
+        self.fault: LinkError | None = None
         self._clock = clock
         self._script = script
         self._on_feedback = on_feedback or (lambda _: None)

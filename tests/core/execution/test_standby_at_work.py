@@ -8,6 +8,8 @@ import sys
 import time
 from contextlib import closing, contextmanager
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -17,13 +19,15 @@ from tests.waiting import wait_until
 import robot_runner.core.execution.standby as standby_module
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.resources import Resources
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.progress_manager import ProgressManager
 from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.standby import Standby, standby_of
 from robot_runner.core.execution.systems_state import Care, SystemsState
-from robot_runner.core.links import commanded_topics
+from robot_runner.core.links import commanded_topics, connect
+from robot_runner.core.links.kinds import link_key
 from robot_runner.core.links.robot import GraphEndpoint
 from robot_runner.core.storage.lock_files import open_to_lock
 from robot_runner.core.treatments import bind
@@ -152,6 +156,26 @@ def test_a_robot_whose_server_or_network_is_back_some_seconds_after_the_run_s_de
     with after_death(experiment, ("/alice/cmd_vel", "geometry_msgs/Twist")):
         told = (folder / "told").read_text(encoding="utf-8").splitlines()
     assert set(told) == {"/alice/cmd_vel geometry_msgs/Twist {}"}
+
+
+def test_a_robot_that_has_not_answered_is_not_waited_for_again_for_each_system(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each waited for 5 s, so that a network that was away for 7 s was tried again after 20 s only."""
+    tries: list[str] = []
+    now = 0.0
+
+    def opener(name: str, seconds: float) -> Any:
+        nonlocal now
+        tries.append(name)
+        now += seconds
+        raise LinkError(f"nothing answers there: {name}", where="robot", fix="See whether it is on.")
+
+    monkeypatch.setattr(connect, "time", SimpleNamespace(monotonic=lambda: now))
+    with closing(connect.RobotTriedOnce()) as resources:
+        for name, seconds in (("a wrong namespace", 0.0), ("alice", 5.0), ("bob", 5.0)):
+            with pytest.raises(LinkError, match=r"a wrong namespace|alice"):
+                resources.open(link_key("robot", name), partial(opener, name, seconds))
+        assert tries == ["a wrong namespace", "alice"]
+        assert resources.open(link_key("serial", ""), Resources) is not None
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")

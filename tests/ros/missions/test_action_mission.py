@@ -244,6 +244,28 @@ def test_make_safe_cancels_through_a_rosbridge_a_goal_that_another_process_sent(
         assert goal.result(timeout=PATIENCE).status is GoalStatus.CANCELED
 
 
+@pytest.mark.long
+def test_a_goal_whose_connection_is_lost_ends_the_mission_at_once_and_did_not_time_out(contexts: Any) -> None:
+    mission = ActionMission("dig", "example_interfaces/Fibonacci", timeout_s=PATIENCE, failure="measure")
+    with (
+        closing(RosbridgeServer(generation=2)) as server,
+        closing(open_rosbridge_link(server.url, SystemClock())) as robot,
+        closing(open_rosbridge_link(server.url, SystemClock())) as link,
+    ):
+
+        def execute(execution: Any) -> dict[str, Any]:
+            wait_until(lambda: mission._accepted_at is not None)
+            (goal,) = server.actions.offered["/dig"].goals.values()
+            goal.sender.close()  # the connection of the goal alone
+            wait_until(lambda: execution.is_cancel_requested)
+            raise ActionCanceled
+
+        robot.offer_action(mission.action, mission.action_type, execute)
+        context = contexts(mission, robot=server.url, links=FakeLinks(robot=link), clock=SystemClock())
+        with pytest.raises(LinkError, match="the connection is lost"):
+            rehearse(context, mission)
+
+
 def test_two_robots_reach_their_goals_at_the_same_time(contexts: Any) -> None:
     pair = Together(*(_mission(0.6, name=name, namespace=f"/{name}") for name in ("alice", "bob")))
     context = contexts(pair)

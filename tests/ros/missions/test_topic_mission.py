@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from robot_runner.conditions.topic_messages import topic_above
 from robot_runner.core.errors import ConditionTimeout, PluginError
+from robot_runner.core.links import commanded_topics
 from robot_runner.core.plugin import Circumstances
 from robot_runner.plugins import treatment
 from robot_runner.plugins.systems import TopicMission
@@ -49,6 +50,23 @@ def test_for_some_seconds_it_publishes_as_often_as_it_says_and_the_safe_message_
     once = TopicMission("lamp", "std_msgs/String", {"data": "on"}, until=2.0, rate_hz=0)
     context = make_context(tmp_path, once, links=FakeLinks(robot=FakeRobotLink(clock)), clock=clock)
     assert rehearse(context, once)["Messages"] == 1
+
+
+class _UnreachedLink(FakeRobotLink):
+    """A link whose only subscriber has another version of the type, so that it never connects."""
+
+    def advertise(self, *_: Any, **_more: Any) -> bool:
+        return False
+
+
+def test_a_mission_is_doubted_whose_messages_did_not_reach_a_subscriber(tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr(commanded_topics, "_REACHING", 0.0)
+    clock = FakeClock()
+    lamp = TopicMission("lamp", "std_msgs/String", {"data": "on"}, until=2.0)
+    context = make_context(tmp_path, lamp, links=FakeLinks(robot=_UnreachedLink(clock)), clock=clock)
+    rehearse(context, lamp)
+    (doubt,) = context.broker.findings
+    assert "'lamp' may have missed messages of the mission: the robot's subscription is not reached" in doubt.problem
 
 
 def test_a_condition_that_never_holds_fails_the_run_with_what_was_seen(tmp_path: Path) -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import threading
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, TypeVar, cast, runtime_checkable
@@ -66,6 +67,33 @@ class Resources:
                 self._closing.callback(each.halt)
         self._opened.clear()
         self._closing.close()
+
+
+#: What is open in this process beside the resources of its run.
+_opened_here: set[Resources] = set()
+os.register_at_fork(after_in_child=_opened_here.clear)
+
+
+@contextmanager
+def opened_here() -> Iterator[Resources]:
+    """Yield resources of one's own, which are closed at the end of the block, or else by `close_left_open`."""
+    with closing(Resources()) as resources:
+        _opened_here.add(resources)
+        try:
+            yield resources
+        finally:
+            _opened_here.discard(resources)
+
+
+def close_left_open() -> list[str]:
+    """Close what was opened in a block of `opened_here` that was not left; return the problems with that."""
+    problems = []
+    for each in list(_opened_here):
+        try:
+            each.close()
+        except Exception as error:  # noqa: BLE001 - of whichever kind: the others are closed, and it is told
+            problems.append(f"a link that a callback left open could not be closed: {error}")
+    return problems
 
 
 @dataclass(frozen=True, slots=True)

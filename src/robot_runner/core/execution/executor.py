@@ -26,7 +26,7 @@ from robot_runner.core.execution.standby import Standby, standby_of
 from robot_runner.core.execution.systems_state import SystemsState
 from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 from robot_runner.core.execution.worker import be_run, become_interpreter
-from robot_runner.core.links.connect import is_simulated, preload_simulation
+from robot_runner.core.links.connect import is_simulated, preload_before_forks
 from robot_runner.core.secret_names import sentences_without_secrets
 from robot_runner.core.storage.layout import LazyLog
 
@@ -108,9 +108,9 @@ def places_of(experiment: Experiment, claims: Claims, combinations: Iterable[Map
 
 
 def load_before_forks(experiment: Experiment) -> None:
-    """Import the simulator of a robot into this process, so that no run that is forked from it has to."""
+    """Import what reaches a robot into this process, so that no run or standby that is forked from it has to."""
     if experiment.parameters.run_process is RunProcess.FORK:
-        preload_simulation(experiment.parameters.robot)
+        preload_before_forks(experiment.parameters.robot)
 
 
 def begin_run(

@@ -22,7 +22,6 @@ from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.errors import ExecutionError, Finding, LinkError, StorageError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import CONFIG_OWNER
-from robot_runner.core.events.resources import Resources
 from robot_runner.core.execution.left_over import end_left_over, has_locked
 from robot_runner.core.execution.processes import (
     await_an_end,
@@ -36,7 +35,13 @@ from robot_runner.core.execution.run_records import failure_fields
 from robot_runner.core.execution.systems_state import Care, SystemsFile, SystemsState
 from robot_runner.core.execution.task import RunTask
 from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND, keep_commanding_zero
-from robot_runner.core.links.connect import connect_robot, is_simulated, join_beforehand, preload_robot
+from robot_runner.core.links.connect import (
+    RobotTriedOnce,
+    connect_robot,
+    is_simulated,
+    join_beforehand,
+    preload_robot,
+)
 from robot_runner.core.plugin import System
 from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, remove
 from robot_runner.core.storage.layout import ExperimentFolder, print_to_log
@@ -51,7 +56,7 @@ from robot_runner.core.words import enumerated
 LONGEST = 40.0
 #: For how long after the run's death, and how often, it is tried again where the robot cannot be reached, s: whatever
 #: killed the run may have killed a server or the network, too, and both may come back.
-_RETRYING, _AGAIN = 15.0, 0.5
+_RETRYING, _AGAIN = 20.0, 0.5
 #: How long it may take to die once it was killed, s.
 _DYING = 5.0
 #: The longest text that is read as a process id, in bytes.
@@ -255,7 +260,7 @@ class _Connection:
     """
 
     def __init__(self, experiment: Experiment, task: RunTask) -> None:
-        self._resources = Resources()
+        self._resources = RobotTriedOnce()
         self.warnings: list[str] = []
         self.contexts = run_contexts(
             experiment, task, clock=SystemClock(), resources=self._resources, report=self._take

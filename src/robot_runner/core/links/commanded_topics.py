@@ -106,15 +106,26 @@ def command_for_certain(link: RobotLink, topic: str, message_type: str, message:
     Raises:
         LinkError: a subscriber is not reached, or the robot cannot be.
     """
+    await_subscribers(link, topic, message_type, lambda: link.publish(topic, message_type, message))
+
+
+def await_subscribers(
+    link: RobotLink, topic: str, message_type: str, meanwhile: Callable[[], object] = lambda: None
+) -> None:
+    """Return once every subscriber of a topic is reached; `meanwhile` is called after each look.
+
+    Raises:
+        LinkError: a subscriber is not reached, or the robot cannot be.
+    """
     began = time.monotonic()
-    is_reached = _reaches(link, topic, message_type)
-    link.publish(topic, message_type, message)  # those that are reached must not wait for the others
-    while not is_reached:
+    while True:
+        is_reached = _reaches(link, topic, message_type)
+        meanwhile()  # those that are reached must not wait for the others
+        if is_reached:
+            return
         if (seconds := time.monotonic() - began) > _REACHING:
             raise _not_reached(link, topic, seconds)
         time.sleep(_PERIOD)  # some links tell at once that it is not
-        is_reached = _reaches(link, topic, message_type)
-        link.publish(topic, message_type, message)
 
 
 def _not_reached(link: RobotLink, topic: str, seconds: float) -> LinkError:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean, nearest
 from robot_runner.core.events.context import Clock, ExperimentContext, RobotRunnerContext, SystemClock
-from robot_runner.core.events.resources import Resources
+from robot_runner.core.events.resources import R, Resources, opened_here
 from robot_runner.core.links import kinds
 from robot_runner.core.links.graph_names import GraphNeed, full_name, namespace_prefix
 from robot_runner.core.links.robot import RobotLink
@@ -19,6 +20,8 @@ from robot_runner.core.storage.input_files import InputFile
 #: The name of the embedded robot, for messages that suggest it.
 SIMULATED = "simulated"
 
+#: A robot that is not reached after so long, s, does not answer.
+_SILENCE = 1.0
 _SIMULATE = f"Execute it on the embedded robot: --set robot={SIMULATED}."
 
 
@@ -151,13 +154,14 @@ def preload_robot(robot: str | None) -> None:
             kind.preload(name)
 
 
-def preload_simulation(robot: str | None) -> None:
-    """Import the simulator of a simulated robot into the orchestrator, so that no forked run has to.
+def preload_before_forks(robot: str | None) -> None:
+    """Import what reaches a robot into the orchestrator, so that no forked process has to.
 
     Importing a simulator starts no thread; importing the client library of a real robot may, and threads do not survive
     a fork. A failing import is reported by the run.
     """
-    if is_simulated(robot):
+    kind = None if robot is None else _kind_or_none(robot)
+    if is_simulated(robot) or (isinstance(kind, kinds.CanBeForked) and kind.can_be_forked):
         with suppress(LinkError, ImportError):
             preload_robot(robot)
 
@@ -178,6 +182,24 @@ def connect_robot(context: RobotRunnerContext, *, namespace: str = "") -> RobotL
         namespace=robot_namespace(context, namespace),
     )
     return context.resources.open(kinds.link_key("robot", namespace), opener)
+
+
+class RobotTriedOnce(Resources):
+    """Resources that do not wait for a robot again, under whichever namespace, that has not answered."""
+
+    _fault: LinkError | None = None
+
+    def open(self, key: str, opener: Callable[[], R]) -> R:
+        """Open as all resources do."""
+        is_robot, began = key.startswith("robot "), time.monotonic()
+        if is_robot and self._fault is not None:
+            raise self._fault
+        try:
+            return super().open(key, opener)
+        except LinkError as error:
+            if is_robot and time.monotonic() - began > _SILENCE:
+                self._fault = error
+            raise
 
 
 def join_beforehand(context: RobotRunnerContext, *, namespace: str = "") -> None:
@@ -316,6 +338,8 @@ def _below(own: str, namespace: str) -> str:
 def open_robot(robot: str, *, namespace: str = "", seed: int = 1) -> Iterator[tuple[RobotLink, Clock]]:
     """Reach a robot outside of a run, as a node of your own does, and leave it when the block ends.
 
+    What a run's callback leaves open is closed as the run ends: the robot stands still.
+
     Args:
         robot: as in a config, such as `dds:domain=7,clock=graph`.
         namespace: which robot, where there are several.
@@ -333,7 +357,7 @@ def open_robot(robot: str, *, namespace: str = "", seed: int = 1) -> Iterator[tu
         'base_footprint'
     """
     kind, name = resolved_robot(robot)
-    with closing(Resources()) as resources:
+    with opened_here() as resources:
         clock = kind.open_clock(name, resources=resources, seed=seed)
         within = _below(name.namespace, namespace)
         link = kind.open_robot(name, resources=resources, clock=clock, seed=seed, namespace=within)

@@ -77,6 +77,15 @@ class Preloads(Protocol):
 
 
 @runtime_checkable
+class CanBeForked(Protocol):
+    """A kind of link to real robots that tells whether processes can be forked once its library is imported."""
+
+    @property
+    def can_be_forked(self) -> bool:
+        """Whether the import starts no thread."""
+
+
+@runtime_checkable
 class JoinsGraph(Protocol):
     """A kind of link that joins a graph."""
 

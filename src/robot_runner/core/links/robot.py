@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from robot_runner.core.links.goals import ActionResult, GoalStatus
+
+if TYPE_CHECKING:
+    from robot_runner.core.errors import LinkError
 
 #: A ROS message as a plain mapping that follows its definition: `{"linear": {"x": 0.2, ...}, "angular": {...}}`.
 #: Times and durations are `{"sec": …, "nanosec": …}` in both generations of ROS, arrays are lists, byte arrays `bytes`.
@@ -198,6 +201,10 @@ class Goal(Protocol):
     @property
     def status(self) -> GoalStatus:
         """The last status from the server."""
+
+    @property
+    def fault(self) -> LinkError | None:
+        """Why there will be no result, if so: its server or the connection is gone, say."""
 
     def result(self, *, timeout: float) -> ActionResult:
         """Wait until it is over and return its result, however it ended; `timeout` is in seconds.

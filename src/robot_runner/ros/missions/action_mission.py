@@ -273,13 +273,15 @@ class ActionMission(RobotSystem):
         """Wait until a goal is over, or return False where it takes too long.
 
         Raises:
-            LinkError: its server is gone.
+            LinkError: there will be no result: its server is gone, say.
         """
         clock = context.clock
         deadline, look_at = clock.now() + self.timeout_s, clock.now() + _LOOK_FOR_SERVER
         name = full_name(robot_namespace(context, self.namespace), self.action)
         is_listed = name in link.actions()
         while not goal.status.is_over:
+            if goal.fault is not None:
+                raise goal.fault
             now = clock.now()
             if now >= deadline:
                 return False
