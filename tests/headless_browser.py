@@ -88,8 +88,8 @@ class Browser:
         """Wait until an expression is true in the page."""
         deadline = time.monotonic() + seconds
         while not self.evaluate(f"Boolean({condition})"):
-            seen = self.evaluate("document.body.innerText")
-            assert time.monotonic() < deadline, f"this never came: {condition}\n{seen}"
+            if time.monotonic() >= deadline:
+                pytest.fail(f"this never came: {condition}\n{self.evaluate('document.body.innerText')}")
             time.sleep(0.05)
 
     def press(self, selector: str) -> None:

@@ -79,7 +79,7 @@ def economy(rows: list[dict[str, str]]) -> dict[str, float]:
 def search_and_scan(folder: Path, step: float, kills: tuple[int, int], seed: int) -> tuple[int, int]:
     """Search with two kills and scan, compare what both found, and return how many runs each had."""
     count = round(0.2 / step) + 1
-    of_range = ("step=0.005", f"step={step}")
+    of_range, turns = ("step=0.005", f"step={step}"), ("rotate_s=15", "rotate_s=3")  # where it turns to is all the same
     search = written(
         folder,
         "search",
@@ -87,11 +87,12 @@ def search_and_scan(folder: Path, step: float, kills: tuple[int, int], seed: int
         ("runs = 10", f"runs = {count // 4}\n    start = {count // 8}"),
         ("runs=self.runs", f"runs=self.runs, start=self.start, seed={seed}"),
         ("confirm = 5", "confirm = 2"),
+        turns,
     )
     text = EXAMPLE.read_text(encoding="utf-8")
     design = text[text.index("            design=Optimise(") : text.index("        )\n\n    def populate_run_data")]
     speeds = f"[round(0.02 + {step} * number, 4) for number in range({count})]"
-    scan = written(folder, "scan", (design, ""), ('Range(0.02, 0.22, step=0.005, unit="m/s")', speeds))
+    scan = written(folder, "scan", turns, (design, ""), ('Range(0.02, 0.22, step=0.005, unit="m/s")', speeds))
     draw = Random(seed)  # noqa: S311 - reproducible, not secret
     for runs in kills:
         kill_after(search, runs, draw.uniform(0.0, 1.0))

@@ -22,6 +22,7 @@ TABLE = """
         return RunTableModel(factors, data_columns=["Energy"], design=DESIGN)
 """
 BODY = """
+run_process = RunProcess.IN_PROCESS
 claims = []
 def populate_run_data(self, context):
     return {"Energy": len(str(context.combination))}

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 Execute = Callable[..., Any]
 
 COUNTING = """
+run_process = RunProcess.IN_PROCESS
+
 def populate_run_data(self, context):
     return {"Energy": 10 * context.run_number + context.attempt}
 """

@@ -37,6 +37,8 @@ Execute = Callable[..., Any]
 
 #: Another attempt gives another value.
 COUNTING = """
+run_process = RunProcess.IN_PROCESS
+
 def launch_mission(self, context):
     context.combination["Task"]
 

@@ -7,6 +7,7 @@ import sys
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.command_line import Answer
 
 from robot_runner.cli.commands import installed_commands, summary_of
 from robot_runner.core import entry_points as entry_points_module
@@ -141,8 +142,8 @@ def test_a_command_whose_file_is_gone_says_so() -> None:
     assert summary_of(point).endswith("install or repair the package stranger")
 
 
-def _without(libraries: list[str], *words: str) -> subprocess.CompletedProcess[str]:
-    """Call the program in a Python that has none of these libraries."""
+def _without(libraries: list[str], *calls: list[str]) -> list[Answer]:
+    """Call the program, once for each list of words, in a Python that has none of these libraries."""
     program = (
         "import sys\n"
         f"class Missing:\n"
@@ -154,9 +155,17 @@ def _without(libraries: list[str], *words: str) -> subprocess.CompletedProcess[s
         "find = importlib.util.find_spec\n"
         f"importlib.util.find_spec = lambda name, *rest: None if name in {libraries!r} else find(name, *rest)\n"
         "from robot_runner.cli.main import main\n"
-        f"sys.exit(main({list(words)!r}))\n"
+        f"for words in {list(calls)!r}:\n"
+        "    code = main(words)\n"
+        "    print(chr(0), end=str(code), flush=True)\n"
+        "    print(chr(0), end='', flush=True, file=sys.stderr)\n"
     )
-    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=100, check=False)
+    told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=100, check=False)
+    assert told.returncode == 0, told.stderr
+    # Behind each NUL is the exit code of the call before it.
+    outs = told.stdout.split("\0")
+    codes, texts = [int(each[0]) for each in outs[1:]], [outs[0], *(each[1:] for each in outs[1:])]
+    return [Answer(*each) for each in zip(codes, texts, told.stderr.split("\0"), strict=False)]
 
 
 @pytest.mark.long
@@ -174,16 +183,18 @@ def _without(libraries: list[str], *words: str) -> subprocess.CompletedProcess[s
 def test_without_its_extra_a_command_has_help_and_names_the_extra(
     libraries: list[str], words: list[str], extra: str
 ) -> None:
-    helped = _without(libraries, words[0], "--help")
-    assert (helped.returncode, helped.stderr) == (0, "")
-    assert f"usage: robot-runner {words[0]}" in helped.stdout
-    executed = _without(libraries, *words)
-    assert executed.returncode == 2, executed.stderr
-    assert f"pip install 'robot-runner[{extra}]'" in executed.stderr
+    helped, executed = _without(libraries, [words[0], "--help"], words)
+    assert (helped.code, helped.err) == (0, "")
+    assert f"usage: robot-runner {words[0]}" in helped.out
+    assert executed.code == 2, executed.err
+    assert f"pip install 'robot-runner[{extra}]'" in executed.err
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("command", ["pack", "verify", "replicate", "explain", "fit-power-model", "convert"])
-def test_without_any_extra_every_command_has_help(command: str) -> None:
-    helped = _without(sorted({name for names in LIBRARIES.values() for name in names}), command, "--help")
-    assert (helped.returncode, helped.stderr) == (0, "")
+def test_without_any_extra_every_command_has_help() -> None:
+    commands = ["pack", "verify", "replicate", "explain", "fit-power-model", "convert"]
+    missing = sorted({name for names in LIBRARIES.values() for name in names})
+    answers = _without(missing, *([command, "--help"] for command in commands))
+    assert [(each.code, each.err) for each in answers] == [(0, "")] * len(commands)
+    for command, answer in zip(commands, answers, strict=True):
+        assert f"usage: robot-runner {command}" in answer.out

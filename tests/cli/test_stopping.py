@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from typing import TYPE_CHECKING
 
 import pytest
@@ -16,11 +15,8 @@ if TYPE_CHECKING:
 
 @pytest.mark.long
 def test_it_closes_the_run_and_can_go_on(
-    terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, program: str
+    terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, robot_runner: Callable
 ) -> None:
-    def call(*words: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run([program, *words], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
-
     write_config("""
         def launch_mission(self, context):
             context.clock.sleep(0.01 if Path("go").exists() else 60)
@@ -30,17 +26,17 @@ def test_it_closes_the_run_and_can_go_on(
     """)
     shown = terminal("run", "config.py", "--plain")
     shown.wait_for("starts")
-    told = call("stop", "config.py")
-    assert (told.returncode, "trial stops; r_1 is closed first, and is to be done again" in told.stdout) == (0, True)
+    told = robot_runner("stop", "config.py")
+    assert (told.code, "trial stops; r_1 is closed first, and is to be done again" in told.out) == (0, True)
     assert shown.finish() == 130
     assert "Interrupted: 0 of 4 runs done, 0 failed, 4 to do" in shown.text
     assert (tmp_path / "closed").exists()
     root = tmp_path / "results" / "trial"
     assert not (root / ".stop").exists()
     assert [each["kind"] for each in read_journal(root / "journal.jsonl")].count("stop_requested") == 1
-    refused = call("stop", "config.py")
-    assert (refused.returncode, "the experiment is not being executed" in refused.stderr) == (2, True)
+    refused = robot_runner("stop", "config.py")
+    assert (refused.code, "the experiment is not being executed" in refused.err) == (2, True)
     # A request that came when nobody executed it stops no later session.
     (root / ".stop").touch()
     (tmp_path / "go").touch()
-    assert call("run", "config.py").returncode == 0
+    assert robot_runner("run", "config.py").code == 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import signal
 import subprocess
@@ -67,25 +66,25 @@ def test_enter_starts_the_next_run(terminal: Callable, write_config: Callable[..
 
 @pytest.mark.long
 def test_a_second_terminal_lets_it_go_on(
-    terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, program: str
+    terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, robot_runner: Callable
 ) -> None:
     write_config(SEMI, table=TWO_RUNS)
     shown = terminal("run", "config.py")
     shown.wait_for("start run 1")
     shown.child.sendline("")
     shown.wait_for("start run 2")
-    waiting = json.loads(call(program, tmp_path, "status", "config.py", "--json").stdout)
+    waiting = robot_runner("status", "config.py", "--json").json
     assert waiting["is_waiting_for_user"] is True
     assert waiting["holder"]["pid"] == shown.child.pid
-    assert "waits for you (process" in call(program, tmp_path, "status", "results/trial").stdout
-    answer = call(program, tmp_path, "continue", "results/trial")
-    assert (answer.returncode, answer.stderr) == (0, "")
-    assert "trial goes on: 2 of 2 runs begun." in answer.stdout
+    assert "waits for you (process" in robot_runner("status", "results/trial").out
+    answer = robot_runner("continue", "results/trial")
+    assert (answer.code, answer.err) == (0, "")
+    assert "trial goes on: 2 of 2 runs begun." in answer.out
     assert shown.finish() == 0
-    ended = call(program, tmp_path, "continue", "config.py")
-    assert ended.returncode == 2
-    assert "the experiment is not being executed" in ended.stderr
-    assert "All its runs are done." in ended.stderr
+    ended = robot_runner("continue", "config.py")
+    assert ended.code == 2
+    assert "the experiment is not being executed" in ended.err
+    assert "All its runs are done." in ended.err
 
 
 @pytest.mark.long
@@ -108,38 +107,38 @@ def test_where_nobody_sits_a_second_terminal_is_the_way(
 
 @pytest.mark.long
 def test_an_experiment_that_does_not_wait_is_not_told_to_go_on(
-    terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, program: str
+    terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, robot_runner: Callable
 ) -> None:
     write_config(ENDLESS)
     shown = terminal("run", "config.py")
     shown.wait_for("waiting for Godot")
-    answer = call(program, tmp_path, "continue", "config.py")
-    assert answer.returncode == 2
-    assert f"the experiment does not wait: process {shown.child.pid} on " in answer.stderr
-    assert "executes r_1" in answer.stderr
-    assert "fix: Wait until it asks" in answer.stderr
-    second = call(program, tmp_path, "run", "config.py")
-    assert second.returncode == 2
-    assert "is being executed by process" in second.stderr
+    answer = robot_runner("continue", "config.py")
+    assert answer.code == 2
+    assert f"the experiment does not wait: process {shown.child.pid} on " in answer.err
+    assert "executes r_1" in answer.err
+    assert "fix: Wait until it asks" in answer.err
+    second = robot_runner("run", "config.py")
+    assert second.code == 2
+    assert "is being executed by process" in second.err
 
 
 @pytest.mark.long
 def test_the_live_screen_shows_run_event_and_phase_and_ctrl_c_ends_it_cleanly(
-    terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, program: str
+    terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, robot_runner: Callable
 ) -> None:
     write_config(ENDLESS)
     shown = terminal("run", "config.py")
     shown.wait_for(r"waiting for Godot.*[12]\.\d s")
     run = "▶ r_1 (run 1 of 4): Task=Video, Repetition=1"
     shown.wait_until_shown("0 of 4 done", run, "launch_mission: waiting for Godot (1 of 2)")
-    now = call(program, tmp_path, "status", "config.py").stdout
+    now = robot_runner("status", "config.py").out
     assert "r_1, launch_mission" in now
     shown.child.sendintr()
     assert shown.finish() == 130
     assert "Interrupted: 0 of 4 runs done, 0 failed, 4 to do" in shown.text
     assert "go on with the 4 runs that are left: robot-runner config.py" in shown.text
     assert "▶" not in shown.text, "the live part is taken away"
-    assert "not being executed" in call(program, tmp_path, "status", "config.py").stdout
+    assert "not being executed" in robot_runner("status", "config.py").out
 
 
 @pytest.mark.long
@@ -193,14 +192,14 @@ def test_colour_can_be_forbidden(terminal: Callable, variable: str | None, is_co
 
 @pytest.mark.long
 def test_a_terminal_that_closes_ends_the_experiment_cleanly(
-    terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, program: str
+    terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, robot_runner: Callable
 ) -> None:
     write_config(ENDLESS)
     shown = terminal("run", "config.py")
     shown.wait_for("waiting for Godot")
     shown.child.kill(signal.SIGHUP)
     shown.finish()
-    facts = json.loads(call(program, tmp_path, "status", "config.py", "--json").stdout)
+    facts = robot_runner("status", "config.py", "--json").json
     assert facts["holder"] is None
     assert facts["finished_at"] is not None
     assert (facts["done"], facts["failed"], facts["todo"]) == (0, 0, 4)
@@ -208,7 +207,7 @@ def test_a_terminal_that_closes_ends_the_experiment_cleanly(
 
 @pytest.mark.long
 def test_a_changed_config_is_shown_and_asked_about_at_a_terminal(
-    terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, program: str
+    terminal: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
     write_config("def populate_run_data(self, context): return {'Energy': 1}", table=TWO_RUNS)
     assert terminal("run", "config.py", "--only", "r_1").finish() == 0

@@ -29,6 +29,12 @@ def chosen(every: list[Hostile], count: int) -> list[Hostile]:
     return [every[place * len(every) // count] for place in range(count)]
 
 
+@pytest.fixture(scope="module")
+def every_folder(original: Original) -> list[Hostile]:
+    """Return all of them: what damages each is worked out from the original, which takes seconds."""
+    return list(hostile_folders(original.study / original.folder))
+
+
 @pytest.mark.long
 def test_the_original_is_read_by_every_command_that_is_called(
     original: Original, server: CallServer, tmp_path: Path
@@ -44,9 +50,14 @@ def test_the_original_is_read_by_every_command_that_is_called(
 
 @pytest.mark.parametrize("part", [*long_but([0], range(IN_CI)), *soak_but([], range(IN_CI, PARTS))])
 def test_hostile_folders(
-    part: int, original: Original, server: CallServer, tmp_path: Path, record_property: object
+    part: int,
+    every_folder: list[Hostile],
+    original: Original,
+    server: CallServer,
+    tmp_path: Path,
+    record_property: object,
 ) -> None:
-    folders = chosen(list(hostile_folders(original.study / original.folder)), BOUNDED)
+    folders = chosen(every_folder, BOUNDED)
     tally = Tally()
     for number, hostile in list(enumerate(folders))[part::PARTS]:
         # With a step that shares no factor with the number of commands, each is called on several kinds.
@@ -59,10 +70,10 @@ def test_hostile_folders(
 @pytest.mark.long
 @pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.soak)])
 def test_escapes_in_every_file_come_to_no_terminal(
-    every: int, original: Original, server: CallServer, tmp_path: Path
+    every: int, every_folder: list[Hostile], original: Original, server: CallServer, tmp_path: Path
 ) -> None:
     """Names, units, treatments, reasons and cells are shown all the same, so that a person sees what is there."""
-    hostile = next(each for each in hostile_folders(original.study / original.folder) if "every file" in each.name)
+    hostile = next(each for each in every_folder if "every file" in each.name)
     tally = Tally()
     shown: list[bytes] = []
     visit_folder(hostile, original, server, tmp_path / "box", tally, every=every, said=shown)
@@ -74,10 +85,10 @@ def test_escapes_in_every_file_come_to_no_terminal(
 @pytest.mark.soak
 @pytest.mark.timeout(14_400)
 def test_250_hostile_folders_through_every_command(
-    original: Original, server: CallServer, tmp_path: Path, record_property: object
+    every_folder: list[Hostile], original: Original, server: CallServer, tmp_path: Path, record_property: object
 ) -> None:
     tally = Tally()
-    for hostile in chosen(list(hostile_folders(original.study / original.folder)), PROMISED):
+    for hostile in chosen(every_folder, PROMISED):
         visit_folder(hostile, original, server, tmp_path / "box", tally)
     tell(record_property, tally.in_words("hostile folders"))
     assert tally.faults == {}
@@ -85,10 +96,12 @@ def test_250_hostile_folders_through_every_command(
 
 @pytest.mark.soak
 @pytest.mark.timeout(14_400)
-def test_all_hostile_folders(original: Original, server: CallServer, tmp_path: Path, record_property: object) -> None:
+def test_all_hostile_folders(
+    every_folder: list[Hostile], original: Original, server: CallServer, tmp_path: Path, record_property: object
+) -> None:
     """Each through some of the commands: all of them through all would take a night."""
     tally = Tally()
-    for number, hostile in enumerate(hostile_folders(original.study / original.folder)):
+    for number, hostile in enumerate(every_folder):
         visit_folder(hostile, original, server, tmp_path / "box", tally, every=10, first=3 * number)
     tell(record_property, tally.in_words("hostile folders"))
     assert tally.subjects > PROMISED

@@ -20,6 +20,12 @@ if TYPE_CHECKING:
 BOUNDED = 60
 
 
+@pytest.fixture(scope="module")
+def every_package(original: Original) -> list[Hostile]:
+    """Return all of them: what damages each is worked out from the original, which takes seconds."""
+    return list(hostile_packages(original.package))
+
+
 @pytest.mark.long
 def test_the_original_is_intact(original: Original, package_server: CallServer, tmp_path: Path) -> None:
     tally = Tally()
@@ -30,10 +36,14 @@ def test_the_original_is_intact(original: Original, package_server: CallServer, 
 
 @pytest.mark.long
 def test_hostile_packages(
-    original: Original, package_server: CallServer, tmp_path: Path, record_property: object
+    every_package: list[Hostile],
+    original: Original,
+    package_server: CallServer,
+    tmp_path: Path,
+    record_property: object,
 ) -> None:
     tally = Tally()
-    for number, hostile in enumerate(chosen(list(hostile_packages(original.package)), BOUNDED)):
+    for number, hostile in enumerate(chosen(every_package, BOUNDED)):
         # Each is verified and replicated in one of the two ways of either.
         visit_package(hostile, original, package_server, tmp_path / "box", tally, every=2, first=number)
     tell(record_property, tally.in_words("hostile packages"))
@@ -41,11 +51,11 @@ def test_hostile_packages(
 
 
 @pytest.mark.long
-def test_bombs_fill_no_memory(original: Original, package_server: CallServer, tmp_path: Path) -> None:
+def test_bombs_fill_no_memory(
+    every_package: list[Hostile], original: Original, package_server: CallServer, tmp_path: Path
+) -> None:
     """25 kB that unpack to 827 MB, and a directory that names a million files."""
-    bombs = [
-        each for each in hostile_packages(original.package) if "of empty objects" in each.name or "million" in each.name
-    ]
+    bombs = [each for each in every_package if "of empty objects" in each.name or "million" in each.name]
     tally = Tally()
     for number, hostile in enumerate(bombs):
         visit_package(hostile, original, package_server, tmp_path / "box", tally, every=2, first=number)
@@ -56,10 +66,14 @@ def test_bombs_fill_no_memory(original: Original, package_server: CallServer, tm
 @pytest.mark.soak
 @pytest.mark.timeout(14_400)
 def test_all_hostile_packages(
-    original: Original, package_server: CallServer, tmp_path: Path, record_property: object
+    every_package: list[Hostile],
+    original: Original,
+    package_server: CallServer,
+    tmp_path: Path,
+    record_property: object,
 ) -> None:
     tally = Tally()
-    for hostile in hostile_packages(original.package):
+    for hostile in every_package:
         visit_package(hostile, original, package_server, tmp_path / "box", tally)
     tell(record_property, tally.in_words("hostile packages"))
     assert tally.subjects >= 250

@@ -63,6 +63,9 @@ RUNNER_TABLE = """\
         return self.run_table_model
 """
 
+#: Two runs, where more would show the same.
+SHORT_TABLE = RUNNER_TABLE.replace(', FactorModel("language", ["c", "py"])', "").replace("=2,", "=1,")
+
 ROBOT_TABLE = """\
     def create_run_table(self) -> List[Dict]:
         run_table = RunTableModel(

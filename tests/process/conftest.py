@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.forked_program import MARK, RUNS, ForkedProgram
 from tests.ros.real_graph import graph
 
-from robot_runner.core.storage.outliving import ancestors, process_stat
+from robot_runner.core.storage.outliving import ancestors, has_in_environment, process_stat, processes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["graph"]
 
-MARK = "ROBOT_RUNNER_TEST_MARK"
+STREAMS = (subprocess.DEVNULL, subprocess.PIPE, subprocess.STDOUT)
 #: How long something may take before a test gives up, s. It promises nothing: a busy machine may need most of it.
 PATIENCE = 60.0
 
@@ -87,7 +88,8 @@ class Experiment:
 
     def processes(self) -> list[int]:
         """Return the processes that the experiment started, its own included, that still live."""
-        return [int(path.name) for path in Path("/proc").glob("[0-9]*") if self._is_ours(int(path.name))]
+        mark = f"{MARK}={self.mark}".encode()
+        return [pid for pid in processes() if has_in_environment(pid, mark)]
 
     def keeper(self) -> int:
         """Return the process that keeps the run which is being executed, once one is."""
@@ -108,14 +110,6 @@ class Experiment:
     def nobody_is_left(self) -> bool:
         """Wait until none of them lives."""
         return bool(wait_until(lambda: not self.processes(), "no process is left"))
-
-    def _is_ours(self, pid: int) -> bool:
-        try:
-            environment = Path(f"/proc/{pid}/environ").read_bytes()
-            state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-        except OSError:
-            return False
-        return state != "Z" and f"{MARK}={self.mark}".encode() in environment.split(b"\0")
 
 
 def kill_together(pids: Iterable[int]) -> None:
@@ -147,16 +141,14 @@ def start(write_config: Callable[..., Path], request: pytest.FixtureRequest) -> 
     def begin(body: str = "", *arguments: str, config: Path | None = None, wrapper: tuple[str, ...] = ()) -> Experiment:
         path = config or write_config(body)
         mark = uuid.uuid4().hex
-        command = [*wrapper, sys.executable, "-m", "robot_runner", "run", str(path), "--plain", *arguments]
-        process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
-            env={**os.environ, MARK: mark},
-        )
+        words = ["run", str(path), "--plain", *arguments]
+        streams: dict[str, Any] = dict(zip(("stdin", "stdout", "stderr"), STREAMS, strict=True))
+        streams["env"] = {**os.environ, MARK: mark}
+        if wrapper:
+            command = [*wrapper, sys.executable, "-m", "robot_runner", *words]
+            process = subprocess.Popen(command, text=True, start_new_session=True, **streams)
+        else:
+            process = ForkedProgram("robot_runner", words, RUNS, text=True, **streams)
         started.append(Experiment(path, process, mark))
         return started[-1]
 

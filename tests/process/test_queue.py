@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.forked_program import RUNS, ForkedProgram
 
 from robot_runner.cli import queueing
 from robot_runner.cli.queued_experiments import ExperimentQueue
@@ -80,19 +81,19 @@ def config(tmp_path: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture
-def start(program: str, tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     started: list[subprocess.Popen[str]] = []
 
     def begin(*words: object) -> subprocess.Popen[str]:
-        command = [program, *map(str, words)]
-        process = subprocess.Popen(
-            command,
+        process = ForkedProgram(
+            "robot_runner",
+            [*map(str, words)],
+            RUNS,
             cwd=tmp_path,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
-            start_new_session=True,
         )
         started.append(process)
         return process

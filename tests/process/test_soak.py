@@ -43,6 +43,7 @@ def keepers_of(experiment: Any, seconds: float) -> list[int]:
         orchestrator = [str(experiment.process.pid)]
         if found := [pid for pid in experiment.processes() if process_stat(pid)[1:2] == orchestrator]:
             return found
+        time.sleep(0.005)
     return []
 
 

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.cluster.conftest import Cluster, apart_from
-from tests.process.conftest import MARK
+from tests.forked_program import MARK, RUNS, ForkedProgram
 from tests.process.graph_simulation import simulated_robot
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 
-from robot_runner.core.storage.outliving import process_stat
+from robot_runner.core.storage.outliving import has_in_environment, processes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -69,30 +69,22 @@ class Soaked:
         self._environment = {**os.environ, **environment, MARK: self._mark}
 
     def start(self, *words: str) -> subprocess.Popen[bytes]:
-        command = [*self._wrapper, sys.executable, "-m", "robot_runner", "run", str(self.config), "--plain", *words]
+        words = ("run", str(self.config), "--plain", *words)
         log = (self.config.parent / "log.txt").open("ab")
         with log:
-            return subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                env=self._environment,
-                start_new_session=True,
-            )
+            streams = {"stdin": subprocess.DEVNULL, "stdout": log, "stderr": log, "env": self._environment}
+            if not self._wrapper:
+                return ForkedProgram("robot_runner", words, RUNS, **streams)
+            command = [*self._wrapper, sys.executable, "-m", "robot_runner", *words]
+            return subprocess.Popen(command, start_new_session=True, **streams)
 
     @property
     def log(self) -> str:
         return (self.config.parent / "log.txt").read_text()[-4000:]
 
     def processes(self) -> list[int]:
-        wanted = f"{MARK}={self._mark}".encode()
-        found = []
-        for path in Path("/proc").glob("[0-9]*"):
-            with suppress(OSError):
-                if wanted in (path / "environ").read_bytes().split(b"\0"):
-                    found.append(int(path.name))
-        return [pid for pid in found if process_stat(pid)[:1] not in ([], ["Z"])]
+        mark = f"{MARK}={self._mark}".encode()
+        return [pid for pid in processes() if has_in_environment(pid, mark)]
 
     @property
     def done(self) -> int:

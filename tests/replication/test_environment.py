@@ -17,7 +17,7 @@ from tests.waiting import wait_until
 
 from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.manifest import describe_host, describe_software
-from robot_runner.replication import virtual_environments
+from robot_runner.replication import environment, virtual_environments
 from robot_runner.replication.differences import differing_environment, differing_packages, remaining_differences
 from robot_runner.replication.distributions import (
     InstalledDistribution,
@@ -27,7 +27,7 @@ from robot_runner.replication.distributions import (
     wheel_of,
     write_wheel,
 )
-from robot_runner.replication.environment import record_environment
+from robot_runner.replication.environment import importers, record_environment
 from robot_runner.replication.virtual_environments import make_environment
 from robot_runner.ros.ros_environment import describe_ros
 
@@ -60,6 +60,31 @@ def test_what_the_program_needs_is_told_from_what_happens_to_be_installed(manife
     assert {"robot-runner", "rich", "numpy", "pexpect", "ptyprocess"} <= needed
     assert not {"ruff", "mypy", "pytest"} & needed
     assert "mdurl" in closure(["rich"])
+
+
+@pytest.mark.parametrize("rig", ["from .rig import Rig", "from lab_arm.rig import Rig", "from lab_arm import Rig"])
+def test_what_a_plugin_imports_by_relative_imports_of_its_modules_is_found(tmp_path, monkeypatch, rig):
+    package = tmp_path / "lab_arm"
+    (package / "parts").mkdir(parents=True)
+    modules = {"__init__": "from .rig import Rig", "arm": rig, "rig": "from .parts.grip import Grip"}
+    modules |= {"parts/__init__": "", "parts/grip": "from ..line import Line", "line": "import yaml"}
+    for name, text in modules.items():
+        (package / f"{name}.py").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    for kept in (environment._reached, environment._file_of, environment._imports_of):
+        kept.cache_clear()
+    manifest = {"plugins": [{"name": "Arm", "class": "lab_arm.arm:Arm"}]}
+    assert importers(manifest) == {"lab-arm": ("Arm",), "pyyaml": ("Arm",)}
+
+
+def test_each_module_is_parsed_once_however_many_plugins_import_it(monkeypatch):
+    read, parsed = [], environment.parsed
+    monkeypatch.setattr(environment, "parsed", lambda content: [read.append(content), parsed(content)][1])
+    for kept in (environment._reached, environment._file_of, environment._imports_of):
+        kept.cache_clear()
+    plugins = ["robot_runner.meters.psutil:PsUtil", "robot_runner.meters.ina219.profiler:Ina219"]
+    importers({"plugins": [{"name": each.partition(":")[2], "class": each} for each in plugins]})
+    assert len(read) == len(set(read)) > 10
 
 
 @pytest.mark.long

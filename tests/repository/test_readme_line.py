@@ -22,7 +22,7 @@ def clone(tmp_path):
         source = ROOT / name
         copy = shutil.copytree if source.is_dir() else shutil.copyfile
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        copy(source, folder / name, **({"ignore": shutil.ignore_patterns("__pycache__")} if source.is_dir() else {}))
+        copy(source, folder / name)  # with the bytecode of the modules, which each command would compile anew otherwise
     make_linked_environment(folder / ".venv", locked_names(folder / "requirements" / "demo.txt"), code=folder / "src")
     stamp = 'printf "%s\\n" "$(pwd -P) $(cat pyproject.toml requirements/*.txt | cksum)" >.venv/.installed-demo'
     subprocess.run(["sh", "-c", stamp], cwd=folder, check=True, timeout=60)

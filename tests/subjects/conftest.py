@@ -3,11 +3,14 @@ from __future__ import annotations
 import subprocess
 import time
 import uuid
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from tests.core.links.ssh_server import SshServer
+
+from robot_runner.core.storage.outliving import process_stat, processes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -18,15 +21,10 @@ __all__ = ["alive", "gone"]
 def alive(token: str) -> list[int]:
     """Return the processes on whose command line a word stands."""
     found = []
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            if (
-                token.encode() in (folder / "cmdline").read_bytes()
-                and "\nState:\tZ" not in (folder / "status").read_text()
-            ):
-                found.append(int(folder.name))
-        except OSError:
-            continue
+    for pid in processes():
+        with suppress(OSError):
+            if token.encode() in Path(f"/proc/{pid}/cmdline").read_bytes() and process_stat(pid)[:1] not in ([], ["Z"]):
+                found.append(pid)
     return found
 
 

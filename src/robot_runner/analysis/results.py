@@ -124,7 +124,12 @@ class Results(ExperimentFacts):
     @property
     def done(self) -> pd.DataFrame:
         """The rows of `runs` that are done, from which statistics are computed."""
-        return self.runs[self.runs[STATUS] == RunStatus.DONE.value].reset_index(drop=True)
+        return self._done.copy(deep=False)
+
+    @cached_property
+    def _done(self) -> pd.DataFrame:
+        runs = self.runs
+        return runs[runs[STATUS] == RunStatus.DONE.value].reset_index(drop=True)
 
     @property
     def attempts(self) -> pd.DataFrame:

@@ -141,7 +141,11 @@ def without_environment_secrets(text: str) -> str:
         'connected with REDACTED'
         >>> del os.environ["LAB_TOKEN"]
     """
-    for secret in secrets_of_environment():
+    return _without(text, secrets_of_environment())
+
+
+def _without(text: str, hidden: tuple[str, ...]) -> str:
+    for secret in hidden:
         for form in forms_of(secret):
             if form in text:
                 text = text.replace(form, REDACTED)
@@ -150,15 +154,19 @@ def without_environment_secrets(text: str) -> str:
 
 def without_secrets(value: Any) -> Any:
     """Return JSON data with the values of secret variables masked in all texts; other objects become their text."""
+    return _masked(value, secrets_of_environment())
+
+
+def _masked(value: Any, hidden: tuple[str, ...]) -> Any:
     match value:
         case None | bool() | int() | float():
             return value
         case dict():
-            named = ((without_secrets(name) if isinstance(name, str) else name, each) for name, each in value.items())
-            return {name: without_secrets(each) for name, each in named}
+            named = ((_masked(name, hidden) if isinstance(name, str) else name, each) for name, each in value.items())
+            return {name: _masked(each, hidden) for name, each in named}
         case list() | tuple():
-            return [without_secrets(each) for each in value]
-    return without_environment_secrets(str(value))
+            return [_masked(each, hidden) for each in value]
+    return _without(str(value), hidden)
 
 
 #: Fields of a record that may contain output or arguments of programs.

@@ -141,20 +141,20 @@ def _extras(name: str) -> set[str]:
 
 def packages_of_extra(name: str, extra: str) -> set[str]:
     """Return the canonical names of an extra's additional requirements; none if the distribution is not installed."""
-    optional = [each for each in _requirements(name) if not _is_asked_by({""}, each)]
-    return {canonical(each.name) for each in optional if _is_asked_by({extra}, each)}
+    return {canonical(each.name) for each in _optional_requirements(name) if _is_asked_by({extra}, each)}
 
 
-def _requirements(name: str) -> list[Requirement]:
-    known = installed_distributions().get(name)
-    return [_requirement(text) for text in (known.distribution.requires if known else None) or ()]
-
-
-@cache  # those of one distribution are needed for each of its extras
-def _requirement(text: str) -> Requirement:
+@cache  # the requirements of a distribution are needed for each of its extras, and are parsed at each access
+def _requirements(name: str) -> tuple[Requirement, ...]:
     from packaging.requirements import Requirement  # noqa: PLC0415 - an extra
 
-    return Requirement(text)
+    known = installed_distributions().get(name)
+    return tuple(map(Requirement, (known.distribution.requires if known else None) or ()))
+
+
+@cache
+def _optional_requirements(name: str) -> tuple[Requirement, ...]:
+    return tuple(each for each in _requirements(name) if not _is_asked_by({""}, each))
 
 
 def _is_asked_by(extras: set[str], requirement: Requirement) -> bool:

@@ -278,17 +278,11 @@ def _reached(module: str) -> set[str]:
     top = module.partition(".")[0]
     found, pending, seen = {top}, [module], set()
     while pending:
-        name = pending.pop()
-        path = None if name in seen else _file_of(name)
-        seen.add(name)
-        if path is None:
+        file = _file_of(pending.pop())
+        if file is None or file in seen:
             continue
-        try:
-            content = path.read_bytes()
-        except OSError:
-            continue
-        package = name if path.name == "__init__.py" else name.rpartition(".")[0]
-        for imported in _imports(content, package):
+        seen.add(file)
+        for imported in _imports_of(*file):
             first = imported.partition(".")[0]
             if first != top:
                 found.add(first)
@@ -297,22 +291,31 @@ def _reached(module: str) -> set[str]:
     return found
 
 
-def _file_of(module: str) -> Path | None:
-    """Return the file of a module or, if the name is an object in a module, of that module; nothing is imported."""
+@cache
+def _file_of(module: str) -> tuple[Path, str] | None:
+    """Return the file and package of a module or, if the name is an object's, of its module; nothing is imported."""
     top, *rest = module.split(".")
     try:
         spec = find_spec(top)
     except (ImportError, ValueError):
         return None
     for folder in spec.submodule_search_locations or () if spec else ():
-        place = Path(folder)
+        place, package = Path(folder), top
         for part in rest:
             if not (place / part).is_dir():
                 file = place / f"{part}.py"
-                return file if file.is_file() else place / "__init__.py"
-            place /= part
-        return place / "__init__.py"
-    return Path(spec.origin) if spec and not rest and spec.origin and spec.has_location else None
+                return (file if file.is_file() else place / "__init__.py"), package
+            place, package = place / part, f"{package}.{part}"
+        return place / "__init__.py", package
+    return (Path(spec.origin), "") if spec and not rest and spec.origin and spec.has_location else None
+
+
+@cache  # the modules of our own that several plugins share are dear to parse
+def _imports_of(file: Path, package: str) -> tuple[str, ...]:
+    try:
+        return tuple(_imports(file.read_bytes(), package))
+    except OSError:
+        return ()
 
 
 def _imports(content: bytes, package: str) -> Iterable[str]:

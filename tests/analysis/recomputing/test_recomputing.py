@@ -7,6 +7,7 @@ shapiro.test, power.t.test. So these tests are proof of our arithmetic as well.
 from __future__ import annotations
 
 import contextlib
+import gc
 import io
 import json
 import os
@@ -26,7 +27,7 @@ from tests.long_cases import long_but, soak_but
 
 from robot_runner import AnalysisPlan, Estimand
 from robot_runner.analysis import analyse, load_results
-from robot_runner.analysis.recomputing.fact_finding import facts_of_study
+from robot_runner.analysis.recomputing import fact_finding
 from robot_runner.analysis.recomputing.literals import _templates
 from robot_runner.analysis.recomputing.recomputations import Recomputation, r_script, write_recomputations
 from robot_runner.analysis.recomputing.recomputations import notebook as notebook_of
@@ -54,7 +55,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from robot_runner.analysis import Results
+    from robot_runner.analysis import ExperimentStatistics
     from robot_runner.analysis.recomputing.study_facts import StudyFacts
 
 needs_r = pytest.mark.skipif(
@@ -206,7 +207,7 @@ DESIGNED: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
 
 
 class Written(NamedTuple):
-    results: Results
+    statistics: ExperimentStatistics
     facts: StudyFacts
     notebook: Path
     script: Path
@@ -257,6 +258,7 @@ def executed(path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """Execute a notebook's cells one after the other, as Jupyter does, and return what the last one printed."""
     monkeypatch.chdir(path.parent)
     told = io.StringIO()
+    monkeypatch.setattr(gc, "collect", lambda: 0)  # as each call of multipletests does, of all that the tests have made
     with quiet(), contextlib.redirect_stdout(told):
         space: dict[str, Any] = {}
         for place, cell in enumerate(json.loads(path.read_text(encoding="utf-8"))["cells"]):
@@ -272,7 +274,8 @@ def rscript(path: Path, **environment: str) -> subprocess.CompletedProcess[str]:
         text=True,
         check=False,
         timeout=200,
-        env=environment or None,
+        # Compiling each function takes longer than to execute it a few times.
+        env=(environment or os.environ) | {"R_ENABLE_JIT": "0"},
     )
 
 
@@ -283,11 +286,14 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Written
     @cache
     def write(name: str) -> Written:
         results = load_results(experiment(tmp_path_factory.mktemp("study"), name))
-        study = facts_of_study(results, results.folder)
+        found: list[ExperimentStatistics] = []
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(fact_finding, "analyse", lambda *of, **how: found.append(analyse(*of, **how)) or found[-1])
+            study = fact_finding.facts_of_study(results, results.folder)
         notebook, script = (results.folder / kind.value for kind in Recomputation)
         notebook.write_text(notebook_of(study), encoding="utf-8")
         script.write_text(r_script(study), encoding="utf-8")
-        return Written(results, study, notebook, script)
+        return Written(found[0], study, notebook, script)
 
     return write
 
@@ -475,7 +481,7 @@ def numbers(found: Any) -> Iterator[float]:
 def test_no_number_of_the_report_is_left_out(name: str, written: Callable[[str], Written]) -> None:
     study = written(name)
     known = {number for table in study.facts.reported for number in table.numbers}
-    missing = {each for each in numbers(plain(analyse(study.results))) if each not in known}
+    missing = {each for each in numbers(plain(study.statistics)) if each not in known}
     assert missing == set()
     assert study.facts.skipped == 0
 

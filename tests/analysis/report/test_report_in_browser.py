@@ -14,13 +14,19 @@ from robot_runner.analysis.report.writing import write_report
 VISIBLE = "[...document.querySelectorAll('{}')].filter(each => each.getClientRects().length > 0)"
 
 
+@pytest.fixture(scope="module")
+def demo_page(executed_demo, tmp_path_factory):
+    """Return the page of the demo."""
+    folder = tmp_path_factory.mktemp("demo_page")
+    return write_report(executed_demo / "robot-runner-demo" / "basic_experiment", output=folder, figures=()).document
+
+
 @pytest.mark.long
-def test_the_demo_s_report_shows_its_sections_and_asks_for_nothing(browser, executed_demo, tmp_path):
-    page = write_report(executed_demo / "robot-runner-demo" / "basic_experiment", output=tmp_path, figures=()).document
-    assert page.stat().st_size < 3_000_000
-    browser.open(page)
+def test_the_demo_s_report_shows_its_sections_and_asks_for_nothing(browser, demo_page):
+    assert demo_page.stat().st_size < 3_000_000
+    browser.open(demo_page)
     assert browser.complaints == []
-    assert browser.requests == [page.as_uri()]
+    assert browser.requests == [demo_page.as_uri()]
     titles = browser.evaluate(f"{VISIBLE.format('h2')}.map(each => each.lastChild.textContent)")
     assert titles == [
         "In brief",
@@ -35,13 +41,6 @@ def test_the_demo_s_report_shows_its_sections_and_asks_for_nothing(browser, exec
     assert browser.evaluate("[...document.images].every(each => each.complete && each.naturalWidth > 0)")
     assert browser.evaluate(f"{VISIBLE.format('figure.chart canvas')}.length") >= 4
     assert "simulated" in browser.evaluate("document.querySelector('.masthead').textContent")
-
-
-@pytest.fixture(scope="module")
-def demo_page(executed_demo, tmp_path_factory):
-    """Return the page of the demo."""
-    folder = tmp_path_factory.mktemp("demo_page")
-    return write_report(executed_demo / "robot-runner-demo" / "basic_experiment", output=folder, figures=()).document
 
 
 @pytest.mark.long

@@ -51,7 +51,7 @@ def test_the_papers_experiment_is_executed_and_shown(executed_demo: Path) -> Non
 
 @pytest.mark.long
 @pytest.mark.usefixtures("short_demo")
-def test_a_second_demo_has_a_folder_beside_the_first_and_the_same_energies(
+def test_a_second_demo_has_a_folder_beside_the_first_and_the_same_energies_and_can_be_executed_again(
     robot_runner: Callable, tmp_path: Path
 ) -> None:
     tables = []
@@ -60,6 +60,9 @@ def test_a_second_demo_has_a_folder_beside_the_first_and_the_same_energies(
         with (tmp_path / folder / "basic_experiment" / "run_table.csv").open(encoding="utf-8", newline="") as file:
             tables.append([(row["Task"], row["Energy"], row["CPU"]) for row in csv.DictReader(file)])
     assert tables[0] == tables[1] == tables[2]
+    answer = robot_runner("robot-runner-demo/demo.py", "--set", "experiment_name=mine")
+    assert answer.code == 0
+    assert "All 3 runs are done" in answer.out
 
 
 @pytest.mark.long
@@ -73,15 +76,6 @@ def test_a_folder_can_be_named(robot_runner: Callable, tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"empty", "a_file", "a_file-2", "new"}
     assert (tmp_path / "new" / "one" / "demo.py").exists()
     assert (tmp_path / "a_file-2" / "basic_experiment" / "run_table.csv").exists()
-
-
-@pytest.mark.long
-@pytest.mark.usefixtures("short_demo")
-def test_what_the_demo_leaves_can_be_executed_again(robot_runner: Callable) -> None:
-    robot_runner("demo")
-    answer = robot_runner("robot-runner-demo/demo.py", "--set", "experiment_name=mine")
-    assert answer.code == 0
-    assert "All 3 runs are done" in answer.out
 
 
 def test_without_the_simulator_nothing_is_written(

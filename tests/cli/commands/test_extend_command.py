@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 MEASURING = """
+run_process = RunProcess.IN_PROCESS
+
 def launch_mission(self, context):
     context.combination["Task"]
 

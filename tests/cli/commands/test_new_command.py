@@ -20,16 +20,21 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarn
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("words", "name"), [([], "experiment.py"), (["my study.py"], "my study.py")])
-def test_what_is_written_can_be_executed_as_it_is(
-    robot_runner: Callable, tmp_path: Path, words: list[str], name: str
-) -> None:
-    answer = robot_runner("new", *words)
-    assert answer.code == 0
-    assert f"{name} is written: 6 runs" in answer.out
-    assert f"robot-runner check {name if ' ' not in name else repr(name)}" in answer.out
-    assert f"robot-runner check {name if ' ' not in name else repr(name)} " in (tmp_path / name).read_text("utf-8")
-    executed = robot_runner(name)
+def test_what_is_written_can_be_executed_as_it_is(robot_runner: Callable, tmp_path: Path) -> None:
+    texts = []
+    for words, name, quoted in (
+        ([], "experiment.py", "experiment.py"),
+        (["my study.py"], "my study.py", "'my study.py'"),
+    ):
+        answer = robot_runner("new", *words)
+        assert answer.code == 0
+        assert f"{name} is written: 6 runs" in answer.out
+        assert f"robot-runner check {quoted}" in answer.out
+        text = (tmp_path / name).read_text("utf-8")
+        assert f"robot-runner check {quoted} " in text
+        texts.append(text.replace(quoted, "FILE"))
+    assert texts[0] == texts[1], "so that one of them is executed for both"
+    executed = robot_runner("my study.py")
     assert executed.code == 0
     assert "All 6 runs are done" in executed.out
     assert "  ! " not in executed.out, "nothing looks odd"
@@ -150,9 +155,8 @@ def test_the_plugins_that_are_written_have_types_that_fit(robot_runner: Callable
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("kind", "robot"), [("profiler", []), ("system", ["--set", "robot=simulated"])])
 def test_a_plugins_package_is_installed_found_by_its_name_tried_and_passes_its_own_tests(
-    program: str, tmp_path: Path, kind: str, robot: list[str]
+    program: str, tmp_path: Path
 ) -> None:
     def call(*words: object, **more: str) -> str:
         environment = {**os.environ, **more}
@@ -162,27 +166,30 @@ def test_a_plugins_package_is_installed_found_by_its_name_tried_and_passes_its_o
         assert told.returncode == 0, told.stdout + told.stderr
         return told.stdout
 
-    told = call(program, "new", "--plugin", kind, "lab-thing")
-    assert f"the {kind} LabThing, which works as it is" in told
-    package, site = tmp_path / "lab-thing", tmp_path / "site"
+    packages, site = [tmp_path / "lab-meter", tmp_path / "lab-robot"], tmp_path / "site"
+    for kind, package, name in zip(("profiler", "system"), packages, ("LabMeter", "LabRobot"), strict=True):
+        told = call(program, "new", "--plugin", kind, package.name)
+        assert f"the {kind} {name}, which works as it is" in told
     # Without hatchling here, pip builds in isolation and fetches it.
     isolation = ["--no-build-isolation", "--no-index"] if importlib.util.find_spec("hatchling") else []
     quiet = ["--quiet", "--disable-pip-version-check", "--no-input", "--no-deps"]
-    call(sys.executable, "-m", "pip", "install", *isolation, *quiet, "--target", site, package)
+    call(sys.executable, "-m", "pip", "install", *isolation, *quiet, "--target", site, *packages)
     installed = {"PYTHONPATH": str(site)}
-    listed = json.loads(call(program, "plugins", "--json", **installed))[f"{kind}s"]
-    (found,) = [each for each in listed if each["name"] == "LabThing"]
-    assert (found["package"], found["findings"]) == ("lab-thing", [])
-    tried = call(
-        program, "try", "LabThing", "--json", *robot, *(["--seconds", "1"] * (kind == "profiler")), **installed
-    )
-    (measure,) = json.loads(tried)["measures"].values()
-    assert measure["value"] > 0
-    assert measure["origin"] == {"profiler": "measured", "system": "simulated"}[kind]
-    assert " passed" in call(sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", package, **installed)
+    listed = json.loads(call(program, "plugins", "--json", **installed))
+    for kind, package, name, words, origin in (
+        ("profiler", "lab-meter", "LabMeter", ("--seconds", "1"), "measured"),
+        ("system", "lab-robot", "LabRobot", ("--set", "robot=simulated"), "simulated"),
+    ):
+        (found,) = [each for each in listed[f"{kind}s"] if each["name"] == name]
+        assert (found["package"], found["findings"]) == (package, [])
+        (measure,) = json.loads(call(program, "try", name, "--json", *words, **installed))["measures"].values()
+        assert measure["value"] > 0
+        assert measure["origin"] == origin
+    tested = call(sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *packages, **installed)
+    assert " passed" in tested
     rules = Path(__file__).parents[3] / "pyproject.toml"
     ignored = "D,S101,ANN,PLR6301,ARG,INP001,E501,I001,PLR2004"
-    call(sys.executable, "-m", "ruff", "check", "--quiet", "--config", rules, "--extend-ignore", ignored, package)
+    call(sys.executable, "-m", "ruff", "check", "--quiet", "--config", rules, "--extend-ignore", ignored, *packages)
 
 
 def test_a_name_that_is_no_packages_is_refused_and_nothing_is_overwritten(

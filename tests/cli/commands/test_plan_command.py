@@ -11,6 +11,12 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 
+MEASURING = """
+run_process = RunProcess.IN_PROCESS
+
+def populate_run_data(self, context):
+    return {"Energy": 1.5}
+"""
 BLOCKS = """\
     def create_run_table(self):
         factors = [Factor("Room", ["lab", "hall"]), Factor("Speed", [0.1, 10])]
@@ -88,7 +94,7 @@ def test_how_to_repeat_a_drawn_order_is_told(robot_runner: Callable, write_confi
 def test_an_experiment_that_has_begun_keeps_its_order(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
-    write_config("def populate_run_data(self, context): return {'Energy': 1}", table=DRAWN)
+    write_config(MEASURING, table=DRAWN)
     assert robot_runner("run", "config.py").code == 0
     lines = (tmp_path / "results" / "trial" / "run_table.csv").read_text().splitlines()
     place = lines[0].split(",").index("A")
@@ -102,7 +108,7 @@ def test_an_experiment_that_has_begun_keeps_its_order(
 def test_an_order_that_was_changed_by_hand_is_not_called_randomised(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
-    write_config("def populate_run_data(self, context): return {'Energy': 1}", table=DRAWN)
+    write_config(MEASURING, table=DRAWN)
     robot_runner("run", "config.py")
     table = tmp_path / "results" / "trial" / "run_table.csv"
     heading, *rows = table.read_text().splitlines()
@@ -121,7 +127,7 @@ def test_an_order_that_was_changed_by_hand_is_not_called_randomised(
 def test_where_the_table_has_other_treatments_than_the_config_plans_it_is_the_plan(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
-    write_config("def populate_run_data(self, context): return {'Energy': 1}")
+    write_config(MEASURING)
     robot_runner("run", "config.py", "--only", "r_1")
     table = tmp_path / "results" / "trial" / "run_table.csv"
     table.write_text(table.read_text("utf-8").replace("Network,2", "Video,2"), "utf-8")
@@ -245,7 +251,7 @@ def test_a_plan_that_may_be_repeated_says_until_when_and_how_often(
 def test_where_the_run_table_is_lost_runs_that_are_done_take_no_time(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
-    write_config("def populate_run_data(self, context): return {'Energy': 1.5}")
+    write_config(MEASURING)
     robot_runner("run", "config.py", "--skip", "r_4")
     before = robot_runner("plan", "config.py", "--json").json
     (tmp_path / "results" / "trial" / "run_table.csv").unlink()
@@ -261,7 +267,7 @@ def test_where_the_run_table_is_lost_runs_that_are_done_take_no_time(
 def test_runs_that_the_journal_has_and_the_table_not_yet_take_no_time(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
-    write_config("def populate_run_data(self, context): return {'Energy': 1.5}")
+    write_config(MEASURING)
     robot_runner("run", "config.py", "--skip", "r_4")
     folder = tmp_path / "results" / "trial"
     older, journal = (folder / "run_table.csv").read_text(), folder / "journal.jsonl"

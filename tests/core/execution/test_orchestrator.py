@@ -402,12 +402,12 @@ def test_the_order_of_a_resumed_experiment_is_the_recorded_one(execute: Execute)
     def create_run_table(self):
         return RunTableModel([Factor("N", range(20))], shuffle=True, data_columns=[])
 """
-    first = execute(table=table)
+    first = execute(table=table, run_process="in_process")
     order = [row["N"] for row in first.table]
     assert sorted(order, key=int) != order
     (first.folder / "run_table.csv").unlink()
     (first.folder / "journal.jsonl").unlink()
-    again = execute(table=table)
+    again = execute(table=table, run_process="in_process")
     assert [row["N"] for row in again.table] == order
     assert any("all runs are executed again" in each.problem for each in again.finished.findings)
 
@@ -429,10 +429,10 @@ def test_two_orchestrators_on_one_experiment_are_one_too_many(execute: Execute) 
         "try: execute_experiment(prepare_or_refuse(Path(sys.argv[1])), SilentObserver())\n"
         "except ExecutionError as error: print(error)\n"
     )
-    executed = execute(body.replace("SECOND", repr(head_of_second)), on_failure="stop")
+    executed = execute(body.replace("SECOND", repr(head_of_second)), on_failure="stop", table=ONE_RUN)
     said = (executed.config.parent / "second.txt").read_text(encoding="utf-8")
     assert "is being executed by process" in said
-    assert executed.finished.done_count == 4
+    assert executed.finished.done_count == 1
 
 
 @pytest.mark.long

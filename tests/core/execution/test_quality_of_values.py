@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 Execute = Callable[..., Any]
 
 DOUBTING = """
+run_process = RunProcess.IN_PROCESS
+
 def populate_run_data(self, context):
     if context.combination["Task"] == "Video":
         context.doubt("the sensor was hot: 81 degC", measures=["Energy"])
@@ -55,6 +57,8 @@ class Meter(Profiler):
 ABOVE = "the value, 11 J, is above 10 J, the largest that is plausible"
 #: Out of its limits at the first attempt of the first run, missing at the second.
 UNSTEADY = """
+run_process = RunProcess.IN_PROCESS
+
 def populate_run_data(self, context):
     if context.combination["Task"] == "Network":
         return {"Energy": 7.5}

@@ -20,6 +20,8 @@ Execute = Callable[..., Any]
 Write = Callable[..., Path]
 
 COUNTING = """
+run_process = RunProcess.IN_PROCESS
+
 def populate_run_data(self, context):
     return {"Energy": context.attempt}
 """
@@ -67,7 +69,7 @@ def test_a_changed_config_is_refused_with_the_lines_that_changed(execute: Execut
     with pytest.raises(ExecutionError) as refused:
         resume(changed)
     (finding,) = refused.value.findings
-    assert finding.where.endswith("config.py:10")
+    assert finding.where.endswith("config.py:12")
     assert 'return {"Energy": context.attempt}' in finding.problem
     assert 'return {"Energy": 2 * context.attempt}' in finding.problem
     assert "--accept-changes" in finding.fix
@@ -202,7 +204,7 @@ def test_another_config_that_names_the_same_experiment_is_compared_and_a_renamed
 ) -> None:
     executed = execute(COUNTING)
     other = write_config(COUNTING.replace("context.attempt", "7"), name="other.py")
-    with pytest.raises(ExecutionError, match=r"other\.py:10: .* and is 'return .\"Energy\": 7.'"):
+    with pytest.raises(ExecutionError, match=r"other\.py:12: .* and is 'return .\"Energy\": 7.'"):
         resume(other)
     executed.config.rename(other)
     resume(other)
@@ -245,7 +247,7 @@ def test_another_setting_is_a_change(write_config: Write) -> None:
 
 
 def test_another_scheduler_of_a_cluster_is_no_change_and_none_is_one(execute: Execute) -> None:
-    executed = execute(COUNTING)
+    executed = execute(COUNTING.replace("IN_PROCESS", "FORK"))
     path = executed.folder / "manifest.json"
     manifest = json.loads(path.read_text(encoding="utf-8"))
     manifest["executions"][-1]["deviations"] = {"cluster": "tcp://10.0.0.1:8786"}

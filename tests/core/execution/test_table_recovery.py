@@ -27,6 +27,8 @@ Execute = Callable[..., Any]
 
 #: Executed once only: an attempt more gives another value.
 COUNTING = """
+run_process = RunProcess.IN_PROCESS
+
 def populate_run_data(self, context):
     return {"Energy": 10 * context.run_number + context.attempt}
 """
@@ -117,7 +119,7 @@ def test_what_was_found_and_doubted_since_a_schema_was_written_is_taken_from_the
 
 
 def test_a_manifest_that_is_made_anew_tells_what_was_changed_by_hand(execute: Execute) -> None:
-    executed = execute("run_process = RunProcess.IN_PROCESS" + COUNTING)
+    executed = execute(COUNTING)
     path, manifest = executed.folder / "run_table.csv", executed.folder / "manifest.json"
     edited(executed, "Video,1,11", "Video,1,7.5")
     heading, *rows = text_of(path).splitlines(keepends=True)
@@ -137,7 +139,7 @@ def test_a_manifest_that_is_made_anew_tells_what_was_changed_by_hand(execute: Ex
 
 
 def test_the_end_of_an_interrupted_attempt_is_compared_with_no_row(execute: Execute) -> None:
-    executed = execute("run_process = RunProcess.IN_PROCESS" + COUNTING)
+    executed = execute(COUNTING)
     journal = executed.folder / "journal.jsonl"
     records = text_of(journal).splitlines(keepends=True)
     ends = [line.replace('"status":"done"', '"status":"interrupted"') for line in records if "attempt_finished" in line]
@@ -339,7 +341,7 @@ def test_a_truncated_table_is_made_anew_where_the_journal_counts(execute: Execut
 
 
 def test_what_a_spreadsheet_writes_in_another_way_is_no_change(execute: Execute) -> None:
-    executed = execute("run_process = RunProcess.IN_PROCESS" + COUNTING)
+    executed = execute(COUNTING)
     path = executed.folder / "run_table.csv"
     before = text_of(path)
     # As pandas does beside a missing value, and where it was told to read dates.
@@ -351,7 +353,7 @@ def test_what_a_spreadsheet_writes_in_another_way_is_no_change(execute: Execute)
 
 
 def test_where_one_cause_changed_many_cells_it_is_told_once(execute: Execute) -> None:
-    executed = execute("run_process = RunProcess.IN_PROCESS" + COUNTING, table=SHUFFLED)
+    executed = execute(COUNTING, table=SHUFFLED)
     path = executed.folder / "run_table.csv"
     path.write_text(text_of(path).replace("1\n", "1.0001\n"), encoding="utf-8")
     with pytest.raises(TableDisagreementError) as refused:
@@ -407,7 +409,7 @@ def test_runs_that_ended_after_the_table_was_written_are_no_disagreement(execute
 
 @pytest.mark.parametrize("since", ["nothing", "executed again", "begun again and killed"])
 def test_cells_that_were_changed_on_record_are_in_a_table_that_is_made_anew(execute: Execute, since: str) -> None:
-    executed = execute("run_process = RunProcess.IN_PROCESS" + COUNTING)
+    executed = execute(COUNTING)
     path = executed.folder / "run_table.csv"
     edited(executed, "Video,1,11", "Video,1,7.5")
     edited(executed, "Network,1,21", "Idle,1,")
@@ -432,7 +434,7 @@ def test_cells_that_were_changed_on_record_are_in_a_table_that_is_made_anew(exec
 
 
 def test_a_row_that_was_removed_on_record_is_in_a_table_that_is_made_anew_and_told(execute: Execute) -> None:
-    executed = execute("run_process = RunProcess.IN_PROCESS" + COUNTING)
+    executed = execute(COUNTING)
     path = executed.folder / "run_table.csv"
     lines = text_of(path).splitlines(keepends=True)
     path.write_text("".join(line for line in lines if not line.startswith("r_3,")), encoding="utf-8")
@@ -451,7 +453,7 @@ FAILS_AT_FIRST = "\ndef stop_run(self, context):\n    assert context.attempt > 1
 def test_a_run_whose_execution_once_more_was_killed_is_to_do_and_no_disagreement(
     execute: Execute, monkeypatch: pytest.MonkeyPatch, first: str, table: str
 ) -> None:
-    executed = execute("run_process = RunProcess.IN_PROCESS" + COUNTING + first)
+    executed = execute(COUNTING + first)
     path, append = executed.folder / "run_table.csv", Journal.append
 
     def append_or_die(journal: Journal, kind: str, **fields: Any) -> None:
@@ -479,7 +481,7 @@ def test_a_run_whose_execution_once_more_was_killed_is_to_do_and_no_disagreement
 
 
 def test_a_killed_run_whose_row_counts_as_changed_by_hand_is_not_executed_again_later(execute: Execute) -> None:
-    executed = execute("run_process = RunProcess.IN_PROCESS" + COUNTING)
+    executed = execute(COUNTING)
     journal = executed.folder / "journal.jsonl"
     begun = next(line for line in text_of(journal).splitlines(keepends=True) if "attempt_started" in line)
     journal.write_text(text_of(journal) + begun, encoding="utf-8")
@@ -494,7 +496,7 @@ def test_a_killed_run_whose_row_counts_as_changed_by_hand_is_not_executed_again_
 def test_done_runs_of_which_an_older_journal_has_no_end_are_told_and_settled(
     execute: Execute, lines: int | str | None
 ) -> None:
-    executed = execute("run_process = RunProcess.IN_PROCESS" + COUNTING)
+    executed = execute(COUNTING)
     table, journal = executed.folder / "run_table.csv", executed.folder / "journal.jsonl"
     before, records = text_of(table), text_of(journal).splitlines(keepends=True)
     if isinstance(lines, str):
@@ -518,7 +520,7 @@ def test_done_runs_of_which_an_older_journal_has_no_end_are_told_and_settled(
 
 
 def test_done_runs_that_an_older_journal_does_not_know_can_be_executed_again(execute: Execute) -> None:
-    executed = execute("run_process = RunProcess.IN_PROCESS" + COUNTING)
+    executed = execute(COUNTING)
     (executed.folder / "journal.jsonl").unlink()
     finished = resume(executed, table=TableChoice.JOURNAL)
     assert attempts(executed) == finished.done_count == 4

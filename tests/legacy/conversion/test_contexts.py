@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.legacy.conversion.test_converting import measures_of
+from tests.legacy.earlier_configs import SHORT_TABLE
 
 from robot_runner.core.errors import ConfigError
 from robot_runner.legacy.conversion.converting import convert
@@ -60,7 +61,7 @@ def stop_run(self, context):
 def test_a_context_is_converted_however_it_is_reached(
     methods: str, config: Callable[..., Path], execute: Callable[..., Executed], tmp_path: Path
 ) -> None:
-    old = config(methods)
+    old = config(methods, table=SHORT_TABLE)
     new = tmp_path / "converted.py"
     new.write_text(convert(old).text, encoding="utf-8")
     columns = ["size", "seconds"]
@@ -70,8 +71,9 @@ def test_a_context_is_converted_however_it_is_reached(
 @pytest.mark.long
 def test_the_context_of_a_lambda_that_is_subscribed_is_converted(config: Callable[..., Path], tmp_path: Path) -> None:
     callback = 'lambda now: {"seconds": now.run_variation["size"] + now.run_nr * 0}'
+    old = config(subscribe=f"(RunnerEvents.POPULATE_RUN_DATA, {callback}),", table=SHORT_TABLE)
     new = tmp_path / "converted.py"
-    new.write_text(convert(config(subscribe=f"(RunnerEvents.POPULATE_RUN_DATA, {callback}),")).text, encoding="utf-8")
+    new.write_text(convert(old).text, encoding="utf-8")
     rows = measures_of(new, ["size", "seconds"])
     assert rows
     assert all(size == seconds for size, seconds in rows)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.legacy.conversion.test_converting import measures_of
-from tests.legacy.earlier_configs import ROBOT, RUNNER
+from tests.legacy.earlier_configs import ROBOT, RUNNER, SHORT_TABLE
 
 from robot_runner.cli.main import main
 from robot_runner.core.errors import ConfigError
@@ -186,7 +186,7 @@ def test_a_chain_of_three_files_is_written_to_one_folder(
 def test_bases_in_a_package_may_import_each_other_relative_to_it(
     config: Callable[..., Path], write: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:
-    config(METHODS, head=BASE, name="lab/base.py")
+    config(METHODS, head=BASE, name="lab/base.py", table=SHORT_TABLE)
     write("", "lab/__init__.py")
     write("", "lab/patrols/__init__.py")
     write("BONUS = 30", "lab/bonus.py")
@@ -230,7 +230,8 @@ def test_a_method_that_is_called_by_the_name_of_a_class_is_renamed_however_the_c
     parent: str,
     before: str,
 ) -> None:
-    config(METHODS, head=BASE.replace("class RunnerConfig", "class Common"), name="BaseOfStudy.py")
+    head = BASE.replace("class RunnerConfig", "class Common")
+    config(METHODS, head=head, name="BaseOfStudy.py", table=SHORT_TABLE)
     write("from BaseOfStudy import *\n\nclass RunnerConfig(Common):\n    name = 'more'\n", "lab/more.py")
     old = write(
         f"{imported}\n\nclass RunnerConfig({parent}):\n    def interact(self, context: RunnerContext):\n"

@@ -47,7 +47,7 @@ def covariate_column(name: str) -> str:
     return f" covariate {name}"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class MeasureData:
     """The values of one measure, with the treatments of each run.
 
@@ -234,12 +234,16 @@ class Design:
     covariates: tuple[str, ...] = ()
     known: KnownDesign = PLAIN
     conditions: Conditions = field(default_factory=dict)
+    _known_data: dict[str, MeasureData | None] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def data(self, measure: str) -> MeasureData | None:
         """Return the data of a measure, or None if its values are not numbers."""
-        values = self._numbers(measure)
-        covariates = () if measure in self.covariates else self.covariates
-        return None if values is None else self._data(measure, values, covariates)
+        if measure not in self._known_data:
+            values = self._numbers(measure)
+            covariates = () if measure in self.covariates else self.covariates
+            self._known_data.clear()  # tables of all measures would fill the memory
+            self._known_data[measure] = None if values is None else self._data(measure, values, covariates)
+        return self._known_data[measure]
 
     def answers(self, measure: str) -> MeasureData | None:
         """Return the unadjusted data of a yes-or-no measure, with 1 for yes; None for other measures."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
 from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -72,6 +73,7 @@ def grouped(data: MeasureData) -> dict[str, NDArray[np.str_]]:
     return found | batches
 
 
+@lru_cache(maxsize=8)
 def _leave_freedom(data: MeasureData) -> bool:
     """Return whether combinations and blocks leave degrees of freedom, or all combinations differ within blocks."""
     cells, number = _cells(data), len(data.frame)
@@ -79,6 +81,7 @@ def _leave_freedom(data: MeasureData) -> bool:
     return freedom > 0 or number - freedom == len(set(cells)) + len(set(data.blocks)) - 1
 
 
+@lru_cache(maxsize=8)
 def _cells(data: MeasureData) -> NDArray[np.str_]:
     """Return the combination of each run."""
     if not data.factors:

@@ -9,6 +9,7 @@ import math
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -149,6 +150,7 @@ def repetitions_needed(
     return bisect_left(range(enough), power, lo=2, key=found)
 
 
+@lru_cache(maxsize=1024)  # the measures of a report have groups of one size, mostly
 def _power(effect: float, runs: float, groups: int, alpha: float, *, in_blocks: bool = False) -> float:
     between = groups - 1
     freedom = between, (between if in_blocks else groups) * (runs - 1)  # blocks take degrees of freedom

@@ -77,7 +77,8 @@ def measure_statistics(
         plan: the analysis plan; None if there is none, or if it is not followed.
         left_out: the values that are not used.
     """
-    every, design = design.data(name), replace(design, without=frozenset(each.run_id for each in left_out))
+    every, without = design.data(name), frozenset(each.run_id for each in left_out)
+    design = design if without == design.without else replace(design, without=without)
     gathered = _Gathered()
     column = design.results.columns[name]
     data = design.data(name)

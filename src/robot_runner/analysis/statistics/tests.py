@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Protocol
 
@@ -106,6 +107,7 @@ def model_of(
     return NotComputed("the test", why) if why else found
 
 
+@lru_cache(maxsize=8)  # the tests, the pairs and the adjustment of a measure fit the same ones
 def _model_of(data: MeasureData, estimand: Estimand, statistic: Statistic) -> _UnadjustedModel | NotComputed:
     problem = _problem(data)
     designed = NotComputed("the test", problem) if problem else designed_model_of(data, estimand, statistic)

@@ -338,13 +338,18 @@ def _ask_to_stop(folder: ExperimentFolder) -> None:
 
 def has_locked(pid: int, path: Path) -> bool:
     """Return whether a process holds the lock of a file (Linux); having it open, as an editor does, is not enough."""
+    # Each execution looks at every file of every process: thousands, for which `Path` takes four times as long.
+    folder, locked = f"/proc/{pid}/fd", str(path)
     try:
-        return any(_is_lock(entry, path) for entry in Path(f"/proc/{pid}/fd").iterdir())
+        return any(_is_lock(folder, name, locked) for name in os.listdir(folder))  # noqa: PTH208
     except OSError:  # it has ended, or is another user's
         return False
 
 
-def _is_lock(entry: Path, path: Path) -> bool:
-    with suppress(OSError):  # closed meanwhile
-        return entry.readlink() == path and "FLOCK" in Path(f"{entry.parent}info/{entry.name}").read_text()
-    return False
+def _is_lock(folder: str, name: str, locked: str) -> bool:
+    try:
+        if os.readlink(f"{folder}/{name}") != locked:  # noqa: PTH115
+            return False
+        return "FLOCK" in Path(f"{folder}info/{name}").read_text()
+    except OSError:  # closed meanwhile
+        return False

@@ -33,7 +33,8 @@ def is_stopped(pid: int) -> bool:
 
 def processes() -> Iterator[int]:
     """Yield the ids of all processes; none where there is no /proc (macOS)."""
-    return (int(path.name) for path in Path("/proc").glob("[0-9]*"))
+    with suppress(FileNotFoundError):
+        yield from map(int, filter(str.isdecimal, os.listdir("/proc")))  # noqa: PTH208 - a third of the time
 
 
 def has_in_environment(pid: int, assignment: bytes) -> bool:
@@ -41,6 +42,8 @@ def has_in_environment(pid: int, assignment: bytes) -> bool:
     try:
         environment = Path(f"/proc/{pid}/environ").read_bytes()
     except OSError:
+        return False
+    if assignment not in environment:  # nearly always
         return False
     stat = process_stat(pid)
     return bool(stat) and stat[0] != "Z" and assignment in environment.split(b"\0")
