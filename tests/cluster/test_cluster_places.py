@@ -327,7 +327,9 @@ def test_that_there_is_no_worker_is_said_once_they_have_had_their_time_to_join(
     clock.told.pop()  # the one that has joined
     with _places(clock, watched, monkeypatch) as places:
         assert clock.after(9) == []
-        assert places.due == clock.now + 10, "the settings have come only now"
+        assert clock.after(20) == [], "the scheduler is not reached: no worker could be there"
+        assert clock.after(1, ("connected", {})) == []
+        assert places.due == clock.now + 10
         assert clock.after(10, ("joining", {"address": "tcp://one:1"})) == [], "it loads the experiment"
         [said] = clock.after(1, ("refused", {"address": "tcp://one:1", "findings": []}))
         assert "cluster tcp://scheduler:8786: no worker is there" in said

@@ -256,12 +256,15 @@ def test_a_script_stops_the_robot_as_its_interpreter_exits(way, server_of_ros2, 
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("process", ["FORK", "IN_PROCESS"])
 def test_a_link_that_a_callback_opened_by_itself_and_left_open_stops_the_robot_as_the_run_ends(
-    server_of_ros2, opened, write_config, robot_runner
+    server_of_ros2, opened, write_config, robot_runner, process
 ):
     heard = []
     opened(server_of_ros2).subscribe("cmd_vel", TWIST, lambda message: heard.append(message["linear"]["x"]))
     body = f"""
+        run_process = RunProcess.{process}
+
         def launch_mission(self, context):
             self.left_open = open_robot({server_of_ros2.url!r})
             link, _ = self.left_open.__enter__()

@@ -21,15 +21,15 @@ from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.left_over import MARK_OF_ELSEWHERE, RunsElsewhere, forget_runs_elsewhere
 from robot_runner.core.execution.places import Watch
+from robot_runner.core.execution.standby import RETRYING
 from robot_runner.core.execution.task import OutcomeBuilder, RunTask
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.plugin import THIS_MACHINE, System
 from robot_runner.core.storage import guarded_files
 from robot_runner.core.words import listed
 
-#: How long after the grace a run may take to be killed with all that it has started (`keeper.py`), and its systems to
-#: be made safe (`standby.py`), s.
-_KILLING, _MAKING_SAFE = 2.0, 15.0
+#: How long after the grace a run may take to be killed with all that it has started (`keeper.py`), s.
+_KILLING = 2.0
 #: Until the gateway tells what is set: its defaults, s.
 _LEASE, _PATIENCE = 30.0, 300.0
 _NOT_OFFERED = "no worker offers it as a resource, and a run needs it for itself"
@@ -66,6 +66,7 @@ class ClusterPlaces:
         self._closing = _closing_of(experiment)
         self._began = time.monotonic()
         self._alone_since: float | None = self._began
+        self._is_connected = False
         self._joining: set[str] = set()
         self._lacking: set[tuple[str, ...]] = set()  # the claims of a run, where no worker offers all of them
         self._changed = self._began
@@ -215,7 +216,10 @@ class ClusterPlaces:
         run = self._runs.get(fields.get("token", ""))
         if kind == "settings":
             self._set(**fields)
+        elif kind == "connected":
+            self._is_connected, self._changed = True, time.monotonic()
         elif kind == "unconnected":
+            self._is_connected = False
             self._say(f"cluster {self._address}", fields["because"], fields["fix"])
         elif kind not in {"records", "over"}:
             self._take_of_worker(kind, fields)
@@ -238,10 +242,11 @@ class ClusterPlaces:
 
     @property
     def _told_alone_at(self) -> float | None:
-        """When it is to be told that there is no worker; None where one is or loads the experiment, or it was told."""
-        if self._patience_end is None or (f"cluster {self._address}", _NO_WORKER) in self._asides:
+        """When it is to be told that the scheduler has no worker; None where it has one, or it was told."""
+        is_told = (f"cluster {self._address}", _NO_WORKER) in self._asides
+        if self._patience_end is None or not self._is_connected or is_told:
             return None
-        return self._patience_end - self._patience + _JOINING
+        return max(self._changed, self._free_at) + _JOINING
 
     def _set(self, lease: float, patience: float) -> None:
         self._lease, self._patience = lease, patience
@@ -318,7 +323,7 @@ class ClusterPlaces:
 def _closing_of(experiment: Experiment) -> float:
     """Return how long a run that is asked to stop may take until nothing of it is left, s."""
     may_stand_by = any(type(each).make_safe is not System.make_safe for each in experiment.systems)
-    making_safe = _MAKING_SAFE if may_stand_by and not is_simulated(experiment.parameters.robot) else 0.0
+    making_safe = RETRYING if may_stand_by and not is_simulated(experiment.parameters.robot) else 0.0
     return experiment.parameters.grace_in_s + _KILLING + making_safe
 
 

@@ -122,6 +122,7 @@ class Gateway:
                 connection = self._client.scheduler_comm
                 connection.interval = _TOGETHER
                 await self._look_at_scheduler(self._client)
+                self._replies.tell("connected", {})
                 self._client.subscribe_topic(on_worker.TOPIC, self._take_event)
                 while self._client.scheduler_comm is connection:  # Dask makes another, without tasks
                     await self._look_for_workers(self._client)

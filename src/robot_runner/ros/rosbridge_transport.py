@@ -220,7 +220,7 @@ class RosbridgeTransport:
             self._session.request({**operation, "compression": topic.compression}, where=name)
             if not is_hidden(name):
                 self._rosapi.confirm_subscription(name, message_type)
-        except BaseException:  # also where the run ends now: whoever makes its robot safe may subscribe it again
+        except BaseException:  # also a stop request: making the robot safe may subscribe to this topic again
             del self._topics[name]
             raise
         return topic

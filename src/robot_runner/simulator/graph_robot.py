@@ -129,7 +129,7 @@ class GraphRobot:
         self._pictures.clear()
         self._clock = simulation.clock
         self._robot = simulation.robot(self._namespace)
-        # Whoever makes these computes the physics up to now, which nobody could catch up with after hours.
+        # Always made: each of these messages advances the physics, which could not be caught up with after hours.
         steady = {_ODOMETRY, next(iter(self._robot.topics))}
         for name, topic in self._robot.topics.items():
             if name in CAMERA_TOPICS:

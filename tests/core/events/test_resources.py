@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING
+from unittest.mock import Mock
 
 from tests.instructions import Instructions
 
 from robot_runner.core.events import resources
 from robot_runner.core.events.early_end import RunInterrupted
-from robot_runner.core.events.resources import Resources
+from robot_runner.core.events.resources import Resources, closing_left_open, opened_here
 from robot_runner.core.execution.interruption import InterruptGate
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 
 class _Link:
@@ -40,3 +45,24 @@ def test_a_link_whose_opening_was_interrupted_anywhere_is_closed_if_it_is_known(
     for at in range(1, count + 1):
         known, _ = _opened(at)
         assert known.is_closed, at
+
+
+def test_what_was_left_open_is_closed_with_the_run_that_opened_it_and_what_was_open_before_is_not() -> None:
+    closed: list[str] = []
+
+    @contextmanager
+    def opened(name: str) -> Iterator[None]:
+        with opened_here() as own:
+            own.open(name, lambda: Mock(close=lambda: closed.append(name)))
+            yield
+
+    with opened("before"):
+        with closing_left_open():
+            left = opened("left")
+            left.__enter__()
+            with opened("closed by itself"):
+                pass
+            assert closed == ["closed by itself"]
+        assert closed == ["closed by itself", "left"]
+        left.__exit__(None, None, None)
+    assert closed == ["closed by itself", "left", "before"]

@@ -76,7 +76,7 @@ os.register_at_fork(after_in_child=_opened_here.clear)
 
 @contextmanager
 def opened_here() -> Iterator[Resources]:
-    """Yield resources of one's own, which are closed at the end of the block, or else by `close_left_open`."""
+    """Yield resources of one's own, which are closed at the end of the block, or of the run that left it open."""
     with closing(Resources()) as resources:
         _opened_here.add(resources)
         try:
@@ -85,15 +85,16 @@ def opened_here() -> Iterator[Resources]:
             _opened_here.discard(resources)
 
 
-def close_left_open() -> list[str]:
-    """Close what was opened in a block of `opened_here` that was not left; return the problems with that."""
-    problems = []
-    for each in list(_opened_here):
-        try:
-            each.close()
-        except Exception as error:  # noqa: BLE001 - of whichever kind: the others are closed, and it is told
-            problems.append(f"a link that a callback left open could not be closed: {error}")
-    return problems
+@contextmanager
+def closing_left_open() -> Iterator[None]:
+    """Close what was opened within this block by `opened_here` and was left open; an error is raised once all are."""
+    before = set(_opened_here)
+    try:
+        yield
+    finally:
+        with ExitStack() as closing_all:
+            for each in _opened_here - before:
+                closing_all.callback(each.close)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from robot_runner.core.events.early_end import Ending, EndingInPlace, MissionSto
 from robot_runner.core.events.manager import CLOSED_BY, CallbackFailure, Emission, RobotRunnerEvents, check_executed
 from robot_runner.core.events.measure import CONFIG_OWNER, Origin
 from robot_runner.core.events.measure_broker import MeasureBroker
-from robot_runner.core.events.resources import Resources
+from robot_runner.core.events.resources import Resources, closing_left_open
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.clock_jumps import CLOCKS, ClockJumps, told_setting
 from robot_runner.core.execution.inherited import seed_random_numbers
@@ -128,7 +128,7 @@ class _Run:
     def execute(self) -> None:
         closed_last = RobotRunnerEvents.STOP_RUN.value  # the event during which a link fails to close
         with self._ending.from_any_thread(), self._recorded(closed_last, "link"):
-            with closing(self._resources), self._recorded("", "link"):
+            with closing_left_open(), closing(self._resources), self._recorded("", "link"):
                 self._open()
                 self._emit_events()
                 self._ending.callback = (closed_last, "link")

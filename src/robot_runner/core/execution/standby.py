@@ -56,7 +56,7 @@ from robot_runner.core.words import enumerated
 LONGEST = 40.0
 #: For how long after the run's death, and how often, it is tried again where the robot cannot be reached, s: whatever
 #: killed the run may have killed a server or the network, too, and both may come back.
-_RETRYING, _AGAIN = 20.0, 0.5
+RETRYING, _AGAIN = 20.0, 0.5
 #: How long it may take to die once it was killed, s.
 _DYING = 5.0
 #: The longest text that is read as a process id, in bytes.
@@ -204,7 +204,7 @@ class Standby:
     def _act(self, connection: _Connection) -> None:
         with suppress(OSError):  # stopping the robot matters more than saying so
             self.state.set(Care.STANDBY)
-        deadline = time.monotonic() + _RETRYING
+        deadline = time.monotonic() + RETRYING
         try:
             with suppress(Exception):  # stopping the robot matters more than the log
                 print_to_log(self._experiment.folder)

@@ -23,7 +23,6 @@ from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import ConfigError
-from robot_runner.core.events.resources import close_left_open
 from robot_runner.core.execution.inherited import freeze_inherited, write_open_files
 from robot_runner.core.execution.interruption import STOP_SIGNALS, InterruptGate
 from robot_runner.core.execution.left_over import RunMark, end_left_over
@@ -99,7 +98,7 @@ def _execute(experiment: Experiment, task: RunTask, systems: SystemsState | None
     notice_programs(experiment, report)
     with nullcontext() if systems is None else _kept(systems, experiment, task):
         execute_run(experiment, task, report, gate, systems)
-    for problem in (*close_left_open(), *write_open_files()):
+    for problem in write_open_files():
         report("failure", {"event": "", "owner": "", "problem": problem, "traceback": ""})
     report(FINISHED, {})
     if os.getppid() != keeper:  # the keeper was killed, and cannot end what the run leaves behind
