@@ -103,7 +103,7 @@ def test_a_robot_is_told_until_it_is_reached_and_one_that_never_is_may_be_moving
     monkeypatch.setattr(standby_module, "connect_robot", lambda _context: robot)
     monkeypatch.setattr(commanded_topics, "_TELLING", 0.2)
     monkeypatch.setattr(commanded_topics, "_REACHING", 60.0 if care is Care.MADE_SAFE else 0.5)
-    monkeypatch.setattr(standby_module, "_RETRYING", 0.0)
+    monkeypatch.setattr(standby_module, "RETRYING", 0.0)
     with after_death(experiment, ("/alice/cmd_vel", "geometry_msgs/Twist"), care=care):
         told = (folder / "told").read_text(encoding="utf-8").splitlines()
     assert told[0].endswith("and is not heard")
@@ -150,7 +150,7 @@ def test_a_robot_whose_server_or_network_is_back_some_seconds_after_the_run_s_de
         return Told(folder)
 
     monkeypatch.setattr(standby_module, "connect_robot", connect)
-    monkeypatch.setattr(standby_module, "_RETRYING", 60.0)
+    monkeypatch.setattr(standby_module, "RETRYING", 60.0)
     monkeypatch.setattr(standby_module, "_AGAIN", 0.01)
     monkeypatch.setattr(commanded_topics, "_TELLING", 0.0)
     with after_death(experiment, ("/alice/cmd_vel", "geometry_msgs/Twist")):
