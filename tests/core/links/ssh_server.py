@@ -52,13 +52,15 @@ Host robot
 """
 
 
+#: An sshd has two processes for a connection; of a user other than root, the second one outlives the first.
 _REBOOT = """\
 #!/bin/sh
 echo once >>{folder}/reboots
 setsid sh -c '
 sleep 0.2
 old=$(cat {folder}/sshd.pid)
-kill -KILL $(ps -o pid= --ppid $old) $old
+connections=$(ps -o pid= --ppid $old)
+kill -KILL $(ps -o pid= --ppid "$connections") $connections $old
 sleep 0.5
 {sshd} -D -e -f {folder}/sshd_config </dev/null >>{folder}/sshd.log 2>&1 &
 echo $! >{folder}/sshd.pid
