@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.core.links.ssh_server import SshServer
+from tests.long_cases import soak_but
 from tests.process.conftest import kill_together, wait_until
 from tests.ros.real_graph import over, over_pairs
 from tests.ros.ros1_master import RUDE
@@ -22,7 +23,7 @@ from tests.subjects.conftest import gone
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.execution.left_systems import may_be_moving, robots_left
-from robot_runner.core.execution.standby import locked_by
+from robot_runner.core.execution.standby_lock import locked_by
 from robot_runner.core.links import commanded_topics
 from robot_runner.core.links.commanded_topics import keep_commanding_zero
 from robot_runner.core.links.connect import open_robot
@@ -121,7 +122,7 @@ def parent_of(pid: int) -> int:
     "dds",
     "ros1",
     "ros2",
-    everywhere=["the orchestrator", "the orchestrator and the processes that halt"],
+    everywhere=["the orchestrator and the processes that halt"],
 )
 def test_a_robot_that_a_program_of_all_runs_drives_stands_still_between_two_runs_whoever_is_killed(
     graph: str, start: Callable[..., Experiment], tmp_path: Path, killed: str
@@ -202,7 +203,7 @@ def on_host(server: SshServer) -> str:
 
 @over("dds")
 @pytest.mark.long
-@pytest.mark.parametrize("per", ["run", "experiment"])
+@pytest.mark.parametrize("per", soak_but({"experiment"}, ["run", "experiment"]))
 def test_a_robot_that_a_program_out_of_reach_may_drive_on_is_told_of_and_no_further_run_begins(
     graph: str, start: Callable[..., Experiment], tmp_path: Path, server: SshServer, per: str
 ) -> None:
@@ -434,7 +435,7 @@ def robots_left_driving(
         yield experiment, both
 
 
-@over("dds", "ros1", soak=["ros2", "rosbridge"])
+@over("dds", soak=["ros1", "ros2", "rosbridge"])
 @pytest.mark.long
 def test_robots_that_nobody_was_left_to_stop_are_stopped_by_the_next_execution_before_anything_else(
     graph: str, start: Callable[..., Experiment], tmp_path: Path
@@ -454,7 +455,7 @@ def test_robots_that_nobody_was_left_to_stop_are_stopped_by_the_next_execution_b
 
 
 @pytest.mark.long
-@over_pairs("stopped", ["", "standby", "keeper"], "rosbridge", "dds", "ros1", everywhere=[""])
+@over_pairs("stopped", ["", "standby", "keeper"], "rosbridge", "dds", "ros1")
 def test_robots_that_a_killed_experiment_left_moving_are_stopped_before_another_one_that_uses_them_begins(
     graph: str, start: Callable[..., Experiment], tmp_path: Path, stopped: str
 ) -> None:
@@ -505,7 +506,7 @@ def test_robots_are_stopped_also_where_the_folder_of_the_killed_experiment_was_r
         assert not [each for each in robots_left() if str(tmp_path) in each.where]
 
 
-@over("ros1", "rosbridge")
+@over("rosbridge", soak=["ros1"])
 @pytest.mark.long
 def test_of_a_live_experiment_whose_folder_was_renamed_no_robot_is_said_to_be_left_moving(
     graph: str, start: Callable[..., Experiment], tmp_path: Path
@@ -581,7 +582,7 @@ with open_robot(sys.argv[1]) as (link, _):
 """
 
 
-@over("dds", "ros2")  # a connection of ROS 1 takes what the system of the other process keeps for it
+@over("dds", soak=["ros2"])  # a connection of ROS 1 takes what the system of the other process keeps for it
 @pytest.mark.long
 def test_a_robot_that_takes_no_command_any_more_is_not_said_to_have_been_told_to_stand_still(
     graph: str, monkeypatch: pytest.MonkeyPatch

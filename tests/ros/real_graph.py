@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.ros.dds_domain import LOOPBACK, claim_domain
@@ -26,7 +26,7 @@ def over(*links: str, soak: Sequence[str] = ()) -> pytest.MarkDecorator:
 
 
 def over_pairs(
-    name: str, values: Sequence[str], first: str, *others: str, everywhere: Sequence[str] = ()
+    name: str, values: Sequence[Any], first: str, *others: str, everywhere: Sequence[Any] = ()
 ) -> pytest.MarkDecorator:
     """Execute a test that takes `graph` and `name` with each value over the first link.
 

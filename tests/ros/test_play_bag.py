@@ -20,6 +20,7 @@ from tests.ros.ros1_master import quiet_about_rospy
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links import commanded_topics
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos
 from robot_runner.core.plugin import Circumstances
 from robot_runner.plugins import treatment
@@ -111,6 +112,24 @@ def test_of_two_robots_that_a_bag_drives_one_is_stopped_also_where_the_other_can
         rehearse(context, plugin)
     assert [each.message["linear"]["x"] for each in link.publications if each.topic == "/bob/cmd_vel"][-1] == 0.0
     assert (context.raw_data_folder / "played.csv").read_text().count("\n") > 10
+
+
+class UnreachedLink(FakeRobotLink):
+    """A link on which the only subscriber of one topic has another version of its type, so that it never connects."""
+
+    def advertise(self, topic, message_type, *, qos=Qos.DEFAULT):
+        return topic != "/bob/cmd_vel"
+
+
+def test_a_mission_is_doubted_whose_messages_did_not_reach_a_subscriber(tmp_path, monkeypatch):
+    """It counted as done: what was measured of that node was its idling."""
+    monkeypatch.setattr(commanded_topics, "_REACHING", 0.0)
+    clock = FakeClock(10.0)
+    plugin = PlayBag(driving(tmp_path, "/alice/cmd_vel", "/bob/cmd_vel"))
+    context = make_context(tmp_path, plugin, links=FakeLinks(robot=UnreachedLink(clock)), clock=clock)
+    rehearse(context, plugin)
+    (doubt,) = context.broker.findings
+    assert "'/bob/cmd_vel' may have missed messages of the mission" in doubt.problem
 
 
 def test_the_last_message_that_is_chosen_ends_the_mission_whether_the_time_is_told_or_not(play, tmp_path):

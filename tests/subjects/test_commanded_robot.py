@@ -9,7 +9,7 @@ import pytest
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.robot import GraphEndpoint
+from robot_runner.core.links.robot import GraphEndpoint, Qos
 from robot_runner.subjects import commanded_robot
 from robot_runner.subjects.commanded_robot import CommandedRobot
 from robot_runner.testing import make_context
@@ -40,7 +40,7 @@ class SlowGraph:
     def subscribers(self, topic: str) -> list[GraphEndpoint]:
         return [GraphEndpoint("/base", TWIST)]
 
-    def advertise(self, topic: str, message_type: str, *, is_commanded: bool = True) -> bool:
+    def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT, is_commanded: bool = True) -> bool:
         return True
 
     def publish(self, topic: str, message_type: str, message: object) -> None:
@@ -79,7 +79,7 @@ class GraphOfTwo(SlowGraph):
     def topics(self) -> dict[str, str]:
         return {"/alice/cmd_vel": TWIST, "/bob/cmd_vel": TWIST}
 
-    def advertise(self, topic: str, message_type: str, *, is_commanded: bool = True) -> bool:
+    def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT, is_commanded: bool = True) -> bool:
         if "alice" in topic:
             raise LinkError("the topic carries another type", where=topic)
         return True
@@ -108,7 +108,7 @@ class GraphOfNodes(SlowGraph):
     def publishers(self, topic: str) -> list[GraphEndpoint]:
         return [GraphEndpoint(node, TWIST) for node in self._nodes[topic]]
 
-    def advertise(self, topic: str, message_type: str, *, is_commanded: bool = True) -> bool:
+    def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT, is_commanded: bool = True) -> bool:
         self.insisted[topic] = is_commanded
         return True
 

@@ -32,6 +32,11 @@ _WORD = 1 << 32
 #: How many bytes `capture` keeps of each packet: the headers, and little of the content.
 _SNAP_LENGTH = 128
 _GRACE = 5.0
+_TRY = "Try it by hand: tshark -w test.pcapng, with the interfaces as -i. Or leave capture out."
+_PERMIT = (
+    "Let this user capture (Debian, Ubuntu): sudo dpkg-reconfigure wireshark-common, say yes; then sudo usermod -a -G "
+    "wireshark $USER, and log in again. Or leave capture out."
+)
 #: How long tshark may take until it captures, s: a busy Raspberry Pi needs ten.
 _STARTUP = 30.0
 
@@ -148,12 +153,11 @@ class Network(PolledProfiler[Counters]):
             return tshark
         self._capturing = None
         ending = tshark.stop(signal.SIGINT, grace=_GRACE)
-        problem = (
-            f"tshark did not begin to capture within {_STARTUP:g} s"
-            if ending.was_asked
-            else f"tshark ended with exit code {ending.exit_code}: {ending.complaint}"
-        )
-        fix = "Try it by hand: tshark -w test.pcapng, with the interfaces as -i. Or leave capture out."
+        problem, fix = f"tshark did not begin to capture within {_STARTUP:g} s", _TRY
+        if not ending.was_asked:
+            complaint = _complaint(tshark.said) or ending.complaint
+            problem = f"tshark ended with exit code {ending.exit_code}: {complaint}"
+            fix = _PERMIT if "permission" in complaint else _TRY
         raise PluginError(problem, where=self.name, fix=fix)
 
     def stop_run(self, context: RobotRunnerContext) -> None:
@@ -241,3 +245,14 @@ class Network(PolledProfiler[Counters]):
         chosen = [word for name in self._names for word in ("-i", name)]
         kept = ["-f", self.capture_filter] if self.capture_filter else []
         return ["tshark", "-q", "-n", *chosen, *kept, "-s", str(_SNAP_LENGTH), "-w", str(path)]
+
+
+def _complaint(said: str) -> str:
+    r"""Return why tshark does not capture: its first complaint, as advice and the number of packets follow it.
+
+    Example:
+        >>> _complaint("Capturing on 'lo'\ntshark: You may not.\nPlease check ...\ntshark: \n0 packets captured\n")
+        'You may not.'
+    """
+    told = (line.removeprefix("tshark:").strip() for line in said.splitlines() if line.startswith("tshark:"))
+    return next(filter(None, told), "")

@@ -66,6 +66,7 @@ class GraphLink:
 
     Attributes:
         namespace: the prefix of relative names: empty, or `/alice`.
+        graph: how the graph is reached, such as `dds:domain=7`; empty where that is not known.
         parameter_server: that of ROS 1's master; None in ROS 2, where each node holds its parameters.
 
     Raises:
@@ -81,6 +82,7 @@ class GraphLink:
 
     def __init__(self, connect: Callable[[], Transport], namespace: str = "", *, is_simulated: bool = False) -> None:
         self.namespace = namespace_prefix(namespace)  # refused before anything is opened
+        self.graph = ""
         self._is_simulated = is_simulated
         self._lock = threading.RLock()  # held while a topic is advertised, which may take seconds
         self._books = threading.Lock()  # held for a moment, over what is open and whether the link is
@@ -332,11 +334,9 @@ class GraphLink:
             if known is None:
                 shape = self._transport.types.shape(message_type)
                 completed(shape, message, where=name)  # a wrong message is refused before the topic is on the graph
-                known = self._keep(
-                    name,
-                    lambda: Advertised(plain, shape, self._transport.advertise(name, plain, qos)),
-                    partial(self._advertised.__setitem__, (name, qos)),
-                )
+                advertise = partial(self._transport.advertise, name, plain, qos)
+                note = partial(self._advertised.__setitem__, (name, qos))
+                known = self._keep(name, lambda: Advertised(plain, shape, advertise(), self.graph), note)
             return known
 
     def _subscribe(

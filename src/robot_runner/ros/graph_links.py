@@ -10,7 +10,7 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qsl
 
 from robot_runner.core.errors import Finding, LinkError
@@ -24,6 +24,9 @@ from robot_runner.core.storage.input_files import InputFile, input_file
 from robot_runner.core.words import enumerated
 from robot_runner.ros.definition_files import SUFFIXES, naming_files
 from robot_runner.ros.graph_clock import GraphClock
+
+if TYPE_CHECKING:
+    from robot_runner.ros.graph_link import GraphLink
 
 
 def check_installed(packages: Iterable[str], *, way: str, extra: str) -> None:
@@ -131,7 +134,8 @@ class GraphLinkKind:
         """Open a link outside a run, too; the caller closes it."""
         bare = _without_clock(name)
         opener = getattr(self._opening(name), self.opener)
-        link: RobotLink = opener(bare.options if bare.address is None else bare.address, clock, namespace)
+        link: GraphLink = opener(bare.options if bare.address is None else bare.address, clock, namespace)
+        link.graph = name.graph
         return link
 
     def open_clock(self, name: RobotName, *, resources: Resources, seed: int) -> Clock:

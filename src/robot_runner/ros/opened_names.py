@@ -31,12 +31,14 @@ class Advertised:
     """A topic that this link publishes with one QoS.
 
     Attributes:
+        graph: how its graph is reached; empty where that is not known.
         is_commanded: whether velocities are known to have been commanded on it.
     """
 
     message_type: str
     shape: Shape
     publisher: TopicPublisher
+    graph: str = ""
     is_commanded: bool = False
     _sending: threading.RLock = field(default_factory=threading.RLock)
 
@@ -49,7 +51,7 @@ class Advertised:
         """Note that velocities are commanded on the topic, if its type has them, and tell the standby process."""
         if self.drives and not self.is_commanded:
             self.is_commanded = True
-            tell_commanded(topic, self.message_type)
+            tell_commanded(topic, self.message_type, self.graph)
 
     @contextmanager
     def sending(self) -> Iterator[None]:

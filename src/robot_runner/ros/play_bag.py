@@ -120,7 +120,7 @@ class PlayBag(RobotSystem):
         self._chosen: Sequence[RecordedTopic] = ()
         self._played = Played()
         self._span: float | None = None
-        self._is_simulated = False
+        self._is_simulated = self._is_played = False
 
     def input_files(self) -> Iterable[InputFile]:
         """Return the bag."""
@@ -165,7 +165,7 @@ class PlayBag(RobotSystem):
             PluginError: the bag cannot be played, or somebody else publishes one of its topics.
             LinkError: the robot cannot be reached, or does not know one of its types.
         """
-        self._played, self._span, self._program = Played(), None, None
+        self._played, self._is_played, self._span, self._program = Played(), False, None, None
         self._bag = context.resources.open(f"bag {self.name}", lambda: RecordedBag(self.path))
         self._chosen = self._bag.chosen(self.topics)
         link = connect_robot(context)
@@ -188,6 +188,7 @@ class PlayBag(RobotSystem):
             self._play_by_program(context, link)
         elif self._link_player is not None:
             self._link_player.play(context.clock, self._played)
+            self._is_played = True
             self._doubt_rivals(context, link, allowed=0)
         context.clock.sleep(self.settle_s)
 
@@ -198,6 +199,9 @@ class PlayBag(RobotSystem):
             if bag is not None:
                 closing.callback(bag.close)
                 closing.callback(self._write, context, bag)
+            if self._is_played:
+                topics = [(each.name, each.message_type, each.qos) for each in self._chosen]
+                closing.callback(self.doubt_unreached, context, connect_robot(context), topics)
             self.make_safe(context)
 
     def stand_by(self, context: RobotRunnerContext) -> None:

@@ -11,14 +11,19 @@ from typing import ClassVar, Protocol, TypeVar, runtime_checkable
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import MeasureValue, Origin
+from robot_runner.core.links.commanded_topics import await_subscribers
 from robot_runner.core.links.connect import is_simulated, join_beforehand, resolved_robot
 from robot_runner.core.links.graph_names import GraphNeed, GraphPart, full_name, namespace_prefix
-from robot_runner.core.links.robot import Message
+from robot_runner.core.links.robot import Message, Qos, RobotLink
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.plugin import Circumstances, System
 from robot_runner.ros.shapes import completed, plain_type
 
 _Kept = TypeVar("_Kept")
+
+_LOOK_AT_SUBSCRIBER = (
+    "Look at the log of its node: it may have another version of the type, or cannot reach this machine."
+)
 
 
 def check_numbers(where: str, *, may_be_zero: bool = False, **parameters: object) -> None:
@@ -114,6 +119,24 @@ class RobotSystem(OfTheRobot, System):
                 f"the plugin {self.does}, and the experiment names none",
                 f"Name it in the config: robot = '{self.for_example}'. Or: --set robot={self.for_example}.",
             )
+
+    def doubt_unreached(
+        self, context: RobotRunnerContext, link: RobotLink, topics: Iterable[tuple[str, str, Qos]]
+    ) -> None:
+        """Doubt the mission where a subscriber is not connected, as one of ROS 1 with another version of the type.
+
+        Args:
+            context: of the run.
+            link: over which the mission has published.
+            topics: name, type and QoS of each; the first one with such a subscriber is told.
+        """
+        for topic, message_type, qos in topics:
+            try:
+                await_subscribers(link, topic, message_type, qos=qos)
+            except LinkError as error:
+                problem = f"who subscribes {topic!r} may have missed messages of the mission: {error.problem}"
+                context.doubt(problem, fix=_LOOK_AT_SUBSCRIBER)
+                return
 
     def started(self, kept: _Kept | None) -> _Kept:
         """Return the object that `start_run` has kept for the mission.

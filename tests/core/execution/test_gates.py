@@ -104,7 +104,7 @@ def test_a_gate_is_awaited_before_each_run_in_a_process_of_its_own(execute: Call
 
 def test_a_process_stands_by_for_each_run_and_for_no_gate(execute: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
-    monkeypatch.setattr(executor, "standby_of", lambda _, task: asked.append(task.run_id))
+    monkeypatch.setattr(executor, "Standby", lambda _systems, _experiment, task: asked.append(task.run_id))
     assert gated(execute, "Gate(SecondLook(), timeout_s=60)").finished.done_count == 4
     assert asked == ["r_1", "r_2", "r_3", "r_4"]
 

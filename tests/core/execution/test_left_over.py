@@ -26,7 +26,7 @@ from robot_runner.core.execution.left_over import (
     runs_elsewhere,
 )
 from robot_runner.core.execution.left_systems import goes_on
-from robot_runner.core.execution.standby import await_standby
+from robot_runner.core.execution.standby_lock import await_standby
 from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def test_who_only_reads_the_file_of_the_mark_is_no_run_and_is_not_killed(
 
 def test_a_slow_machine_is_no_earlier_execution_that_stood_by(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seconds = itertools.count(step=0.5)  # between any two looks at the clock
-    monkeypatch.setattr("robot_runner.core.execution.standby.time.monotonic", lambda: next(seconds))
+    monkeypatch.setattr("robot_runner.core.execution.standby_lock.time.monotonic", lambda: next(seconds))
     assert await_standby(ExperimentFolder(tmp_path)) is None
 
 

@@ -33,6 +33,7 @@ from robot_runner.core.execution.systems_state import SystemsFile, left_copies
 from robot_runner.core.execution.task import RunTask
 from robot_runner.core.execution.worker import described_task
 from robot_runner.core.links import commanded_topics
+from robot_runner.core.links.commanded_topics import Commanded
 from robot_runner.core.storage.claim_locks import HeldClaims
 from robot_runner.core.storage.guarded_files import make_experiment_folder
 from robot_runner.core.storage.journal import Journal
@@ -68,7 +69,7 @@ def of_velocities(experiment: Experiment, robot: object, monkeypatch: pytest.Mon
     monkeypatch.setattr(commanded_topics, "_REACHING", 0.2)
     file = SystemsFile(experiment.folder)
     file.begin("rosbridge://127.0.0.1:1", left(experiment))
-    file.add_commanded("/cmd_vel", "geometry_msgs/TwistStamped")
+    file.add_commanded(Commanded("/cmd_vel", "geometry_msgs/TwistStamped"))
     return file
 
 
@@ -200,9 +201,9 @@ def test_nothing_but_a_velocity_is_commanded_whatever_somebody_has_written_into_
                 file.write(f"{topic} {message_type}\n")
 
     file = of_velocities(experiment, Drone(), monkeypatch)
-    file.add_commanded("/takeoff", "std_msgs/Empty")
-    file.add_commanded("/takeoff std_msgs/Empty\n/land", "geometry_msgs/Twist")
-    file.add_commanded("\udc80", "geometry_msgs/Twist")
+    file.add_commanded(Commanded("/takeoff", "std_msgs/Empty"))
+    file.add_commanded(Commanded("/takeoff std_msgs/Empty\n/land", "geometry_msgs/Twist"))
+    file.add_commanded(Commanded("\udc80", "geometry_msgs/Twist"))
     see_to_what_is_left(experiment)
     assert set(published.read_text().splitlines()) == {"/cmd_vel geometry_msgs/TwistStamped"}
 
@@ -264,7 +265,7 @@ def test_systems_of_another_experiment_are_left_to_its_next_execution_and_its_ro
 
     file = of_velocities(experiment, Robot(), monkeypatch)
     file.begin("rosbridge://127.0.0.1:1", left(experiment), ["Lamp"])
-    file.add_commanded("/cmd_vel", "geometry_msgs/TwistStamped")
+    file.add_commanded(Commanded("/cmd_vel", "geometry_msgs/TwistStamped"))
     other = replace(experiment, folder=ExperimentFolder(experiment.folder.root.parent / "other"))
     claims = CLAIMED
     (found,) = see_to_what_others_left(other, [experiment.folder.root], claims)
@@ -286,7 +287,7 @@ def test_of_a_killed_experiment_whose_folder_is_gone_the_robot_is_stopped_once_a
 ) -> None:
     file = of_velocities(experiment, Deserted(), monkeypatch)
     file.begin("rosbridge://127.0.0.1:1", left(experiment), ["Lamp"])
-    file.add_commanded("/cmd_vel", "geometry_msgs/TwistStamped")
+    file.add_commanded(Commanded("/cmd_vel", "geometry_msgs/TwistStamped"))
     assert robots_left([experiment.folder.root]) == []
     shutil.rmtree(experiment.folder.root)
     (said,) = robots_left([experiment.folder.root])
@@ -353,7 +354,7 @@ def test_a_robot_of_another_experiment_that_cannot_be_stopped_refuses_this_one_o
     monkeypatch.setattr(standby, "connect_robot", out_of_reach)
     file = SystemsFile(experiment.folder)
     file.begin("rosbridge://127.0.0.1:1", left(experiment), systems)
-    file.add_commanded("/cmd_vel", "geometry_msgs/Twist")
+    file.add_commanded(Commanded("/cmd_vel", "geometry_msgs/Twist"))
     other = replace(experiment, folder=ExperimentFolder(experiment.folder.root.parent / "other"))
     with pytest.raises(ExecutionError, match="cannot be told to stand still now: RuntimeError: rospy is not installed"):
         see_to_what_others_left(other, [experiment.folder.root], CLAIMED)
@@ -463,12 +464,12 @@ def test_of_a_run_whose_treatments_are_not_told_it_is_told_where_it_cannot_be_ma
 def test_a_line_that_was_written_by_half_takes_no_other_with_it(experiment: Experiment) -> None:
     file = SystemsFile(experiment.folder)
     file.begin("dds://alice", left(experiment))
-    file.add_commanded("/alice/cmd_vel", "geometry_msgs/Twist")
+    file.add_commanded(Commanded("/alice/cmd_vel", "geometry_msgs/Twist"))
     with experiment.folder.to_make_safe.open("a") as half:
         half.write('{"topic": "/al')
     found = file.left()
     assert found is not None
-    assert (found.robot, found.commanded) == ("dds://alice", (("/alice/cmd_vel", "geometry_msgs/Twist"),))
+    assert (found.robot, found.commanded) == ("dds://alice", (Commanded("/alice/cmd_vel", "geometry_msgs/Twist"),))
 
 
 def test_a_commanded_topic_is_on_the_disk_before_anything_is_commanded_there(
@@ -479,7 +480,7 @@ def test_a_commanded_topic_is_on_the_disk_before_anything_is_commanded_there(
     monkeypatch.setattr(os, "fsync", lambda _descriptor: flushed.append(path.read_text()))
     file = SystemsFile(experiment.folder)
     file.begin("dds://alice", left(experiment))
-    file.add_commanded("/alice/cmd_vel", "geometry_msgs/Twist")
+    file.add_commanded(Commanded("/alice/cmd_vel", "geometry_msgs/Twist"))
     assert flushed[-1] == path.read_text()
     assert "/alice/cmd_vel" in flushed[-1]
 

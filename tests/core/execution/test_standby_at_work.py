@@ -20,15 +20,17 @@ import robot_runner.core.execution.standby as standby_module
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.resources import Resources
+from robot_runner.core.execution import run_events, standby_lock
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.progress_manager import ProgressManager
 from robot_runner.core.execution.recovery import Resumption
-from robot_runner.core.execution.run_events import execute_run
-from robot_runner.core.execution.standby import Standby, standby_of
+from robot_runner.core.execution.run_events import execute_run, made_safe_of_their_own
+from robot_runner.core.execution.standby import Standby
 from robot_runner.core.execution.systems_state import Care, SystemsState
 from robot_runner.core.links import commanded_topics, connect
+from robot_runner.core.links.commanded_topics import Commanded
 from robot_runner.core.links.kinds import link_key
-from robot_runner.core.links.robot import GraphEndpoint
+from robot_runner.core.links.robot import GraphEndpoint, Qos
 from robot_runner.core.storage.lock_files import open_to_lock
 from robot_runner.core.treatments import bind
 
@@ -52,7 +54,7 @@ class Told:
             heard = "" if self._is_reached else " and is not heard"
             file.write(f"{topic} {message_type} {message}{heard}\n")
 
-    def advertise(self, topic: str, message_type: str) -> bool:
+    def advertise(self, topic: str, message_type: str, *, qos: Qos) -> bool:
         return self._is_reached
 
     def subscribers(self, topic: str) -> list[GraphEndpoint]:
@@ -191,7 +193,7 @@ def test_systems_are_made_safe_although_the_folder_of_the_experiment_was_removed
     write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     experiment = prepare_or_refuse(write_config("", head=HEAD, table=TABLE))
-    monkeypatch.setattr(standby_module, "open_to_lock", lambda path, _root: open_to_lock(gone / path.name, gone))
+    monkeypatch.setattr(standby_lock, "open_to_lock", lambda path, _root: open_to_lock(gone / path.name, gone))
     gone = experiment.config_path.parent / "gone"
     with after_death(experiment):
         pass
@@ -263,6 +265,7 @@ def test_a_failed_run_without_systems_leaves_a_safe_robot_only_where_its_links_c
     command: str,
 ) -> None:
     monkeypatch.setattr(commanded_topics, "_listeners", [])  # the process of a run has its own
+    monkeypatch.setattr(run_events, "has_standby", lambda _: True)  # as where the config names a robot
     body = DRIVEN.format(event=event, close=close, command=command)
     experiment = prepare_or_refuse(write_config(body, table=TABLE))
     state = SystemsState()
@@ -284,12 +287,11 @@ def after_death(
         first, second = (progress.task_of(run) for run in progress.pending())
         (lamp,) = experiment.systems
         bind(lamp, first.combination)
-        standby = standby_of(experiment, replace(first, attempt=1))
-        assert standby is not None
+        standby = Standby(made_safe_of_their_own(experiment), experiment, replace(first, attempt=1))
         bind(lamp, second.combination)  # the next run begins beside it
         standby.state.set(began)
         for each in commanded:
-            standby.state.add_commanded(*each)
+            standby.state.add_commanded(Commanded(*each))
         dead = subprocess.Popen([sys.executable, "-c", ""])
         dead.wait()
         for seconds in standby.looked_after(dead.pid):

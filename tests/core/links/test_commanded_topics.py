@@ -9,7 +9,7 @@ import pytest
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links import commanded_topics
 from robot_runner.core.links.commanded_topics import keep_commanding_zero
-from robot_runner.core.links.robot import GraphEndpoint
+from robot_runner.core.links.robot import GraphEndpoint, Qos
 from robot_runner.testing import FakeClock
 
 TOPIC, TWIST = "/cmd_vel", "geometry_msgs/Twist"
@@ -37,7 +37,7 @@ class Told:
     def publish(self, topic: str, message_type: str, message: object) -> None:
         self.heard += self._is_discovered
 
-    def advertise(self, topic: str, message_type: str) -> bool:
+    def advertise(self, topic: str, message_type: str, *, qos: Qos) -> bool:
         return True  # as there is nobody who would miss it
 
     def subscribers(self, topic: str) -> list[GraphEndpoint]:
@@ -56,7 +56,7 @@ def test_a_robot_that_is_not_discovered_yet_is_waited_for(
 class CutOff(Told):
     """A robot that takes nothing any more, and counts as gone after a while: nobody is missed then."""
 
-    def advertise(self, topic: str, message_type: str) -> bool:
+    def advertise(self, topic: str, message_type: str, *, qos: Qos) -> bool:
         self._clock.sleep(1.0)
         return self._clock.now() >= self._discovered_at
 
@@ -88,7 +88,7 @@ class Halved:
         self._maybe_fail("publish", topic)
         self.heard.append(topic)
 
-    def advertise(self, topic: str, message_type: str) -> bool:
+    def advertise(self, topic: str, message_type: str, *, qos: Qos) -> bool:
         self._maybe_fail("advertise", topic)
         return True
 

@@ -20,9 +20,9 @@ from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.keeper import KEEPING, Keeper, reap_keepers
 from robot_runner.core.execution.places import Place, Places, RunInFlight, Watch
 from robot_runner.core.execution.processes import await_end
-from robot_runner.core.execution.run_events import execute_run
+from robot_runner.core.execution.run_events import execute_run, systems_of_standby
 from robot_runner.core.execution.run_records import FINISHED, RecordReader, RecordWriter
-from robot_runner.core.execution.standby import Standby, standby_of
+from robot_runner.core.execution.standby import Standby
 from robot_runner.core.execution.systems_state import SystemsState
 from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 from robot_runner.core.execution.worker import be_run, become_interpreter
@@ -128,7 +128,7 @@ def begin_run(
     if experiment.parameters.run_process is RunProcess.IN_PROCESS:
         return _executed_here(experiment, task, builder, watch)
     start = be_run if experiment.parameters.run_process is RunProcess.FORK else become_interpreter
-    standby = standby_of(experiment, task) if may_command else None
+    standby = Standby(systems_of_standby(experiment), experiment, task) if may_command else None
     return _begun_in_process(start, experiment, task, builder, watch, standby)
 
 

@@ -99,7 +99,7 @@ class Keeper:
             start: executes the run; called in the run's own process.
             grace: how long a run that is asked to stop may take to close what it opened, s.
             folder: the experiment's; it gets the marks by which the run is found should its keeper be killed.
-            standby: makes the systems safe where the run died before it did; None where no system needs that.
+            standby: makes the systems safe where the run died before it did; None where nothing commands a robot.
         """
         self.start = start
         self.grace = grace
@@ -209,9 +209,8 @@ class Keeper:
 
     def death(self) -> str:
         """Return how the run's process died, or the keeper if that was killed; empty if it exited with 0."""
-        whose, status = (
-            ("the run's keeper", self.reap()) if self.was_killed else ("the run's process", self._run_status())
-        )
+        whose = "the run's keeper" if self.was_killed else "the run's process"
+        status = self.reap() if self.was_killed else _number(self._numbers[_NUMBER_BYTES:])
         code = os.waitstatus_to_exitcode(status)
         if code < 0:
             return f"{whose} was killed by {signal.Signals(-code).name}"
@@ -221,9 +220,6 @@ class Keeper:
     def _has_told(self) -> bool:
         """Whether the keeper has reported both numbers, and so has done its work."""
         return len(self._numbers) == 2 * _NUMBER_BYTES
-
-    def _run_status(self) -> int:
-        return _number(self._numbers[_NUMBER_BYTES:])
 
     def reap(self) -> int:
         """Wait until the keeper has exited; return how it did, as `os.waitpid` does."""
@@ -245,6 +241,7 @@ class _KeeperProcess:
     def __init__(self, keeper: Keeper, requests: int, tell: int, report: RecordWriter, mark: RunMark) -> None:
         self._spared = keeper.spared
         self._standby = keeper.standby
+        self._beforehand = keeper.standby if keeper.standby and keeper.standby.is_there_beforehand else None
         self._start = keeper.start
         self._grace = keeper.grace
         self._requests = requests
@@ -261,13 +258,13 @@ class _KeeperProcess:
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # where it is ignored, the system says of no child how it ended
         processes.use_no_streams()
         processes.adopt_orphans()
-        if self._standby is not None:
+        if self._beforehand is not None:
             self._may_begin, self._let_begin = os.pipe()
         self._fork_run()
-        if self._standby is not None:
+        if self._beforehand is not None:
             ours = [self._requests, self._tell, self._report.descriptor, self._may_begin, self._let_begin]
             # It may outlive us, and is not of the run: the mark is not its own.
-            self._standby.begin(self._run, let_go=[*ours, self._mark.descriptor])
+            self._beforehand.begin(self._run, let_go=[*ours, self._mark.descriptor])
             os.close(self._may_begin)
             with suppress(BrokenPipeError):  # somebody has killed the run
                 os.write(self._let_begin, b".")
@@ -275,8 +272,9 @@ class _KeeperProcess:
         self._report.close()  # the run's alone from here on
         status = self._watch()
         processes.kill_group(self._run, self._spared)
+        if self._beforehand is not None:
+            self._beforehand.wait()
         if self._standby is not None:
-            self._standby.wait()
             self._standby.look_after(self._run)  # it may have been killed, and the orchestrator as well
         are_left = processes.has_children()
         self._end_orphans()
@@ -311,7 +309,7 @@ class _KeeperProcess:
 
     def _is_stood_by(self) -> bool:
         """Wait, in the run, until its standby is there, if it has one; return False where the keeper died before."""
-        if self._standby is None:
+        if self._beforehand is None:
             return True
         os.close(self._let_begin)
         with os.fdopen(self._may_begin, "rb", buffering=0) as may_begin:

@@ -34,13 +34,9 @@ from robot_runner.core.execution.left_over import (
     left_over,
     marked_folders,
 )
-from robot_runner.core.execution.standby import (
-    Standby,
-    await_standby,
-    await_standby_at,
-    is_at_work,
-    made_safe_of_their_own,
-)
+from robot_runner.core.execution.run_events import made_safe_of_their_own
+from robot_runner.core.execution.standby import Standby
+from robot_runner.core.execution.standby_lock import await_standby, await_standby_at, is_at_work
 from robot_runner.core.execution.systems_state import Care, LeftCopy, LeftSystems, SystemsFile, left_copies
 from robot_runner.core.execution.task import RunTask
 from robot_runner.core.execution.worker import task_of
@@ -301,8 +297,8 @@ def _late_standby(
     for each in standby.systems:
         with suppress(Exception):  # a system that cannot be built raises in its `make_safe`, which is reported
             bind(each, task.combination)
-    for topic, message_type in left.commanded:
-        standby.state.add_commanded(topic, message_type)
+    for commanded in left.commanded:
+        standby.state.add_commanded(commanded)
     standby.state.set(Care.RUN)
     return standby
 

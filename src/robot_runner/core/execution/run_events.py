@@ -45,6 +45,22 @@ def execute_run(
     run.execute()
 
 
+def has_standby(experiment: Experiment) -> bool:
+    """Return whether a run has something to be made safe from its beginning on."""
+    robot = experiment.parameters.robot
+    return bool(systems_of_standby(experiment)) or (robot is not None and not is_simulated(robot))
+
+
+def systems_of_standby(experiment: Experiment) -> list[System]:
+    """Return the systems that are made safe where a run dies; none of the embedded robot, which dies with its run."""
+    return [] if is_simulated(experiment.parameters.robot) else made_safe_of_their_own(experiment)
+
+
+def made_safe_of_their_own(experiment: Experiment) -> list[System]:
+    """Return the systems that have a `make_safe` of their own."""
+    return [each for each in experiment.systems if type(each).make_safe is not System.make_safe]
+
+
 def run_contexts(
     experiment: Experiment,
     task: RunTask,
@@ -162,7 +178,8 @@ class _Run:
     def _emit_events(self) -> None:
         if self._systems is not None:
             hear_commanded(self._systems.add_commanded)
-            self._systems.set(Care.RUN)  # from here on, the standby makes them safe if this process dies
+            if has_standby(self._experiment):
+                self._systems.set(Care.RUN)  # from here on, the standby makes them safe if this process dies
         jumps = ClockJumps()
         with self._between(RobotRunnerEvents.START_RUN):
             if not self._ending.has_failed:
@@ -314,7 +331,7 @@ def _origin_of_returned(context: RobotRunnerContext, name: object) -> Origin:
     published = context.broker.measures
     if isinstance(name, str) and name in published and published[name].origin is not Origin.ENTERED:
         return published[name].origin
-    if is_simulated(context.robot):
+    if is_simulated(context.robot) or context.broker.has_simulated:
         return Origin.SIMULATED
     origins = {measure.origin for measure in published.values()} - {Origin.ENTERED}
     return origins.pop() if len(origins) == 1 else Origin.MEASURED

@@ -8,21 +8,21 @@ where the run outlives an orchestrator whose keeper is dead or stopped, it ends 
 
 from __future__ import annotations
 
-import fcntl
 import os
 import signal
-import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, suppress
 from copy import copy as shallow_copy
+from functools import partial
 from typing import Any, NoReturn
 
 from robot_runner.core.config.experiment import Experiment
-from robot_runner.core.errors import ExecutionError, Finding, LinkError, StorageError
+from robot_runner.core.errors import LinkError, StorageError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import CONFIG_OWNER
-from robot_runner.core.execution.left_over import end_left_over, has_locked
+from robot_runner.core.execution.left_over import end_left_over
 from robot_runner.core.execution.processes import (
     await_an_end,
     await_end,
@@ -30,39 +30,32 @@ from robot_runner.core.execution.processes import (
     settle_streams,
     use_no_streams,
 )
-from robot_runner.core.execution.run_events import made_safe, run_contexts
+from robot_runner.core.execution.run_events import has_standby, made_safe, run_contexts
 from robot_runner.core.execution.run_records import failure_fields
+from robot_runner.core.execution.standby_lock import LONGEST, LOOK, hold_standby_lock, is_at_work, kill_if_stopped
 from robot_runner.core.execution.systems_state import Care, SystemsFile, SystemsState
 from robot_runner.core.execution.task import RunTask
-from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND, keep_commanding_zero
+from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND, Commanded, keep_commanding_zero
 from robot_runner.core.links.connect import (
     RobotTriedOnce,
     connect_robot,
-    is_simulated,
     join_beforehand,
     preload_robot,
+    resolved_robot,
 )
+from robot_runner.core.links.kinds import link_key
+from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.plugin import System
-from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, remove
-from robot_runner.core.storage.layout import ExperimentFolder, print_to_log
-from robot_runner.core.storage.lock_files import open_to_lock, was_open_to_strangers
+from robot_runner.core.storage.layout import print_to_log
 from robot_runner.core.storage.outliving import is_stopped
 from robot_runner.core.treatments import factors_of
 from robot_runner.core.words import enumerated
 
-#: How long the standby may take from the run's death on, s. Finding a robot's nodes takes tenths of a second, or up to
-#: 8 s where one is switched off; stopping the robot takes 4 to 12 s; and where something fails, all of it is done at
-#: least twice.
-LONGEST = 40.0
 #: For how long after the run's death, and how often, it is tried again where the robot cannot be reached, s: whatever
 #: killed the run may have killed a server or the network, too, and both may come back.
 RETRYING, _AGAIN = 20.0, 0.5
-#: How long it may take to die once it was killed, s.
-_DYING = 5.0
-#: The longest text that is read as a process id, in bytes.
-_DIGITS = 20
-#: How often it is checked whether another process has ended, and whether a standby that is awaited is stopped, s.
-_LOOK, _OFTEN = 0.02, 0.5
+#: How often it is checked whether a standby that is awaited is stopped, s.
+_OFTEN = 0.5
 #: How much longer than the grace a run may go on without an orchestrator, s: ending it is its keeper's work.
 _MARGIN = 2.0
 
@@ -78,6 +71,8 @@ class Standby:
 
     Attributes:
         systems: that are made safe.
+        is_there_beforehand: whether its process is forked with the run. Otherwise, as for a simulated robot, there is
+            one only where the run is dead and has commanded a robot that the config does not name.
         state: shared by the run, its keeper, the standby and the orchestrator.
     """
 
@@ -89,6 +84,7 @@ class Standby:
         self._experiment = experiment
         self._task = task
         self._is_for_all = is_for_all
+        self.is_there_beforehand = has_standby(experiment)
         self._orchestrator = os.getpid()
         self._pid = self._parent = 0
         self.state = SystemsState()
@@ -134,19 +130,21 @@ class Standby:
 
     def looked_after(self, run: int) -> Iterator[float]:
         """Do the same as `look_after` step by step, for the orchestrator: yield how long to wait each time, s."""
+        if not self.is_there_beforehand and self.state.care in {Care.NOBODY_YET, Care.SAFE}:
+            return
         deadline = time.monotonic() + LONGEST
         while (acts := self._acts()) and time.monotonic() < deadline:
-            yield _LOOK
+            yield LOOK
         # Once continued, a stopped one would command the robot in the midst of a run; until then, it holds the lock.
         with suppress(StorageError):
-            _kill_if_stopped(self._experiment.folder)
+            kill_if_stopped(self._experiment.folder)
         # The standby was killed or stopped, or has not woken up yet: making a system safe twice does no harm.
         if self.state.care in {Care.RUN, Care.STANDBY} and not acts:
             self.state.set(Care.RUN)
             self.begin(run)
             deadline = time.monotonic() + LONGEST
             while not (await_end(self._pid, 0.0) or is_stopped(self._pid)) and time.monotonic() < deadline:
-                yield _LOOK
+                yield LOOK
             self.wait(0.0)
 
     def _acts(self) -> bool:
@@ -176,20 +174,25 @@ class Standby:
         use_no_streams()  # client libraries print while they join a graph, which is not for the orchestrator's screen
         try:
             with suppress(Exception):  # a folder that was removed: stopping the robot matters more than the lock
-                _lock(self._experiment.folder)
+                hold_standby_lock(self._experiment.folder)
             with closing(_Connection(self._experiment, self._task)) as connection:
-                with suppress(Exception):  # the run fails for the same reason, and reports it
-                    preload_robot(self._experiment.parameters.robot)
-                    join_beforehand(connection.contexts(CONFIG_OWNER))
-                for system in self.systems:
-                    with suppress(Exception):
-                        system.stand_by(connection.contexts(system.name))
+                if self.is_there_beforehand:
+                    self._prepare(connection)
                 if run is not None:
                     self._await_end(run)
                 if self.state.care is Care.RUN:
                     self._act(connection)
         finally:
             os._exit(0)
+
+    def _prepare(self, connection: _Connection) -> None:
+        """Import what the link needs, join the robot's graph where that takes long, and have the systems prepare."""
+        with suppress(Exception):  # the run fails for the same reason, and reports it
+            preload_robot(self._experiment.parameters.robot)
+            join_beforehand(connection.contexts(CONFIG_OWNER))
+        for system in self.systems:
+            with suppress(Exception):
+                system.stand_by(connection.contexts(system.name))
 
     def _await_end(self, run: int) -> None:
         """Wait until the run has ended; end it where its orchestrator is dead and its keeper is, too, or is stopped."""
@@ -245,8 +248,8 @@ class Standby:
             each_of_them.callback(lambda: unheard.extend(connection.stop_again(commanded)))
             for system in self.systems:
                 each_of_them.callback(made_safe, system, connection.contexts(system.name))
-            for topic, message_type in commanded:  # a config, which has no `make_safe`, may have commanded, too
-                each_of_them.callback(connection.stop, topic, message_type)
+            for each in commanded:  # a config, which has no `make_safe`, may have commanded, too
+                each_of_them.callback(connection.stop, each)
         gone = [f"nobody subscribes to {enumerated(sorted(unheard))} any more"] if unheard else []
         return [*gone, *connection.warnings]
 
@@ -260,6 +263,7 @@ class _Connection:
     """
 
     def __init__(self, experiment: Experiment, task: RunTask) -> None:
+        self._robot = experiment.parameters.robot
         self._resources = RobotTriedOnce()
         self.warnings: list[str] = []
         self.contexts = run_contexts(
@@ -270,12 +274,22 @@ class _Connection:
         if kind == "finding":
             self.warnings.append(str(fields["problem"]))
 
-    def stop(self, topic: str, message_type: str) -> None:
-        """Publish a zero velocity."""
-        connect_robot(self.contexts(CONFIG_OWNER)).publish(topic, message_type, {})
+    def _link(self, graph: str) -> RobotLink:
+        """Return the link to the run's robot, or to a graph that a callback has reached by itself."""
+        if graph in {"", self._robot} or (self._robot is not None and graph == resolved_robot(self._robot)[1].graph):
+            return connect_robot(self.contexts(CONFIG_OWNER))
+        kind, name = resolved_robot(graph)
+        opener = partial(
+            kind.open_robot, name, resources=self._resources, clock=SystemClock(), seed=1, namespace=name.namespace
+        )
+        return self._resources.open(link_key("graph", graph), opener)
 
-    def stop_again(self, commanded: Sequence[tuple[str, str]]) -> list[str]:
-        """Repeat the zero velocity for some seconds, and until every subscriber is reached.
+    def stop(self, commanded: Commanded) -> None:
+        """Publish a zero velocity."""
+        self._link(commanded.graph).publish(commanded.topic, commanded.message_type, {})
+
+    def stop_again(self, commanded: Sequence[Commanded]) -> list[str]:
+        """Repeat the zero velocity for some seconds, on all graphs at once, and until every subscriber is reached.
 
         Returns:
             the topics without any subscriber.
@@ -283,112 +297,13 @@ class _Connection:
         Raises:
             LinkError: a subscriber of a topic is not reached.
         """
-        return keep_commanding_zero(connect_robot(self.contexts(CONFIG_OWNER)), commanded) if commanded else []
+        by_graph: dict[str, list[tuple[str, str]]] = {}
+        for topic, message_type, graph in commanded:
+            by_graph.setdefault(graph, []).append((topic, message_type))
+        with ThreadPoolExecutor(max(1, len(by_graph))) as threads:
+            told = [threads.submit(keep_commanding_zero, self._link(graph), at) for graph, at in by_graph.items()]
+        return [topic for each in told for topic in each.result()]
 
     def close(self) -> None:
         """Close the links."""
         self._resources.close()
-
-
-def _lock(folder: ExperimentFolder) -> None:
-    """Hold the lock of `standing_by` until this process ends, as its descriptor stays open."""
-    descriptor = open_to_lock(folder.standing_by, folder.root)
-    os.ftruncate(descriptor, 0)
-    os.pwrite(descriptor, str(os.getpid()).encode(), 0)
-    fcntl.flock(descriptor, fcntl.LOCK_SH)
-
-
-def locked_by(folder: ExperimentFolder) -> int | None:
-    """Return the process id of the standby; None where there is none, or only another user has locked the file."""
-    try:
-        descriptor = open_descriptor(folder.standing_by, folder.root, os.O_RDONLY)
-    except MissingFileError:
-        return None
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        with suppress(ValueError):
-            pid, path = int(os.pread(descriptor, _DIGITS, 0)), folder.standing_by
-            return pid if not was_open_to_strangers(path, folder.root) or has_locked(pid, path.resolve()) else None
-    finally:
-        os.close(descriptor)
-    return None
-
-
-def is_at_work(folder: ExperimentFolder) -> bool:
-    """Return whether a slot has a standby that is not stopped."""
-    pid = locked_by(folder)
-    return pid is not None and not is_stopped(pid)
-
-
-def _kill_if_stopped(folder: ExperimentFolder) -> bool:
-    """Kill the standby of a slot where it is stopped; return whether it was."""
-    pid = locked_by(folder)
-    if pid is None or not is_stopped(pid):
-        return False
-    _kill(pid, folder)
-    return True
-
-
-def _kill(pid: int, folder: ExperimentFolder) -> None:
-    """Kill a process, unless it is not the standby: the number in the file may be wrong."""
-    if pid > 1 and (sys.platform != "linux" or has_locked(pid, folder.standing_by.resolve())):
-        with suppress(ProcessLookupError, PermissionError):
-            os.kill(pid, signal.SIGKILL)
-
-
-def standby_of(experiment: Experiment, task: RunTask) -> Standby | None:
-    """Return the standby of a run; None where nothing has to be made safe after its death.
-
-    The embedded simulation lives in the run's own process and dies with it.
-    """
-    robot = experiment.parameters.robot
-    systems = made_safe_of_their_own(experiment)
-    if is_simulated(robot) or (robot is None and not systems):
-        return None
-    return Standby(systems, experiment, task)
-
-
-def made_safe_of_their_own(experiment: Experiment) -> list[System]:
-    """Return the systems that have a `make_safe` of their own."""
-    return [each for each in experiment.systems if type(each).make_safe is not System.make_safe]
-
-
-def await_standby(folder: ExperimentFolder) -> Finding | None:
-    """Wait until the standbys of an earlier execution have ended; kill one that takes too long.
-
-    Two processes must not command one robot. A standby that outlived its orchestrator may still be at work when the
-    next execution begins.
-
-    Returns:
-        how long it was waited; None where there was no standby.
-
-    Raises:
-        ExecutionError: one is still there afterwards, as it is another user's process.
-    """
-    began = time.monotonic()
-    # A list, not a generator: all of them are awaited.
-    if not any([await_standby_at(slot) for slot in map(folder.at_slot, folder.used_slots())]):  # noqa: C419
-        return None
-    waited = time.monotonic() - began
-    problem = f"an earlier execution was killed; its systems were still being made safe, which took {waited:.1f} s"
-    return Finding.warning(str(folder.root), problem, "Check where the robot stands.")
-
-
-def await_standby_at(slot: ExperimentFolder) -> bool:
-    """Wait until a slot has no standby, and kill one that is stopped; return whether it was waited for."""
-    began, stood_by, killed = time.monotonic(), False, 0
-    while (pid := locked_by(slot)) is not None:
-        if _kill_if_stopped(slot):
-            killed = pid
-        stood_by = stood_by or pid != killed
-        waited = time.monotonic() - began
-        if waited > LONGEST:
-            _kill(pid, slot)
-        if waited > LONGEST + _DYING:
-            problem = "systems of an earlier execution are still being made safe, and that cannot be ended from here"
-            raise ExecutionError(problem, where=str(slot.root), fix=f"End process {pid} by hand.")
-        time.sleep(_LOOK)
-    if was_open_to_strangers(slot.standing_by, slot.root):  # as earlier versions made it
-        remove(slot.standing_by, slot.root)
-    return stood_by

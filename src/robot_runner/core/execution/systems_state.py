@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, TypeGuard
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.links.commanded_topics import VELOCITIES
+from robot_runner.core.links.commanded_topics import VELOCITIES, Commanded
 from robot_runner.core.storage.claim_locks import state_folder
 from robot_runner.core.storage.guarded_files import open_to_append, open_to_fill, read_text, remove, replace
 from robot_runner.core.storage.journal import journal_lines
@@ -75,16 +75,18 @@ class SystemsState:
         return os.pread(self.descriptor, _REASON, 1).rstrip(b"\0").decode("utf-8", "replace")
 
     @property
-    def commanded(self) -> list[tuple[str, str]]:
-        """The full name and the type of each topic on which the run commands a velocity."""
+    def commanded(self) -> list[Commanded]:
+        """The topics on which the run commands a velocity."""
         lines = os.pread(self.descriptor, _LONGEST_LIST, _TOPICS).decode().splitlines()
-        return [(topic, message_type) for topic, _, message_type in (line.partition(" ") for line in lines)]
+        return [Commanded(*line.split(" ", len(Commanded._fields) - 1)) for line in lines]
 
-    def add_commanded(self, topic: str, message_type: str) -> None:
-        """Add a topic on which the run is about to command velocities."""
+    def add_commanded(self, commanded: Commanded) -> None:
+        """Add a topic on which the run is about to command velocities; from then on, it has systems to care for."""
         with self._lock:
             end = max(_TOPICS, os.fstat(self.descriptor).st_size)
-            os.pwrite(self.descriptor, f"{topic} {message_type}\n".encode(), end)
+            os.pwrite(self.descriptor, f"{' '.join(commanded)}\n".encode(), end)
+            if self.care is Care.NOBODY_YET:
+                self.set(Care.RUN)
 
     def set(self, care: Care, reason: str = "") -> None:
         """Set who is responsible from now on."""
@@ -104,7 +106,7 @@ class LeftSystems:
         run_id: of the run.
         robot: how its robot is reached; None where it has none.
         task: the run, as plain data (`worker.described_task`).
-        commanded: the full name and the type of each topic on which it has commanded a velocity.
+        commanded: the topics on which it has commanded a velocity.
         systems: the names of those that have a `make_safe` of their own.
         is_told: whether its robot was commanded to stand still since, or a person was asked to stop it.
     """
@@ -112,7 +114,7 @@ class LeftSystems:
     run_id: str
     robot: str | None
     task: Mapping[str, Any]
-    commanded: tuple[tuple[str, str], ...]
+    commanded: tuple[Commanded, ...]
     systems: frozenset[str]
     is_told: bool = False
 
@@ -192,9 +194,10 @@ class SystemsFile:
         told = {"robot": robot, "systems": systems, **where, "task": task, **more}
         return f"{json.dumps(told, default=str)}\n"
 
-    def add_commanded(self, topic: str, message_type: str) -> None:
+    def add_commanded(self, commanded: Commanded) -> None:
         """Add, in the run, a topic on which velocities will be commanded; flushed to the disk."""
-        line = f"{json.dumps({'topic': topic, 'type': message_type})}\n".encode()
+        told = {"topic": commanded.topic, "type": commanded.message_type, "graph": commanded.graph}
+        line = f"{json.dumps(told)}\n".encode()
         for path, root in ((self._copy, self._copy and self._copy.parent), (self._path, self._root)):
             if path is not None:
                 with suppress(OSError, StorageError), open_to_append(path, root) as file:
@@ -254,9 +257,13 @@ def _lines_of(path: Path, root: Path) -> Iterator[Mapping[str, Any]]:
 def _left_of(lines: Sequence[Mapping[str, Any]]) -> LeftSystems | None:
     match lines[0] if lines else None:
         case {"robot": str() | None as robot, "task": {"run_id": str(run_id)} as task}:
-            topics = ((line.get("topic"), line.get("type")) for line in lines)
+            topics = ((line.get("topic"), line.get("type"), line.get("graph", "")) for line in lines)
             # Velocities only: an empty message of another type may be a command to do something.
-            commanded = ((topic, kind) for topic, kind in topics if _is_name(topic) and kind in _STOPPED)
+            commanded = (
+                Commanded(topic, kind, graph)
+                for topic, kind, graph in topics
+                if _is_name(topic) and kind in _STOPPED and isinstance(graph, str) and graph.isprintable()
+            )
             names = told if isinstance(told := lines[0].get("systems"), list) else []
             systems = frozenset(each for each in names if isinstance(each, str))
             return LeftSystems(run_id, robot, task, tuple(commanded), systems, lines[0].get("is_told") is True)

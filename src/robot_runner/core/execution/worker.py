@@ -27,13 +27,12 @@ from robot_runner.core.execution.inherited import freeze_inherited, write_open_f
 from robot_runner.core.execution.interruption import STOP_SIGNALS, InterruptGate
 from robot_runner.core.execution.left_over import RunMark, end_left_over
 from robot_runner.core.execution.processes import leave_after, settle_streams
-from robot_runner.core.execution.run_events import execute_run
+from robot_runner.core.execution.run_events import execute_run, has_standby, systems_of_standby
 from robot_runner.core.execution.run_facts import notice_programs
 from robot_runner.core.execution.run_records import FINISHED, RecordWriter
-from robot_runner.core.execution.standby import made_safe_of_their_own
 from robot_runner.core.execution.systems_state import Care, SystemsFile, SystemsState
 from robot_runner.core.execution.task import RunTask
-from robot_runner.core.links.commanded_topics import hear_commanded
+from robot_runner.core.links.commanded_topics import Commanded, hear_commanded
 from robot_runner.core.storage.layout import print_to_log
 from robot_runner.core.storage.shared_claims import held_against_users, hold_inherited
 from robot_runner.core.treatments import bind
@@ -109,11 +108,23 @@ def _execute(experiment: Experiment, task: RunTask, systems: SystemsState | None
 def _kept(systems: SystemsState, experiment: Experiment, task: RunTask) -> Iterator[None]:
     """Keep a `SystemsFile` until the systems are safe: keeper, standby and orchestrator may be killed, too."""
     file = SystemsFile(experiment.folder)
-    names = [each.name for each in made_safe_of_their_own(experiment)]
-    file.begin(experiment.parameters.robot, described_task(experiment, task), names)
-    hear_commanded(file.add_commanded)
+    names, begun = [each.name for each in systems_of_standby(experiment)], False
+
+    def begin(robot: str | None) -> None:
+        nonlocal begun
+        begun = True
+        file.begin(robot, described_task(experiment, task), names)
+
+    def add(commanded: Commanded) -> None:
+        if not begun:  # a callback has reached a robot that the config does not name
+            begin(commanded.graph or None)
+        file.add_commanded(commanded)
+
+    if has_standby(experiment):
+        begin(experiment.parameters.robot)
+    hear_commanded(add)
     yield
-    if systems.care in {Care.NOBODY_YET, Care.SAFE}:
+    if begun and systems.care in {Care.NOBODY_YET, Care.SAFE}:
         file.remove()
 
 

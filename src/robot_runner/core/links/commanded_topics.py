@@ -5,9 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from typing import NamedTuple
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.robot import Advertiser, Message, RobotLink
+from robot_runner.core.links.robot import Advertiser, Message, Qos, RobotLink
 from robot_runner.core.words import enumerated
 
 #: A robot carries out a command of these types until the next one; an empty message, all zero, stops it.
@@ -27,28 +28,43 @@ _TELLING, _PERIOD = 4.0, 0.1
 #: For how long if a subscriber is not reached by then, s: on a busy machine, ROS 1 has taken more than 4 s.
 _REACHING = 10.0
 
-_listeners: list[Callable[[str, str], object]] = []
+
+class Commanded(NamedTuple):
+    """A topic on which velocities are commanded.
+
+    Attributes:
+        topic: by its full name.
+        message_type: of the velocities.
+        graph: how its graph is reached, such as `dds:domain=7`; empty for that of the run's robot.
+    """
+
+    topic: str
+    message_type: str
+    graph: str = ""
+
+
+_listeners: list[Callable[[Commanded], object]] = []
 #: The type of each topic on which this process commands a robot, by the topic's full name.
 _types: dict[str, str] = {}
 
 
-def hear_commanded(listener: Callable[[str, str], object]) -> None:
-    """Call `listener` with full name and type of each topic on which a velocity is about to be commanded."""
+def hear_commanded(listener: Callable[[Commanded], object]) -> None:
+    """Call `listener` with each topic on which a velocity is about to be commanded."""
     _listeners.append(listener)
 
 
-def tell_commanded(topic: str, message_type: str) -> None:
-    """Tell the listeners that velocities will be commanded on a topic.
+def tell_commanded(topic: str, message_type: str, graph: str = "") -> None:
+    """Tell the listeners that velocities will be commanded on a topic, with the fields of `Commanded`.
 
     Example:
         >>> hear_commanded(print)
-        >>> tell_commanded("/alice/cmd_vel", "geometry_msgs/Twist")
-        /alice/cmd_vel geometry_msgs/Twist
+        >>> tell_commanded("/alice/cmd_vel", "geometry_msgs/Twist", "ros1")
+        Commanded(topic='/alice/cmd_vel', message_type='geometry_msgs/Twist', graph='ros1')
         >>> _listeners.clear()
     """
     _types[topic] = message_type
     for listener in _listeners:
-        listener(topic, message_type)
+        listener(Commanded(topic, message_type, graph))
 
 
 def commanded_type(topic: str) -> str | None:
@@ -57,7 +73,7 @@ def commanded_type(topic: str) -> str | None:
 
 
 def keep_commanding_zero(link: RobotLink, commanded: Sequence[tuple[str, str]]) -> list[str]:
-    """Command zero on topics (name and type) for some seconds, and until every subscriber is reached.
+    """Command zero on topics (name and type) of one graph for some seconds, and until every subscriber is reached.
 
     On a topic without a subscriber, one is awaited for as long: it may have to be discovered.
 
@@ -110,7 +126,12 @@ def command_for_certain(link: RobotLink, topic: str, message_type: str, message:
 
 
 def await_subscribers(
-    link: RobotLink, topic: str, message_type: str, meanwhile: Callable[[], object] = lambda: None
+    link: RobotLink,
+    topic: str,
+    message_type: str,
+    meanwhile: Callable[[], object] = lambda: None,
+    *,
+    qos: Qos = Qos.DEFAULT,
 ) -> None:
     """Return once every subscriber of a topic is reached; `meanwhile` is called after each look.
 
@@ -119,7 +140,7 @@ def await_subscribers(
     """
     began = time.monotonic()
     while True:
-        is_reached = _reaches(link, topic, message_type)
+        is_reached = _reaches(link, topic, message_type, qos)
         meanwhile()  # those that are reached must not wait for the others
         if is_reached:
             return
@@ -137,5 +158,5 @@ def _not_reached(link: RobotLink, topic: str, seconds: float) -> LinkError:
     return LinkError(problem, where=topic, fix="See that it stands still.")
 
 
-def _reaches(link: RobotLink, topic: str, message_type: str) -> bool:
-    return not isinstance(link, Advertiser) or link.advertise(topic, message_type)
+def _reaches(link: RobotLink, topic: str, message_type: str, qos: Qos = Qos.DEFAULT) -> bool:
+    return not isinstance(link, Advertiser) or link.advertise(topic, message_type, qos=qos)

@@ -7,14 +7,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from robot_runner.core.errors import ConditionTimeout, Finding, LinkError, PluginError
+from robot_runner.core.errors import ConditionTimeout, Finding, PluginError
 from robot_runner.core.events.condition import Condition, Look
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure
-from robot_runner.core.links.commanded_topics import VELOCITIES, await_subscribers, command_for_certain
+from robot_runner.core.links.commanded_topics import VELOCITIES, command_for_certain
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.graph_names import GraphNeed
-from robot_runner.core.links.robot import Advertiser, RobotLink
+from robot_runner.core.links.robot import Advertiser, Qos, RobotLink
 from robot_runner.ros.robot_system import RobotSystem, check_numbers
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.sole_control import SoleControl
@@ -157,7 +157,7 @@ class TopicMission(RobotSystem):
             with heartbeat or nullcontext():
                 self._say_safe(link)
         if self._result is not None:
-            self._doubt_unreached(link, context)
+            self.doubt_unreached(context, link, [(self.topic, self.message_type, Qos.DEFAULT)])
             self._is_simulated = is_simulation(link, robot_namespace(context, self.namespace))
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
@@ -169,16 +169,6 @@ class TopicMission(RobotSystem):
         if self.afterwards is not None:
             link = connect_robot(context, namespace=self.namespace)
             command_for_certain(link, self.topic, self.message_type, self.afterwards)
-
-    def _doubt_unreached(self, link: RobotLink, context: RobotRunnerContext) -> None:
-        """Doubt the mission where a subscriber is not connected, as one of ROS 1 with another version of the type."""
-        try:
-            await_subscribers(link, self.topic, self.message_type)
-        except LinkError as error:
-            fix = "Look at the log of its node: it may have another version of the type, or cannot reach this machine."
-            context.doubt(
-                f"who subscribes {self.topic!r} may have missed messages of the mission: {error.problem}", fix=fix
-            )
 
     def _say_safe(self, link: RobotLink) -> None:
         if self.afterwards is not None:
