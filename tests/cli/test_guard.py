@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.command_line import PROGRAM
+from tests.long_cases import soak_but
 
 from robot_runner.cli.guard import guarded
 from robot_runner.core.errors import ConfigError, Finding, LinkError
@@ -184,7 +185,7 @@ def test_a_terminal_without_unicode_is_no_fault(program: str, tmp_path: Path) ->
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize("closed", soak_but({">&-", "<&- >&- 2>&-"}, ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"]))
 def test_streams_that_are_closed_hold_nothing_up_and_get_no_file_of_the_experiment(
     write_config: Callable[..., Path], closed: str
 ) -> None:

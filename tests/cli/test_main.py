@@ -188,9 +188,9 @@ WITHOUT_RIGHTS = ["setpriv", "--bounding-set", "-dac_override,-dac_read_search",
     ("words", "said"),
     [
         (["status"], "there is no experiment here, and none is named"),
-        (["status", "."], "there is no experiment here"),
+        pytest.param(["status", "."], "there is no experiment here", marks=pytest.mark.soak),
         (["status", "locked"], "the folder cannot be read: Permission denied"),
-        (["status", "locked/x"], "the folder cannot be read: Permission denied"),
+        pytest.param(["status", "locked/x"], "the folder cannot be read: Permission denied", marks=pytest.mark.soak),
         (["stop", "locked/x.py"], "the file cannot be read: Permission denied"),
     ],
 )

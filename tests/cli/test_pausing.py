@@ -8,6 +8,7 @@ import signal
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.long_cases import soak_but
 
 from robot_runner.core.storage.journal import read_journal
 
@@ -61,7 +62,7 @@ def test_it_pauses_after_the_present_run_and_goes_on(
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("ending", soak_but([signal.SIGKILL], [signal.SIGINT, signal.SIGKILL]))
 def test_a_pause_ends_with_its_session(
     terminal: Callable,
     write_config: Callable[..., Path],

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.forked_program import RUNS, ForkedProgram
 from tests.loopback_port import claim_port
 
 if TYPE_CHECKING:
@@ -29,6 +30,14 @@ BIN = Path(sys.executable).parent
 PATIENCE = 90.0
 #: How long a lease lasts in these tests, s.
 LEASE = 3.0
+#: What `dask scheduler` and `dask worker` import, and what a worker imports for its first run.
+_DASK = (
+    *("dask.cli", "distributed.cli.dask_scheduler", "distributed.cli.dask_worker"),
+    "robot_runner.cluster.on_worker",
+)
+
+# Of all that are started, by whichever process.
+os.environ.setdefault("DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED", "False")
 
 
 class Cluster:
@@ -38,7 +47,6 @@ class Cluster:
         self.folder = folder
         self.environment = {
             **os.environ,
-            "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
             "DASK_ROBOT_RUNNER__LEASE": f"{LEASE}s",
             **(settings or {}),
         }
@@ -50,7 +58,7 @@ class Cluster:
 
     def start_scheduler(self) -> subprocess.Popen[bytes]:
         words = ["scheduler", "--protocol", self.protocol, "--host", "127.0.0.1", "--port", str(self.port)]
-        self.scheduler = self._start("scheduler", [str(BIN / "dask"), *words, "--dashboard-address", "127.0.0.1:0"])
+        self.scheduler = self._start("scheduler", [*words, "--dashboard-address", "127.0.0.1:0"])
         return self.scheduler
 
     def worker(
@@ -63,21 +71,21 @@ class Cluster:
         **environment: str,
     ) -> subprocess.Popen[bytes]:
         """Start a worker, by a command that stands before it where one is given."""
-        command = [*before, str(BIN / "dask"), "worker", self.address, "--name", name, "--nthreads", "1"]
-        command += ["--host", "127.0.0.1", "--no-dashboard", "--nanny" if nanny else "--no-nanny"]
-        command += ["--local-directory", str(local or self.folder / name), *words]
-        return self._start(name, command, **environment)
+        said = ["worker", self.address, "--name", name, "--nthreads", "1"]
+        said += ["--host", "127.0.0.1", "--no-dashboard", "--nanny" if nanny else "--no-nanny"]
+        said += ["--local-directory", str(local or self.folder / name), *words]
+        return self._start(name, said, before, is_itself=nanny, **environment)
 
     def experiment(self, config: Path, *words: str, **settings: str) -> subprocess.Popen[str]:
-        """Start an experiment, as a user does."""
-        command = [str(BIN / "robot-runner"), "run", str(config), "--plain", "--cluster", self.address, *words]
-        process = subprocess.Popen(
-            command,
+        """Start an experiment."""
+        process = ForkedProgram(
+            "robot_runner",
+            ["run", str(config), "--plain", "--cluster", self.address, *words],
+            RUNS,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
             env={**self.environment, **settings},
-            start_new_session=True,
         )
         self._started.append(process)
         return process
@@ -97,15 +105,22 @@ class Cluster:
             if process.stdout is not None:
                 process.stdout.close()
 
-    def _start(self, name: str, command: list[str], **environment: str) -> subprocess.Popen[bytes]:
+    def _start(
+        self, name: str, words: list[str], before: Sequence[str] = (), *, is_itself: bool = False, **environment: str
+    ) -> subprocess.Popen[bytes]:
+        """Start `dask` with these words; fork it where no command before it and no setting asks for a start."""
+        is_forked = not (is_itself or before or environment.keys() - {"XDG_STATE_HOME"} or self.protocol != "tcp")
         with (self.folder / f"{name}.log").open("ab") as log:
-            process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                env={**self.environment, **environment},
-                start_new_session=True,
+            streams = {"stdin": subprocess.DEVNULL, "stdout": log, "stderr": log}
+            process: subprocess.Popen[bytes] = (
+                ForkedProgram("dask", words, _DASK, env={**self.environment, **environment}, **streams)
+                if is_forked
+                else subprocess.Popen(
+                    [*before, str(BIN / "dask"), *words],
+                    env={**self.environment, **environment},
+                    start_new_session=True,
+                    **streams,
+                )
             )
         self._started.append(process)
         return process
@@ -196,9 +211,9 @@ def _folder(tmp_path: Path) -> Path:
     return folder
 
 
-def apart_from(folder: Path) -> list[str]:
-    """Return what has a command see an empty folder in the place of this one; skip the test where that is forbidden."""
-    script = 'mount -t tmpfs none "$0" && exec "$@"'
+def apart_from(folder: Path, *, size: str = "50%") -> list[str]:
+    """Return what has a command see an empty disk in the place of a folder; skip the test where that is forbidden."""
+    script = f'mount -t tmpfs -o size={size} none "$0" && exec "$@"'
     for kind in ([], ["--user", "--map-root-user"]):
         command = ["unshare", *kind, "--mount", "sh", "-c", script, str(folder)]
         if (

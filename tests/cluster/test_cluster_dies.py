@@ -13,7 +13,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.cluster.conftest import BIN, LEASE, PATIENCE, Cluster, Proxy, Watched, journal_of, table_of, until
+from tests.cluster.conftest import (
+    BIN,
+    LEASE,
+    PATIENCE,
+    Cluster,
+    Proxy,
+    Watched,
+    apart_from,
+    journal_of,
+    table_of,
+    until,
+)
 from tests.process.conftest import kill_together
 
 from robot_runner.cluster.cluster_places import resource_of
@@ -282,7 +293,6 @@ def test_a_worker_that_is_slow_to_answer_loses_nothing(cluster: Cluster, watched
 
 
 @pytest.mark.soak
-@pytest.mark.skipif(os.geteuid() != 0, reason="a small disk is mounted")
 def test_a_worker_whose_disk_is_full_executes_nothing_and_the_runs_go_elsewhere(
     cluster: Cluster, watched: Watched, tmp_path: Path
 ) -> None:
@@ -295,9 +305,7 @@ def test_a_worker_whose_disk_is_full_executes_nothing_and_the_runs_go_elsewhere(
     for name, size in (("full", "8m"), ("filled", "90m")):
         local = tmp_path / name
         local.mkdir()
-        script = f'mount -t tmpfs -o size={size} none "$0" && exec "$@"'
-        before = ["unshare", "--mount", "sh", "-c", script, str(local)]
-        cluster.worker(name, before=before, local=local, FILLER=str(local / "filler"))
+        cluster.worker(name, before=apart_from(local, size=size), local=local, FILLER=str(local / "filler"))
     experiment = cluster.experiment(watched.config)
     until(
         lambda: "worker full: executes no runs: the worker's disk is full" in str(journal_of(watched.folder, "place")),
@@ -332,8 +340,7 @@ def test_a_worker_that_cannot_join_is_told_with_its_reason(cluster: Cluster, wat
     """Its disk is so full that it cannot even take down what is to be executed."""
     local = tmp_path / "full"
     local.mkdir()
-    script = 'mount -t tmpfs -o size=4k none "$0" && exec "$@"'  # one page: Dask's own files there are empty
-    cluster.worker("full", before=["unshare", "--mount", "sh", "-c", script, str(local)], local=local)
+    cluster.worker("full", before=apart_from(local, size="4k"), local=local)  # a page: Dask's own files are empty
     until(lambda: "Registered to" in cluster.log("full"), "the worker is there")  # a busy machine takes its time
     watched.config.write_text(watched.config.read_text() + f"# {'long' * 2000}\n")
     experiment = cluster.experiment(watched.config, DASK_ROBOT_RUNNER__PATIENCE="4s")

@@ -225,7 +225,7 @@ def test_a_run_waits_until_no_other_experiment_has_what_it_claims_of_the_worker_
         assert "Interrupted" in _answer(experiment)
 
 
-@pytest.mark.long
+@pytest.mark.soak
 def test_a_run_waits_until_the_run_of_a_process_that_was_killed_has_let_go_of_the_worker_s_machine(
     cluster: Cluster, measuring: Watched, tmp_path: Path
 ) -> None:

@@ -175,7 +175,10 @@ def test_a_config_that_seeds_the_order_gets_the_order_of_the_earlier_tool(
 @pytest.mark.long
 @pytest.mark.parametrize(
     "seeds",
-    ["random.seed(int((pathlib.Path(__file__).parent / 'clock').read_text()))", "random.seed(42)\nrandom.seed()"],
+    [
+        "random.seed(int((pathlib.Path(__file__).parent / 'clock').read_text()))",
+        pytest.param("random.seed(42)\nrandom.seed()", marks=pytest.mark.soak),
+    ],
     ids=["of a clock", "none in the end"],
 )
 def test_an_order_by_a_seed_that_differs_each_time_is_gone_on_with_as_it_began(

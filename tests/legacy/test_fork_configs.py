@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.legacy.earlier_configs import ROBOT, RUNNER, planned, problems
+from tests.long_cases import soak_but
 
 from robot_runner.core.config.preparation import prepare
 
@@ -138,7 +139,10 @@ def test_each_of_a_list_of_callbacks_must_be_callable(config: Callable[..., Path
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("tool", ["experiment-runner", "robot-runner", "", "experiment-runner/experiment-runner"])
+@pytest.mark.parametrize(
+    "tool",
+    soak_but({"robot-runner", ""}, ["experiment-runner", "robot-runner", "", "experiment-runner/experiment-runner"]),
+)
 def test_a_plugin_of_a_forks_own_is_found_in_its_clone(
     config: Callable[..., Path], write: Callable[..., Path], execute: Callable[..., Executed], tool: str
 ) -> None:

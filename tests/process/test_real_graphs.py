@@ -85,7 +85,7 @@ def written(folder: Path, tasks: list[str], profilers: str = "[]", **values: obj
 
 
 @pytest.mark.long
-@over("ros1", "ros2", soak=["dds"])
+@over("ros1", soak=["ros2", "dds"])
 def test_the_experiment_of_the_paper_is_executed_on_a_real_graph(graph: str, start: Start, tmp_path: Path) -> None:
     tasks = ["Computation", "Network"] if graph == "ros1" else ["Video", "Network"]
     with simulated_robot(graph, "--namespace", "/alice") as port:
@@ -192,7 +192,7 @@ def test_an_experiment_lives_by_the_time_of_a_graph_that_goes_by_faster(
 
 
 @pytest.mark.long
-@over("ros1", "dds", "ros2")
+@over("ros1", "ros2", soak=["dds"])
 def test_a_robot_whose_experiment_is_killed_stands_still_within_a_second(
     graph: str, start: Start, tmp_path: Path
 ) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import ExitStack, closing
 
 import pytest
+from tests.long_cases import soak_but
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 
 from robot_runner.core.config.preparation import prepare
@@ -39,7 +40,7 @@ def found(write_config):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("way", ["dds", "rosbridge"])
+@pytest.mark.parametrize("way", soak_but({"dds"}, ["dds", "rosbridge"]))
 def test_what_a_node_would_not_take_is_found_with_every_treatment(way, found, monkeypatch):
     monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
     with ExitStack() as stack:

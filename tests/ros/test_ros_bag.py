@@ -174,6 +174,21 @@ def test_a_recorder_that_does_not_subscribe_makes_its_bag_doubtful(record, progr
     assert [each.problem for each in context.broker.findings] == ["the recorder did not subscribe /odom within 0.1 s"]
 
 
+def test_of_a_recorder_that_begins_before_the_mission_it_is_said_how_to_record_the_mission_alone(tmp_path, programs):
+    clock, bag = FakeClock(50.0), RosBag(["odom"])
+    context = make_context(tmp_path, bag, robot="ros2", links=FakeLinks(robot=_robot(clock)), clock=clock)
+
+    def mission():
+        clock.sleep(1.0)
+        context.begin_window()
+        clock.sleep(2.0)
+
+    rehearse(context, bag, mission=mission)
+    (finding,) = context.broker.findings
+    assert "the mission took 2.000 s of that" in finding.problem
+    assert "by='link'" in finding.fix
+
+
 def test_a_bag_that_begins_after_the_mission_says_by_how_much(tmp_path):
     begin = 1_700_000_000 * 10**9
     bag = new_bag(tmp_path, Encoding.CDR)

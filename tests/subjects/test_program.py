@@ -23,6 +23,7 @@ import pytest
 from tests.command_line import PROGRAM
 from tests.conftest import HEAD, written_config
 from tests.core.execution.conftest import Executed, execute_in
+from tests.long_cases import soak_but
 from tests.loopback_port import claim_port
 from tests.subjects.conftest import alive, gone
 from tests.waiting import wait_until
@@ -175,7 +176,7 @@ def test_it_is_ready_once_a_condition_holds_in_real_time_whatever_clock_the_robo
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("process", ["FORK", "SPAWN"])
+@pytest.mark.parametrize("process", soak_but({"FORK"}, ["FORK", "SPAWN"]))
 def test_a_subject_of_the_experiment_is_started_once_and_told_of_in_each_run(
     execute: Callable[..., Executed], rude_tree: Callable[..., list[str]], token: str, process: str
 ) -> None:
@@ -378,7 +379,7 @@ except ChildProcessError:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("per", ["run", "experiment"])
+@pytest.mark.parametrize("per", soak_but({"experiment"}, ["run", "experiment"]))
 def test_nobody_is_left_when_the_orchestrator_is_killed(
     tmp_path: Path, rude_tree: Callable[..., list[str]], token: str, per: str
 ) -> None:
@@ -478,6 +479,17 @@ def test_what_keeps_a_script_from_being_started_is_told(execute: Callable[..., E
     done = execute(f"plugins = [Program([{str(script)!r}])]")
     assert "Exec format error" in done.finished.failures[0]
     assert "Give a script a first line such as #!/bin/sh" in str(done.journal())
+
+
+@pytest.mark.parametrize("folder", [None, "."])
+def test_a_program_that_lies_in_the_current_folder_is_found(
+    folder: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "planner").write_text("#!/bin/sh\n")
+    (tmp_path / "planner").chmod(0o755)
+    assert list(Program(["./planner"], folder=folder).program_findings("plugin")) == []
+    assert list(Program(["./other"], folder=folder).program_findings("plugin"))
 
 
 @pytest.mark.parametrize("whose", ["the supervisor's", "the program's"])

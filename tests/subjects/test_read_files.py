@@ -10,6 +10,7 @@ from tests.packaged_inputs import only_in_a_package
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import PluginError
 from robot_runner.core.storage.input_files import kept_contents
+from robot_runner.plugins import Circumstances
 from robot_runner.plugins.systems import ComposeProject, Program, RosLaunch, RosNode
 
 if TYPE_CHECKING:
@@ -178,6 +179,17 @@ def test_on_another_machine_the_copies_are_what_is_started(
         (parameters,) = [each for each in launch.surroundings.wrapped(launch.words()) if each.startswith("params:=")]
         assert parameters.startswith(f"params:={working}")
         assert {*subjects()[0].input_files()}  # what is repeated can be packed again
+
+
+def test_what_it_is_said_to_read_and_is_not_there_is_told_before_anything_is_executed(
+    study: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(study)
+    around = Circumstances(robot=None)
+    (told,) = Program(["sh", "planner.sh"], reads=["hal.csv", "maps", "hall.csv"]).check(around)
+    assert told.problem == "it is to read 'hal.csv', which is not there: a package lacks it"
+    assert not told.is_error, "before_experiment may make it"
+    assert list(Program(["sh"], folder="maps", reads=["hall.yaml", study / "hall.csv"]).check(around)) == []
 
 
 def test_a_single_text_is_no_list_of_files() -> None:

@@ -159,3 +159,13 @@ def test_a_condition_may_be_awaited_on_the_clock_of_the_machine(tmp_path) -> Non
             return lambda: Look(next(looks) == 3)
 
     assert Third().wait(make_context(tmp_path, clock=SystemClock(), robot=None), timeout_s=5).holds
+
+
+@pytest.mark.parametrize("method", ["make_condition", "make_it_hold"])
+def test_what_the_author_has_to_write_is_named(tmp_path, method):
+    class TestNothing(ConditionContract):
+        robot = None
+        make_condition = ConditionContract.make_condition if method == "make_condition" else TestTextIn.make_condition
+
+    with pytest.raises(NotImplementedError, match=f"write {method}"):
+        TestNothing().test_it_holds_once_what_it_asks_for_is_there(tmp_path)

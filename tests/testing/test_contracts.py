@@ -371,3 +371,8 @@ def test_a_system_that_behaves_badly_breaks_its_contract(tmp_path, broken, fact,
 def test_a_profiler_is_no_system():
     with pytest.raises(AssertionError, match="does not derive from System"):
         system_facts(Stopwatch).test_it_is_a_system()
+
+
+def test_the_plugin_that_the_author_has_to_give_is_asked_for():
+    with pytest.raises(NotImplementedError, match="write make_plugin"):
+        ProfilerContract().make_plugin()

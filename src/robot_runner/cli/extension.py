@@ -129,11 +129,14 @@ class _Extending:
         seed = self._request.seed if self._request.seed is not None else randbits(32)
         order = RunOrder(shuffle=not self._request.as_written, blocks=self._config.blocks, seed=seed)
         wanted = None
-        if decides_order(self._config.design):
+        if is_in_order := decides_order(self._config.design):
+            self._refuse_order(batches[0].order)
             wanted = runs_of_grown_design(begun, self._config, design, batches[0].order)
-            order = RunOrder(seed=batches[0].order.seed)
+            order = RunOrder(seed=batches[0].order.seed)  # of what is in order already
         number = len(batches) + 1
         batch = next_batch(begun, design, self._config.warm_up, order=order, number=number, at=utc_now(), wanted=wanted)
+        if is_in_order:
+            batch = replace(batch, order=replace(batch.order, shuffle=batches[0].order.shuffle))
         if not batch.runs:
             raise self._nothing_to_add(begun)
         model = GrownRunTableModel(self._config, [*batches, batch])
@@ -146,6 +149,18 @@ class _Extending:
             recovered.rows = recovered.rows.with_plan(model.plan(), layout)
             self._write(recovered, model)
         return Extension(batch, model, runs, (*self._findings, *recovered.findings))
+
+    def _refuse_order(self, first: RunOrder) -> None:
+        """Refuse another order than that of a design that puts its runs in order itself.
+
+        Raises:
+            DesignError: another order is asked for.
+        """
+        asked = self._request
+        if asked.seed not in {None, first.seed} or (asked.as_written and first.shuffle):
+            how = f"randomised from the first seed, {first.seed}" if first.shuffle else "as written"
+            problem = f"the design puts the new runs in order itself: {how}"
+            raise DesignError(problem, where="--as-written" if asked.as_written else "--seed", fix="Leave it out.")
 
     def _recovered(self) -> RecoveredTable:
         """Return the run table as it is before anything is added, compared with the journal."""

@@ -45,7 +45,12 @@ def publish_measures(
 
 
 def note_own_window(
-    context: RobotRunnerContext, own: Window, *, measures: Sequence[str] = (), clock: Clock | None = None
+    context: RobotRunnerContext,
+    own: Window,
+    *,
+    measures: Sequence[str] = (),
+    clock: Clock | None = None,
+    fix: str = "",
 ) -> None:
     """Mark values over a profiler's time from start to stop as doubtful, where that exceeds the mission by 1 %.
 
@@ -54,6 +59,7 @@ def note_own_window(
         own: the window of the values, from the profiler's start to its stop.
         measures: which measures; empty for all of the profiler's.
         clock: the one of `own`, where it is not the run's.
+        fix: what can be done about it, in one sentence; empty for what helps with most profilers.
     """
     window = context.times.window(clock)
     if window is not None and own.duration > window.duration * (1 + _TOLERANCE):
@@ -61,8 +67,8 @@ def note_own_window(
             f"the values are about {own.duration:.3f} s, from the profiler's start to its stop; "
             f"the mission took {window.duration:.3f} s of that"
         )
-        fix = "List the profiler last, so that it starts last and stops first, or use one that keeps samples."
-        context.doubt(problem, fix=fix, measures=measures)
+        usual = "List the profiler last, so that it starts last and stops first, or use one that keeps samples."
+        context.doubt(problem, fix=fix or usual, measures=measures)
 
 
 def _publish_phase(

@@ -22,9 +22,10 @@ _PS_STEP = 1.0
 #: Percentage of one core, over the window, above which the unseen CPU time of ended processes is doubted.
 _UNSEEN_SHARE = 1.0
 _NO_PROCESS = (
-    "Start it before or during the mission, and compare its selector with what `ps -eo pid,comm,args` shows then."
+    "Start it before or during the mission, and compare its selector with what `ps -eo pid,comm,args` shows then; "
+    "of one that ends sooner, take the CPUTime of Program(..., per='mission')."
 )
-_ENDED = "Have it end after the mission, or measure it as Program(..., per='mission'), whose CPUTime is exact."
+_ENDED = "Have it end after the mission, or take the CPUTime of Program(..., per='mission'), which is exact."
 _LATE = "Start it before the mission, or measure a computer that has a Python 3 (hosts.md)."
 _RESIDENT = "ps tells the memory of processes only: Memory lacks the kernel's, and counts shared pages repeatedly"
 _BETTER_FORM = "Install python3 there, or leave form out."

@@ -66,7 +66,7 @@ class GraphLink:
 
     Attributes:
         namespace: the prefix of relative names: empty, or `/alice`.
-        graph: how the graph is reached, such as `dds:domain=7`; empty where that is not known.
+        graph: how the graph is reached (`dds:domain=7`); empty if not known; None where the robot is in this process.
         parameter_server: that of ROS 1's master; None in ROS 2, where each node holds its parameters.
 
     Raises:
@@ -82,7 +82,7 @@ class GraphLink:
 
     def __init__(self, connect: Callable[[], Transport], namespace: str = "", *, is_simulated: bool = False) -> None:
         self.namespace = namespace_prefix(namespace)  # refused before anything is opened
-        self.graph = ""
+        self.graph: str | None = None if is_simulated else ""
         self._is_simulated = is_simulated
         self._lock = threading.RLock()  # held while a topic is advertised, which may take seconds
         self._books = threading.Lock()  # held for a moment, over what is open and whether the link is

@@ -31,14 +31,14 @@ class Advertised:
     """A topic that this link publishes with one QoS.
 
     Attributes:
-        graph: how its graph is reached; empty where that is not known.
+        graph: that of its link.
         is_commanded: whether velocities are known to have been commanded on it.
     """
 
     message_type: str
     shape: Shape
     publisher: TopicPublisher
-    graph: str = ""
+    graph: str | None = ""
     is_commanded: bool = False
     _sending: threading.RLock = field(default_factory=threading.RLock)
 

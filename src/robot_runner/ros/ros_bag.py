@@ -25,6 +25,7 @@ from robot_runner.ros.robot_system import check_numbers
 from robot_runner.ros.topic_statistics import TopicProfiler, TypedTopic, robot_findings, topic_label
 
 _FIX = "Look at the bag before you use this run."
+_BEGINS_WITH_RUN = "ROS' own recorders begin as the run does; RosBag(by='link') records the mission alone."
 #: How long after the mission's begin a bag may begin without a warning, s.
 _LATE = 0.02
 
@@ -105,6 +106,7 @@ class RosBag(TopicProfiler):
         self._messages: int | None = None
         self._size: int | None = None
         self._problems: list[str] = []
+        self._advice = ""
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return findings: there is no robot, or a host cannot be reached."""
@@ -120,7 +122,7 @@ class RosBag(TopicProfiler):
             PluginError: none of the topics is there, or the recorder cannot be started.
         """
         self._recorder, self._messages, self._size = None, None, None
-        self._begun_at, self._recorded, self._problems = None, None, []
+        self._begun_at, self._recorded, self._problems, self._advice = None, None, [], ""
         self._measured_from_ns = 0
         link, found = self.link(context), self.found(self.topics, context)
         self._problems = [f"{topic} is not published" for topic, typed in found.items() if typed is None]
@@ -134,7 +136,7 @@ class RosBag(TopicProfiler):
         folder = context.raw_data_folder
         if self._is_by_program(link, str(context.robot)):
             before = subscriptions_of(link, list(there))
-            self._begun_at = context.clock.now()
+            self._begun_at, self._advice = context.clock.now(), _BEGINS_WITH_RUN
             self._recorder = BagProgram(
                 link.encoding, list(there), folder, host=self.host, setup=self.setup, ssh_config=self.ssh_config
             )
@@ -186,7 +188,7 @@ class RosBag(TopicProfiler):
         for problem in self._problems:
             context.doubt(problem, fix=_FIX)
         if self._recorded is not None:
-            note_own_window(context, self._recorded)
+            note_own_window(context, self._recorded, fix=self._advice)
         totals = {"BagMessages": self._messages, "BagSize": self._size}
         origin = Origin.SIMULATED if self._is_simulated else Origin.MEASURED
         publish_measures(context, self.measures, lambda _: totals, origin=origin)

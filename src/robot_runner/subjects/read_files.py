@@ -13,7 +13,8 @@ from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
 
-from robot_runner.core.storage.input_files import InputFile, fits, kept_copy
+from robot_runner.core.errors import Finding
+from robot_runner.core.storage.input_files import InputFile, fits, input_file, kept_copy
 from robot_runner.measuring.own_scripts import files_below, is_file, is_installed, modules_beside, text_of, with_named
 
 #: Texts without quotes, as in YAML, and those in quotes, as in everything else.
@@ -153,6 +154,14 @@ def inputs_in(folder: Path | None, inputs: Iterable[InputFile]) -> Iterator[Inpu
     else:
         yield from inside
     yield from (each for each in there if each not in inside)
+
+
+def missing_findings(where: str, paths: Iterable[Path | None]) -> Iterator[Finding]:
+    """Yield a warning for each file that is named and not there; None is a path on another computer."""
+    for path in paths:
+        if path is not None and not os.path.exists(input_file(path)):  # noqa: PTH110 - any word
+            fix = "Correct its name, which is relative to the folder that the program is executed in, or leave it out."
+            yield Finding.warning(where, f"it is to read {str(path)!r}, which is not there: a package lacks it", fix)
 
 
 def _with_its_files(each: InputFile) -> InputFile:

@@ -30,7 +30,7 @@ from robot_runner.subjects import supervised_program
 from robot_runner.subjects.commanded_robot import CommandedRobot
 from robot_runner.subjects.halting import CommandedTopics, Halting
 from robot_runner.subjects.left_subjects import check_within_reach
-from robot_runner.subjects.read_files import inputs_in, is_own_setup
+from robot_runner.subjects.read_files import inputs_in, is_own_setup, missing_findings
 from robot_runner.subjects.readiness import Ready, checked_ready
 from robot_runner.subjects.surroundings import Surroundings, is_known, started_once_findings, word
 
@@ -170,10 +170,10 @@ class Subject(System):
             yield from started_once_findings(where, factors_of(self).values(), circumstances.robots)
         if isinstance(self.ready, Condition):
             yield from self.ready.check(circumstances.robot)
-        findings = list(self.surroundings.findings(where))
-        yield from findings
+        yield from (findings := list(self.surroundings.findings(where)))
         if not any(finding.is_error for finding in findings) and is_known(self.surroundings.folder):
             yield from self.program_findings(where)
+            yield from missing_findings(where, map(self.surroundings.own_path, self.reads))
 
     def before_experiment(self, context: ExperimentContext) -> None:
         """Start it, if it goes on through all runs.

@@ -221,7 +221,8 @@ class Surroundings:
             return self.ask(["sh", "-c", 'command -v "$0"', program]).code != 0
         program = self.found(program)
         if "/" in program:
-            return shutil.which(str(Path(self.path or ".") / program)) is None
+            # Absolute: ./planner would lose its ./ and be looked for on the PATH.
+            return shutil.which(str((Path(self.path or ".") / program).absolute())) is None
         return shutil.which(program, path=self.local_environment.get("PATH")) is None
 
     def facts(self) -> dict[str, Any]:

@@ -45,11 +45,11 @@ class ConditionContract:
 
     def make_condition(self) -> Condition:
         """Return an equal condition at each call; for the author to write."""
-        raise NotImplementedError
+        raise NotImplementedError("write make_condition(self), which returns the condition to test")
 
     def make_it_hold(self, context: RobotRunnerContext) -> None:
         """Make the condition hold, which it must not do before."""
-        raise NotImplementedError
+        raise NotImplementedError("write make_it_hold(self, context), which makes the condition hold")
 
     def make_links(self, clock: FakeClock) -> FakeLinks | None:
         """Return fakes in place of the robot's links; None, the default, uses the robot that `robot` names."""

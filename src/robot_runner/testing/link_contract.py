@@ -108,7 +108,7 @@ class RobotLinkContract(ActionContract):
 
     def make_link(self, namespace: str = "") -> RobotLink:
         """Return a new link to the robot of this namespace, always on the same graph; for the author to write."""
-        raise NotImplementedError
+        raise NotImplementedError("write make_link(self, namespace), which returns the link to test")
 
     def pass_time(self, seconds: float) -> None:
         """Let time pass, so that messages can arrive; to be overridden where the robot has a clock of its own."""

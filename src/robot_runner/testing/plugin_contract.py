@@ -47,7 +47,7 @@ class PluginContract:
 
     def make_plugin(self) -> Plugin:
         """Return a new and equal plugin at each call; for the author to write."""
-        raise NotImplementedError
+        raise NotImplementedError("write make_plugin(self), which returns the plugin to test")
 
     def make_links(self, clock: FakeClock) -> FakeLinks | None:
         """Return fakes in place of the robot's links; None, the default, uses the robot that `robot` names."""

@@ -82,6 +82,33 @@ def test_a_dry_run_tells_how_to_add_just_these_runs(
 
 
 @pytest.mark.long
+def test_the_order_of_a_batch_of_a_design_is_that_of_the_design(
+    robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    table = """
+    def create_run_table(self):
+        from robot_runner.designs import Blocks
+
+        factors = [Factor("Day", ["Mon", "Tue"]), Factor("Task", ["Video", "Network"])]
+        design = Blocks("Day")
+        return RunTableModel(factors, repetitions=2, shuffle=True, seed=4, design=design, data_columns=["Energy"])
+"""
+    write_config(MEASURING, table=table)
+    assert robot_runner("config.py").code == 0
+    more = ("extend", "config.py", "--repetitions", "3", "--treatments", "Day=Wed")
+    for order in (("--seed", "9"), ("--as-written",)):
+        refused = robot_runner(*more, *order)
+        assert (refused.code, refused.out) == (2, "")
+        assert "the design puts the new runs in order itself: randomised from the first seed, 4" in refused.err
+    shown = robot_runner(*more, "--dry-run").out
+    assert "Order     randomised among themselves from seed 4\n" in shown
+    assert "Written   nothing: the same command without --dry-run adds these runs, in this order\n" in shown
+    added = robot_runner(*more, "--json")
+    assert (added.json["shuffle"], added.json["seed"]) == (True, 4)
+    assert [row["Day"] for row in rows(tmp_path)[4:]] == ["Wed", "Wed"]
+
+
+@pytest.mark.long
 def test_a_new_factor_says_what_the_runs_so_far_count_as(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:

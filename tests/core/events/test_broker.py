@@ -124,3 +124,15 @@ def test_an_exception_may_be_the_problem_and_none_the_fix(
     broker.doubt("Ina219", ValueError("a frame was torn"), None)  # type: ignore[arg-type] # as callbacks do
     assert (broker.findings[0].problem, broker.findings[0].fix) == ("a frame was torn", "")
     assert (reported[0][1]["problem"], reported[0][1]["fix"]) == ("a frame was torn", "")
+
+
+def test_what_is_computed_from_doubtful_measures_is_doubtful(reported: list[tuple[str, dict[str, Any]]]) -> None:
+    measures = {"PsUtil": [Measure("CPU", "%"), Measure("CPU_node", "%")], "PowerModel": [Measure("Energy", "J")]}
+    broker = MeasureBroker(
+        "r_1", resolve_columns(None, measures)[0], lambda kind, fields: reported.append((kind, fields))
+    )
+    broker.derive("PowerModel", "PsUtil", ["CPU", "Memory"])
+    broker.doubt("PsUtil", "samples were lost", "")
+    broker.doubt("PsUtil", "the node ended early", "", ["CPU_node"])
+    broker.doubt("PowerModel", "the load is beyond the fit", "")
+    assert [fields["measures"] for _, fields in reported] == [["CPU", "CPU_node", "Energy"], ["CPU_node"], ["Energy"]]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.long_cases import soak_but
 
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError
@@ -81,7 +82,7 @@ def test_setting_a_parameter_of_a_plugin_in_a_callback_is_refused_with_the_remed
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("process", ["FORK", "SPAWN", "IN_PROCESS"])
+@pytest.mark.parametrize("process", soak_but({"FORK", "IN_PROCESS"}, ["FORK", "SPAWN", "IN_PROCESS"]))
 def test_a_bound_speed_is_driven(execute: Execute, process: str) -> None:
     body = f"""
     robot = "simulated"
@@ -96,7 +97,7 @@ def test_a_bound_speed_is_driven(execute: Execute, process: str) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("process", ["FORK", "SPAWN", "IN_PROCESS"])
+@pytest.mark.parametrize("process", soak_but({"SPAWN", "IN_PROCESS"}, ["FORK", "SPAWN", "IN_PROCESS"]))
 def test_the_same_plugin_has_the_treatment_in_all_callbacks_of_a_run(execute: Execute, process: str) -> None:
     body = f"""
     run_process = RunProcess.{process}
@@ -272,7 +273,8 @@ READ = "def {}(self, context): self.rate = context.combination['Rate']"
     ("process", "callback"),
     [
         *(("IN_PROCESS", READ.format(event)) for event in ("before_run", "launch_mission")),
-        *(("SPAWN", READ.format(event)) for event in ("before_run", "launch_mission")),
+        ("SPAWN", READ.format("launch_mission")),
+        pytest.param("SPAWN", READ.format("before_run"), marks=pytest.mark.soak),
         ("FORK", READ.format("before_run")),
         ("FORK", "def before_run(self, context): self.command = ['drive', *map(str, context.combination.values())]"),
         ("FORK", "def launch_mission(self, context): print(f'now {context.combination}')"),

@@ -96,6 +96,16 @@ def test_the_systems_packages_are_those_that_dpkg_lists(tmp_path):
     assert installed_system_packages(tmp_path / "none") == {}
 
 
+def test_packages_of_the_system_are_read_again_once_some_were_installed_meanwhile(tmp_path):
+    status = tmp_path / "status"
+    for count in (1, 2, 3):
+        with status.open("a", encoding="utf-8") as file:
+            file.write(f"Package: p{count}\nStatus: install ok installed\nVersion: 1.{count}\n\n")
+        found = installed_system_packages(status)
+        assert found == {f"p{each}": f"1.{each}" for each in range(1, count + 1)}
+        found.clear()
+
+
 def _version(package):
     asked = ["dpkg-query", "-W", "-f", "${Version}", package]
     return subprocess.run(asked, capture_output=True, text=True, check=True, env=dict(os.environ)).stdout

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.conftest import written_config
+from tests.long_cases import soak_but
 
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError
@@ -308,7 +309,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("is_script_first", [True, False])
+@pytest.mark.parametrize("is_script_first", soak_but([True], [True, False]))
 def test_a_script_that_executes_its_own_class_and_the_command_go_on_with_each_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_script_first: bool
 ) -> None:

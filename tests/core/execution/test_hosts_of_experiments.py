@@ -56,6 +56,8 @@ def start_run(self, context):
     context.host("robot").run(f"echo driving > '{HERE}/on board/nav.log'")
 """
 
+IN_TURN = "Robots('simulated://alice', 'simulated://bob')"
+
 
 @pytest.fixture
 def server(tmp_path: Path) -> Iterator[SshServer]:
@@ -140,8 +142,15 @@ def test_hosts_are_checked_before_anything_is_executed(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("robot", ["None", "Robots('simulated://alice', 'simulated://bob')"], ids=["one", "in turn"])
-@pytest.mark.parametrize(("policy", "before"), [("ONCE", ["r_1"]), ("PER_BLOCK", ["r_1", "r_3"])])
+@pytest.mark.parametrize(
+    ("policy", "before", "robot"),
+    [
+        ("ONCE", ["r_1"], "None"),
+        pytest.param("ONCE", ["r_1"], IN_TURN, marks=pytest.mark.soak),
+        pytest.param("PER_BLOCK", ["r_1", "r_3"], "None", marks=pytest.mark.soak),
+        ("PER_BLOCK", ["r_1", "r_3"], IN_TURN),
+    ],
+)
 def test_hosts_are_started_anew_and_awaited(
     server: SshServer, tmp_path: Path, policy: str, before: list[str], robot: str
 ) -> None:

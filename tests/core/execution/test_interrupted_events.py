@@ -85,7 +85,9 @@ def _user_interrupts_twice(stops: Interruption) -> Callable[[FrameType], None]:
 
 @pytest.mark.long
 @pytest.mark.usefixtures("_no_timer")
-@pytest.mark.parametrize("act", [_deadline_passes, _user_interrupts, _user_interrupts_twice])
+@pytest.mark.parametrize(
+    "act", [_deadline_passes, pytest.param(_user_interrupts, marks=pytest.mark.soak), _user_interrupts_twice]
+)
 def test_wherever_a_signal_comes_an_event_leaves_no_timer_and_no_watcher(
     act: Callable[[Interruption], Callable[[FrameType], None]],
 ) -> None:

@@ -223,14 +223,18 @@ def test_nobody_is_asked_for_a_step_while_the_study_is_paused(tmp_path: Path) ->
 
 
 class Preparing:
-    """The operator alone, with runs that are prepared step by step, as runs at several places are."""
+    """The operator alone, with runs that are prepared step by step, as runs at several places are.
 
-    def __init__(self, folder: Path, *steps: OperatorStep) -> None:
+    `is_prompt`: whether each question is answered in the moment in which it can be seen.
+    """
+
+    def __init__(self, folder: Path, *steps: OperatorStep, is_prompt: bool = False) -> None:
         self.records: list[dict[str, Any]] = []
+        self.is_prompt = is_prompt
         progress = SimpleNamespace(
             look_after_lock=lambda: None,
             task_of=lambda run: SimpleNamespace(combination={}, repetition=1),
-            note=lambda kind, **facts: self.records.append({"kind": kind, **facts}),
+            note=self.note,
             runs_left=lambda _: 1,
             run_count=9,
             time_left=None,
@@ -248,6 +252,11 @@ class Preparing:
             )
         )
         self.folder = folder
+
+    def note(self, kind: str, **facts: Any) -> None:
+        self.records.append({"kind": kind, **facts})
+        if kind == "waiting" and self.is_prompt:
+            send_continue(self.folder / ".control", {}, asked=(facts["next_run"], facts["step"]))
 
     def goes_on(self, prepared: Steps[bool]) -> bool:
         """Go on with preparing a run until it waits; return whether it still does."""
@@ -270,6 +279,16 @@ class Preparing:
         """Say that a step is done, and prepare its run to the end."""
         send_continue(self.folder / ".control", {}, asked=(f"r_{number}", step))
         assert not self.goes_on(prepared)
+
+
+def test_an_answer_in_the_moment_of_the_question_is_taken_and_one_from_before_is_not(tmp_path: Path) -> None:
+    """It was removed as one from before: who had given it was told that the experiment goes on."""
+    for is_prompt in (True, False):
+        send_continue(tmp_path / ".control", {}, asked=("r_1", "swap"))
+        at = Preparing(tmp_path, OperatorStep("swap", first=True), is_prompt=is_prompt)
+        prepared = at.prepare(1)
+        assert at.goes_on(prepared), "it listens once"
+        assert at.goes_on(prepared) is not is_prompt
 
 
 def test_a_run_that_has_been_prepared_counts_though_it_has_not_begun(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.core.execution.conftest import execute_in
-from tests.long_cases import long_but
+from tests.long_cases import soak_but
 
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents
@@ -292,7 +292,7 @@ def continue_experiment(self, context):
 """
 
 
-@pytest.mark.parametrize("run_process", long_but(["fork", "in_process"], ["fork", "spawn", "in_process"]))
+@pytest.mark.parametrize("run_process", soak_but({"fork", "in_process"}, ["fork", "spawn", "in_process"]))
 def test_what_before_run_shares_and_publishes_is_there_in_the_run_and_its_measures_in_continue(
     execute: Execute, run_process: str
 ) -> None:

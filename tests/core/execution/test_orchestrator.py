@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.conftest import HEAD
 from tests.core.execution.conftest import execute_in
+from tests.long_cases import soak_but
 
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution import run_facts
@@ -46,6 +47,12 @@ def note(self, event):
 #: For runs that are an interpreter each.
 ONE_RUN = '    def create_run_table(self): return RunTableModel([Factor("Task", ["Video"])], data_columns=["Energy"])'
 THREE_RUNS = ONE_RUN.replace(", data_columns", ", repetitions=3, data_columns")
+
+
+#: An interpreter for each run takes long, and what becomes of an attempt is for the orchestrator to say.
+each_fork = pytest.mark.parametrize(
+    "run_process", soak_but({"fork", "in_process"}, ["fork", "spawn", "in_process"]), indirect=True
+)
 
 
 @pytest.fixture(params=["fork", "spawn", "in_process"], scope="module")
@@ -180,6 +187,7 @@ def test_what_programs_started_by_callbacks_print_goes_to_the_log_as_well(execut
 
 
 @pytest.mark.long
+@each_fork
 def test_an_exception_fails_the_run_and_the_experiment_goes_on(execute: Execute, run_process: str) -> None:
     executed = execute(
         """
@@ -224,6 +232,7 @@ def test_the_policy_can_stop_the_experiment_at_the_first_failed_run(execute: Exe
 
 
 @pytest.mark.long
+@each_fork
 def test_a_run_is_tried_again_and_the_earlier_attempt_is_kept(execute: Execute, run_process: str) -> None:
     executed = execute(
         """

@@ -201,3 +201,33 @@ def test_whose_value_is_missing_for_a_reason_is_not_told_to_give_one(execute: Ex
     executed = execute(body, head=head, table=LIMITED.replace("data_columns=[", 'data_columns=["Power", '))
     advised = [each.fix for each in executed.finished.findings if each.problem == "Power has no value"]
     assert advised == ["`robot-runner explain` gives the reasons."] * 2
+
+
+#: On a robot of a graph that is simulated, one plugin measures this machine, and one the robot.
+ON_SIMULATED_GRAPH = HEAD.replace(
+    "import Measure\n",
+    """import Measure, Origin, Profiler
+class Meter(Profiler):
+    measures = (Measure("Power", "W", "Power."), Measure("Startup", "s", "Time to start a program here."))
+    def populate_run_data(self, context):
+        context.publish("Power", 5.0, origin=Origin.SIMULATED)
+        context.publish("Startup", 1.0)
+""",
+)
+
+
+def test_what_the_config_computes_beside_simulated_values_is_simulated(execute: Execute) -> None:
+    body = """
+plugins = [Meter()]
+def populate_run_data(self, context):
+    context.publish("Work", 10.0)
+    return {"Energy": 2 * context.measures["Power"]}
+"""
+    table = LIMITED.replace("data_columns=[", 'data_columns=["Work", ')
+    measures = execute(body, head=ON_SIMULATED_GRAPH, table=table).journal("attempt_finished")[0]["measures"]
+    assert {name: each["origin"] for name, each in measures.items()} == {
+        "Power": "simulated",
+        "Startup": "measured",
+        "Work": "simulated",
+        "Energy": "simulated",
+    }

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.conftest import written_config
 from tests.core.execution.conftest import RecordingObserver
+from tests.long_cases import soak_but
 
 from robot_runner.cli.excluding import exclude_runs
 from robot_runner.cli.extension import ExtensionRequest, extend_experiment
@@ -326,7 +327,7 @@ def test_a_grown_table_that_was_lost_comes_back(execute: Execute) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("process", ["FORK", "SPAWN"])
+@pytest.mark.parametrize("process", soak_but({"FORK"}, ["FORK", "SPAWN"]))
 def test_added_runs_are_executed_in_processes_of_their_own(execute: Execute, process: str) -> None:
     body = noisy(spread=30, at_most=4).replace("IN_PROCESS", process)
     assert execute(body, table=TABLE.replace('["Video", "Network"]', '["Video"]')).finished.done_count == 4

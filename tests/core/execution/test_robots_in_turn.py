@@ -6,6 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.long_cases import soak_but
 
 from robot_runner import ConfigError, Robots
 from robot_runner.core.config.preparation import prepare
@@ -93,7 +94,7 @@ def test_the_manifest_names_every_robot_that_ever_took_turns(execute: Callable[.
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("again", ["done runs", "excluded runs", "warm-up runs"])
+@pytest.mark.parametrize("again", soak_but({"warm-up runs"}, ["done runs", "excluded runs", "warm-up runs"]))
 def test_runs_that_are_executed_again_take_turns_again(execute: Callable[..., Any], again: str) -> None:
     from robot_runner.cli.excluding import exclude_runs
     from robot_runner.core.config.preparation import prepare_or_refuse

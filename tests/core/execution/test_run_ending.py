@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.long_cases import long_but
+from tests.long_cases import long_but, soak_but
 
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import PluginError, StorageError
@@ -93,7 +93,7 @@ def ended(execute: Execute, mission: str = "pass", **more: str) -> Any:
     return executed
 
 
-@pytest.mark.parametrize("run_process", long_but(["fork", "in_process"], ["fork", "spawn", "in_process"]))
+@pytest.mark.parametrize("run_process", soak_but({"fork", "in_process"}, ["fork", "spawn", "in_process"]))
 def test_a_thread_fails_the_run_with_its_reason_and_the_robot_is_made_safe(execute: Execute, run_process: str) -> None:
     executed = ended(execute, f"{FAIL}\ntime.sleep(3600)", run_process=run_process)
     (failure,) = executed.journal("failure")

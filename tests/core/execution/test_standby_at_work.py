@@ -275,6 +275,28 @@ def test_a_failed_run_without_systems_leaves_a_safe_robot_only_where_its_links_c
         assert state.care is care
 
 
+@pytest.mark.parametrize("own", ["simulated", None])
+def test_of_a_robot_that_is_simulated_in_the_run_s_own_process_nobody_is_told(
+    write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, own: str | None
+) -> None:
+    """It ends with its process: a run that was killed counted as one that had left a robot moving."""
+    monkeypatch.setattr(commanded_topics, "_listeners", [])
+    body = f"""\
+    robot = {own!r}
+    def launch_mission(self, context):
+        from robot_runner.plugins import open_robot
+        with open_robot("simulated") as (link, _):
+            link.publish("cmd_vel", "geometry_msgs/Twist", {{"linear": {{"x": 0.1}}}})
+        raise RuntimeError("a bump")
+"""
+    experiment = prepare_or_refuse(write_config(body, table=TABLE))
+    state = SystemsState()
+    with ProgressManager(experiment, Resumption()) as progress, closing(state):
+        task = replace(progress.task_of(next(iter(progress.pending()))), attempt=1)
+        execute_run(experiment, task, lambda _kind, _fields: None, InterruptGate(), state)
+        assert state.commanded == []
+
+
 @contextmanager
 def after_death(
     experiment: Experiment, *commanded: tuple[str, str], began: Care = Care.RUN, care: Care = Care.MADE_SAFE

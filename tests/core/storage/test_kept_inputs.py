@@ -16,6 +16,8 @@ from robot_runner.core.storage.guarded_files import read_bytes
 from robot_runner.core.storage.input_files import (
     INDEX,
     InputFile,
+    copies_in,
+    copy_kept,
     input_changes,
     input_file,
     kept_contents,
@@ -149,3 +151,29 @@ def test_a_file_whose_name_is_no_text_is_kept_and_summed_as_sha256sum_does(study
     assert list(input_changes([InputFile(folder)], kept)) == []
     odd.write_text("odder")
     assert list(input_changes([InputFile(folder)], kept))
+
+
+@pytest.mark.parametrize("is_relative", [True, False])
+def test_the_folder_of_the_config_may_be_the_one_that_a_program_is_executed_in(
+    is_relative: bool, study: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(study)
+    model = study / "models/rover.xml"
+    kept = _keep(study, InputFile(Path() if is_relative else study, (model,)))
+    assert copies_in(kept) == {kept / "models/rover.xml"}
+    copy_kept(kept, study.parent / "working")
+    with kept_copies(kept, study.parent / "working"):
+        assert input_file(kept / "models/rover.xml") == study.parent / "working/models/rover.xml"
+        assert input_file(kept / "models/rover.xml").is_file()
+
+
+def test_a_folder_that_has_another_name_now_is_the_same_input(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(study)
+    kept = _keep(study, InputFile(Path(), (study / "models/rover.xml",)))
+    moved = study.rename(study.with_name("moved"))
+    monkeypatch.chdir(moved)
+    own = InputFile(Path(), (moved / "models/rover.xml",))
+    assert list(input_changes([own], kept)) == []
+    (moved / "models/rover.xml").write_text("wider")
+    (changed,) = input_changes([own], kept)
+    assert changed.problem == "moved/models/rover.xml is another one than the runs before have read"

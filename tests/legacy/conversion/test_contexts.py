@@ -53,6 +53,14 @@ def stop_run(self, context):
     row["seconds"] = row["size"] + 1
     assert row["seconds"]
 """,
+    "the whole row, which is returned": """
+def populate_run_data(self, context):
+    context.run_variation["seconds"] = context.run_variation["size"] + 1
+    return context.run_variation
+""",
+    "a copy of the row with a value more, which is returned": """
+def populate_run_data(self, context): return {**context.execute_run, "seconds": context.execute_run["size"] + 1}
+""",
 }
 
 

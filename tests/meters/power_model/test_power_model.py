@@ -135,6 +135,21 @@ def test_a_task_and_a_load_that_the_model_has_never_met_are_warned_of(estimate, 
     assert "cpu was 50 to 50 % for a time, and the power model was fitted on 10 to 12 %" in said
 
 
+@pytest.mark.parametrize("is_first", [True, False])
+def test_an_estimate_from_doubtful_samples_is_doubtful(tmp_path, is_first):
+    class Load(PsUtil):
+        def populate_run_data(self, context):
+            context.doubt("other processes were busy", measures=["CPU"])
+
+    clock, model, load = FakeClock(), PowerModel(coefficients={"cpu": 0.1}), Load(name="PsUtil", host="localhost")
+    plugins = [model, load] if is_first else [load, model]
+    context = make_context(tmp_path, *plugins, robot=None, clock=clock)
+    rehearse(context, *plugins, mission=lambda: clock.sleep(1.0))
+    findings = [fields for kind, fields in context.broker.records if kind == "finding"]
+    (busy,) = (fields for fields in findings if fields["problem"] == "other processes were busy")
+    assert {*busy["measures"]} == {"CPU", "Energy", "MeanPower"}
+
+
 def test_a_run_that_was_never_measured_publishes_no_values(tmp_path):
     plugin = PowerModel(coefficients=STEADY)
     context = make_context(tmp_path, plugin, robot=None)

@@ -23,6 +23,8 @@ from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.parser import Parser, UsageError, add_config, add_json, add_set
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import prepare
+from robot_runner.core.design.asking import decides_order
+from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.design_findings import is_seed
 from robot_runner.core.design.growing import Additions, NewFactor
 from robot_runner.core.secret_names import shown_assignments
@@ -149,6 +151,8 @@ def _print(extension: Extension, arguments: Namespace) -> None:
     ]
     if arguments.dry_run:
         again = "" if arguments.as_written else f", in this order with --seed {batch.order.seed}"
+        if decides_order(as_configured(model).design):
+            again = ", in this order"
         facts.append(("Written", f"nothing: the same command without --dry-run adds these runs{again}"))
     else:
         facts.append(("Next", f"execute them: {command}"))

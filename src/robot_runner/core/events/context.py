@@ -13,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.early_end import Ending, EndingInPlace
-from robot_runner.core.events.measure import MeasureValue, Origin
+from robot_runner.core.events.measure import CONFIG_OWNER, MeasureValue, Origin
 from robot_runner.core.events.measure_broker import MeasureBroker
 from robot_runner.core.events.resources import HostAccess, Resources
 from robot_runner.core.events.window import MissionTimes, Phase, Window
@@ -257,13 +257,17 @@ class RobotRunnerContext(ExperimentContext):
             name: the measure.
             value: a number, a text, a boolean or None.
             origin: where the value comes from; by default measured, or simulated where the config or a system publishes
-                it on a simulated robot.
+                it on a simulated robot, or the config in a run that has simulated values.
 
         Raises:
             MeasureError: the name was not declared, the type is wrong, the number is not finite, or it is a text
                 and the measure has a unit.
         """
-        self.broker.publish(self.owner, name, value, self.usual_origin if origin is None else origin)
+        if origin is None:
+            # The name of a graph does not tell that its robot is simulated: what plugins have seen there does.
+            is_beside = self.owner == CONFIG_OWNER and self.broker.has_simulated
+            origin = Origin.SIMULATED if is_beside else self.usual_origin
+        self.broker.publish(self.owner, name, value, origin)
 
     def host(self, name: str) -> HostAccess:
         """Return a host of the config's `hosts`, to execute commands there, copy to it and fetch from it.

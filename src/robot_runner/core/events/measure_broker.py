@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from robot_runner.core.errors import Finding, MeasureError, did_you_mean
@@ -48,11 +48,17 @@ class MeasureBroker:
         }
         self._shared = {} if shared is None else shared
         self._findings: list[Finding] = []
+        self._derived: list[tuple[str, str, frozenset[str]]] = []
 
     @property
     def measures(self) -> Mapping[str, measure.PublishedMeasure]:
         """What was published so far, by column of the run table."""
         return self._measures
+
+    @property
+    def has_simulated(self) -> bool:
+        """Whether any of them comes from a simulated robot."""
+        return any(each.origin is measure.Origin.SIMULATED for each in self._measures.values())
 
     @property
     def shared(self) -> Mapping[str, Mapping[str, object]]:
@@ -106,9 +112,25 @@ class MeasureBroker:
             MeasureError: the owner declared no such measure.
         """
         named = (measures,) if isinstance(measures, str) else measures
-        columns = [self._columns.column_for(owner, name).name for name in named]
-        doubted = columns or [column.name for column in self._columns.declared if column.owner == owner]
-        self._record_finding(owner, problem, fix, {"measures": doubted})
+        columns = [self._columns.column_for(owner, name) for name in named] or self._columns_of(owner)
+        names = {column.measure.name for column in columns}
+        for derived, source, read in self._derived:
+            if source == owner and (not read or read & names):
+                columns += self._columns_of(derived)
+        self._record_finding(owner, problem, fix, {"measures": [column.name for column in columns]})
+
+    def derive(self, owner: str, source: str, names: Iterable[str] = ()) -> None:
+        """Have later doubts about the measures of `source` count for all measures of `owner`, which has them computed.
+
+        Args:
+            owner: whose measures are computed from what `source` has sampled.
+            source: the plugin that samples.
+            names: the measures of `source` whose doubts count; empty for all.
+        """
+        self._derived.append((owner, source, frozenset(names)))
+
+    def _columns_of(self, owner: str) -> list[measure.MeasureColumn]:
+        return [column for column in self._columns.declared if column.owner == owner]
 
     def doubt_run(self, owner: str, problem: str, fix: str) -> None:
         """Record a warning finding that makes all values of this run doubtful, whoever publishes them."""

@@ -225,6 +225,7 @@ class Operator:
             facts["place"] = place
         if step is not None and step.is_after:
             facts["is_after"] = True
+        take_request(self._experiment.folder.control, (run.run_id, name))  # one that was left before this question
         self._progress.note("waiting", **facts)
         self._notify(self._waiting(run, place, step))
         answers = yield from self._answered((run.run_id, name), questions)
@@ -251,7 +252,6 @@ class Operator:
 
     def _answered(self, asked: Asked, questions: Sequence[Question]) -> Steps[dict[str, MeasureValue] | None]:
         control = self._experiment.folder.control
-        take_request(control, asked)  # drop one that was left before this question
         given: dict[str, MeasureValue] = {}
         left = deque(questions)
         self._put_question(left)

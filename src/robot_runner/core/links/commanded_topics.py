@@ -53,8 +53,10 @@ def hear_commanded(listener: Callable[[Commanded], object]) -> None:
     _listeners.append(listener)
 
 
-def tell_commanded(topic: str, message_type: str, graph: str = "") -> None:
+def tell_commanded(topic: str, message_type: str, graph: str | None = "") -> None:
     """Tell the listeners that velocities will be commanded on a topic, with the fields of `Commanded`.
+
+    Without a graph they are not told: a robot that is simulated in this process ends with it.
 
     Example:
         >>> hear_commanded(print)
@@ -63,8 +65,9 @@ def tell_commanded(topic: str, message_type: str, graph: str = "") -> None:
         >>> _listeners.clear()
     """
     _types[topic] = message_type
-    for listener in _listeners:
-        listener(Commanded(topic, message_type, graph))
+    if graph is not None:
+        for listener in _listeners:
+            listener(Commanded(topic, message_type, graph))
 
 
 def commanded_type(topic: str) -> str | None:

@@ -156,7 +156,10 @@ def _copies_of(each: KeptInput, folder: Path) -> list[Path]:
     copy = _copy_of(each, folder)
     if copy is None:
         return []
-    members = _members_of(_absolute(copy), [copy.parent / other for other in each["others"]])
+    # The folder of the config may be the input itself: its copy is then the whole folder, which has another name.
+    others = [Path(other) for other in each["others"]]
+    places = [copy.joinpath(*other.parts[1:]) if each["kept"] == "." else copy.parent / other for other in others]
+    members = _members_of(_absolute(copy), places)
     return [member for member in members if member.is_relative_to(_absolute(folder))]
 
 
@@ -265,7 +268,7 @@ def input_changes(inputs: Sequence[InputFile], kept: Path) -> Iterator[Finding]:
 def _is_another(was: KeptInput, each: InputFile) -> bool:
     with storage_errors(each.path, "read"):
         path, members = _files_of(each)
-        now = _described(each, path, members)
+        now = _described(each, path, members, name=_absolute(Path(was["at"])).name)
     return bool(members) and (now["size"], now["sha256"]) != (was["size"], was["sha256"])
 
 
@@ -282,14 +285,20 @@ def _change_in_words(was: KeptInput, each: InputFile, kept: Path) -> str:
 
 def _changes_in(path: Path, members: Sequence[Path], copy: Path, copies: Sequence[Path]) -> list[str]:
     """Return in words which files of an input differ from their copies."""
-    found = {os.path.relpath(member, path.parent): member for member in members}
-    known = {os.path.relpath(member, copy.parent): member for member in copies}
+    found, known = _named(path, members, path.name), _named(copy, copies, path.name)
     changed = [name for name in found.keys() & known if _file_digest(found[name]) != _file_digest(known[name])]
     return [
         *(f"{name} is another one than the runs before have read" for name in sorted(changed)),
         *(f"{name} is new since the runs before" for name in sorted(found.keys() - known)),
         *(f"{name}, which the runs before have read, is not there" for name in sorted(known.keys() - found)),
     ]
+
+
+def _named(path: Path, members: Sequence[Path], name: str) -> dict[str, Path]:
+    """Return the files of an input by their paths beside it; a folder is called `name`, as it may have been renamed."""
+    own = _absolute(path)
+    start, before = (own, Path(name)) if own.is_dir() else (own.parent, Path())
+    return {os.path.normpath(before / os.path.relpath(each, start)): each for each in members}
 
 
 def _files_of(each: InputFile) -> tuple[Path, list[Path]]:
@@ -304,25 +313,26 @@ def _members_of(path: Path, others: Sequence[Path]) -> list[Path]:
     return sorted(member for member in members if member.is_file())
 
 
-def _described(each: InputFile, path: Path, members: Sequence[Path]) -> KeptInput:
-    size = sum(member.stat().st_size for member in members)
+def _described(each: InputFile, path: Path, members: Sequence[Path], *, name: str | None = None) -> KeptInput:
+    """Return the entry of an input in the index; a folder is summed as if it was called `name`, left out as it is."""
+    at, size = _absolute(each.path), sum(member.stat().st_size for member in members)
     is_summed = size <= _LARGEST_SUMMED and len(members) <= _MOST_FILES
     return {
         "named": str(each.path),
-        "at": str(_absolute(each.path)),
+        "at": str(at),
         "below": None,
         "others": [os.path.relpath(_absolute(other), path.parent) for other in each.others],
         "kept": None,
         "size": size,
-        "sha256": _digest(path, members) if is_summed else None,
+        "sha256": _digest(path, members, name or at.name) if is_summed else None,
     }
 
 
-def _digest(path: Path, members: Sequence[Path]) -> str:
+def _digest(path: Path, members: Sequence[Path], name: str) -> str:
     """Return the SHA-256 of a file; of several, that of the list of their checksums as `sha256sum` prints it."""
     if list(members) == [path]:
         return _file_digest(path)
-    lines = (f"{_file_digest(each)}  {os.path.relpath(each, path.parent)}\n" for each in members)
+    lines = (f"{_file_digest(each)}  {place}\n" for place, each in _named(path, members, name).items())
     return hashlib.sha256("".join(lines).encode("utf-8", "surrogateescape")).hexdigest()  # names may be any bytes
 
 

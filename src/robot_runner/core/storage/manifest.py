@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -164,10 +165,17 @@ def installed_system_packages(status: Path = _STATUS) -> dict[str, str]:
         status: the database of `dpkg`; read directly, as starting `dpkg-query` takes ten times as long.
     """
     try:
-        paragraphs = status.read_bytes().split(b"\n\n")
+        at = status.stat()
+        return {**_system_packages(status, at.st_mtime_ns, at.st_size)}
     except OSError:
         return {}
+
+
+@lru_cache(maxsize=1)
+def _system_packages(status: Path, _changed: int, _size: int) -> dict[str, str]:
+    """Read the database once for all experiments of this process, as long as it stays as it is."""
     found = {}
+    paragraphs = status.read_bytes().split(b"\n\n")
     for paragraph in paragraphs:
         if b" installed\n" in paragraph[:_HEAD]:
             name, version = (_field(paragraph, field) for field in (b"Package", b"Version"))

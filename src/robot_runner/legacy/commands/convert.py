@@ -132,7 +132,7 @@ def _convert(old: Path, new: Path, folder: Path | None, written: set[Path], *, o
         [
             ("Derives from", ", ".join(map(shown_path, conversion.bases))),
             ("Beside it", ", ".join(conversion.beside)),
-            ("Check", command_line("check", str(new))),
+            ("Check", command_line("check", str(new), *beside)),
             ("Execute", command_line(str(new), *beside)),
         ],
     )

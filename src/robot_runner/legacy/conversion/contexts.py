@@ -37,10 +37,11 @@ def convert_contexts(converted: ConvertedFile, session: Session, columns: Collec
     kept = {place for function, names in functions.items() for place in _places_kept(function, names)}
     contexts = kept.union(*functions.values())
     moved = set(_attributes_to_move(tree, contexts))
+    given_back = {id(row) for row in _rows_given_back(tree, session)}
     found: list[Finding] = []
     for function, names in functions.items():
         if names or kept:
-            found += _Function(function, names | kept, converted, columns, moved).findings()
+            found += _Function(function, names | kept, converted, columns, moved, given_back).findings()
     yield from dict.fromkeys(found)  # nested functions are visited twice
     yield from _left(converted, contexts)
 
@@ -77,6 +78,24 @@ def _places_kept(function: ast.FunctionDef | ast.Lambda, names: Collection[str])
             yield from (ast.unparse(each) for each in node.targets if isinstance(each, ast.Attribute))
 
 
+def _rows_given_back(tree: ast.Module, session: Session) -> Iterator[ast.Attribute]:
+    """Yield the rows in what `populate_run_data` returns: the treatments in them are no measures here."""
+    names = session.callbacks_of(RobotRunnerEvents.POPULATE_RUN_DATA)
+    for function in (each for each in nodes(tree, ast.FunctionDef) if each.name in names):
+        for returned in (node.value for node in nodes(function, ast.Return)):
+            match returned:
+                case ast.Dict(keys=keys, values=values):
+                    rows = [value for key, value in zip(keys, values, strict=True) if key is None]
+                case (
+                    ast.Call(func=ast.Name(id="dict"), args=[row])
+                    | ast.Call(func=ast.Attribute(value=row, attr="copy"))
+                ):
+                    rows = [row]
+                case _:
+                    rows = [returned] if returned is not None else []
+            yield from (row for row in rows if isinstance(row, ast.Attribute) and row.attr in _ROWS)
+
+
 def _attributes_to_move(tree: ast.Module, contexts: Collection[str]) -> Iterator[str]:
     """Yield the attributes that callbacks set on their context, and that can move to `self`."""
     methods = [each for each in nodes(tree, ast.FunctionDef) if [arg.arg for arg in each.args.args[:1]] == ["self"]]
@@ -108,13 +127,17 @@ def _left(converted: ConvertedFile, contexts: Collection[str]) -> Iterator[Findi
 
 @dataclass(slots=True)
 class _Function:
-    """A function; `contexts` are its expressions for a context, `moved` the attributes that moved to `self`."""
+    """A function; `contexts` are its expressions for a context, `moved` the attributes that moved to `self`.
+
+    `given_back` are the rows, by their `id`, of which only what was published counts.
+    """
 
     _function: ast.FunctionDef | ast.Lambda
     _contexts: Collection[str]
     _file: ConvertedFile
     _columns: Collection[str]
     _moved: Collection[str]
+    _given_back: Collection[int]
     _rows: dict[str, str] = field(default_factory=dict)
     _returned: set[str] = field(default_factory=set)
 
@@ -154,7 +177,7 @@ class _Function:
         elif node.attr in _ATTRIBUTES:
             self._file.edits.replace(node, f"{context}.{_ATTRIBUTES[node.attr]}")
         elif node.attr in _ROWS:
-            self._file.edits.replace(node, f"dict({context}.combination)")
+            self._file.edits.replace(node, "{}" if id(node) in self._given_back else f"dict({context}.combination)")
 
     def _convert_writing(self, node: ast.Assign, cell: ast.Subscript) -> Iterator[Finding]:
         row, context = cell.value, self._context_of(cell.value)

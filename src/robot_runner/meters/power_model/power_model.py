@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -32,6 +33,8 @@ _TERMS = {
     "network": ("network",),
     "gpu": ("gpu",),
 }
+#: The measures whose doubts are about what is read, where the plugin has others as well: those of processes.
+_MEASURES = {"utilisation": ("CPU", "Memory")}
 _FIX = "Fit one: robot-runner fit-power-model EXPERIMENT --out power_model.json."
 
 
@@ -200,6 +203,13 @@ class PowerModel(Profiler):
             )
             for each in wanted
         ]
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Have its values be doubtful where those are that it is to be computed from."""
+        with suppress(PluginError):  # told with the estimate
+            for kind, plugin in self._needed(self._read()).items():
+                if plugin is not None:
+                    context.broker.derive(self.name, plugin, _MEASURES.get(kind, ()))
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Estimate, now that all other plugins have written their samples; no value if they cover too little."""

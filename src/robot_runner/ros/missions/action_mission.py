@@ -335,14 +335,16 @@ def _cancel_all_goals(
         late_seconds: for how long to repeat the request, s: a goal may still be on its way.
     """
     begun = time.monotonic()
+    # A graph that is known: a server that it lacks has ended, and is not waited for.
+    patience = timeout if late_seconds else min(_TOLD_SECONDS, timeout)
     while True:
         is_last = time.monotonic() >= begun + late_seconds
-        if not _ask_to_cancel(link, action, full_name, timeout=timeout) or is_last:
+        if not _ask_to_cancel(link, action, full_name, timeout=timeout, patience=patience) or is_last:
             return
         time.sleep(_ASK_AGAIN)
 
 
-def _ask_to_cancel(link: RobotLink, action: str, full_name: str, *, timeout: float) -> bool:
+def _ask_to_cancel(link: RobotLink, action: str, full_name: str, *, timeout: float, patience: float) -> bool:
     """Request the cancelling of all goals of a server, and return whether it is there.
 
     In both generations, an empty goal id with a stamp of zero means all goals (action_msgs/srv/CancelGoal, and
@@ -350,12 +352,15 @@ def _ask_to_cancel(link: RobotLink, action: str, full_name: str, *, timeout: flo
     """
     if link.encoding is Encoding.ROS1:
         return _cancel_in_ros1(link, action, full_name, timeout=timeout)
+    service, message_type = f"{action}/_action/cancel_goal", "action_msgs/CancelGoal"
     try:
-        answer = link.call(f"{action}/_action/cancel_goal", "action_msgs/CancelGoal", {}, timeout=timeout)
+        answer = link.call(service, message_type, {}, timeout=patience)
     except LinkError:
-        if full_name in link.actions():
+        if full_name not in link.actions():
+            return False
+        if patience >= timeout:
             raise
-        return False
+        answer = link.call(service, message_type, {}, timeout=timeout)
     if answer["return_code"] == _REFUSED:
         fix = "Look at the log of its server, and stop the robot by hand."
         raise LinkError("the action server refuses to cancel its goals", where=full_name, fix=fix)
